@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from counterspin.certificates.administrative import Issue
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.elements import NAMESPACES
 from counterspin.certificates.lab import read_lab
+from counterspin.certificates.statements import Issue
 
 LAB = """
 schema = 1

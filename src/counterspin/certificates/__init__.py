@@ -5,9 +5,9 @@ records do not determine is named as such, and missing data of the laboratory is
 
 - `lab`: the laboratory's data, ``LAB.toml``
 - `issuing`: from a result to the file, and back
-- `build`: the document; `administrative`, `statements`, `measurement`: its parts
-- `wording`: the sentences; `front`: the pages
-- `elements`, `coverage`: elements of DCC and D-SI, coverage factors
+- `build`: the document, set by the template `assets/certificate.xml.jinja`
+- `statements`: its claims; `wording`: the sentences; `front`: the pages
+- `elements`, `coverage`: words and numbers as the DCC has them, coverage factors
 - `conversion`: coefficients in SI, with what the uncertainty of g does there; `capability`: no U is
   below what the laboratory can do
 - `evidence`: what bounds the terms that were taken as perfect

@@ -1,22 +1,41 @@
-"""The Digital Calibration Certificate (DCC 3.3.0) of a result and a laboratory's data."""
+"""The Digital Calibration Certificate (DCC 3.3.0) of a result: its data, set by a template.
+
+Numbers are written with all digits of a double, so that a machine reads back what was computed;
+`significantDigit` tells where they are to be rounded, and the words beside them are rounded.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+import re
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any, Final
 
+from jinja2 import Environment, StrictUndefined, Template
 from lxml import etree
+from markupsafe import Markup
 
+from counterspin._version import __version__
 from counterspin.calibration.findings import judge_result, refusal
+from counterspin.calibration.notebook.si_estimate import SiEstimate
+from counterspin.calibration.pages.motions import readings_of
 from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates import wording
-from counterspin.certificates.administrative import Issue, administrative_data
-from counterspin.certificates.capability import capability_lines, with_capability
-from counterspin.certificates.elements import DCC, Element, attached, dcc, rich
-from counterspin.certificates.lab import Lab
-from counterspin.certificates.measurement import measurement_results
-from counterspin.certificates.statements import Verdicts, statements
+from counterspin.certificates.amendment import PROCEDURE
+from counterspin.certificates.capability import with_capability
+from counterspin.certificates.conversion import covariance, in_si, output_in_si
+from counterspin.certificates.coverage import coverage_factor, region_factor
+from counterspin.certificates.elements import DCC, NAMESPACES, Element, clean, factor, number
+from counterspin.certificates.lab import ITEM_STATES, Lab
+from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
 from counterspin.errors import RecordError
+from counterspin.inference.conformity import COVERAGE
+from counterspin.physics.si_units import SiUnit, si_unit, to_si
+from counterspin.physics.terms import SHARED_TERMS
+from counterspin.reports.numbers import round_to_uncertainty
 
 SCHEMA_VERSION: Final = "3.3.0"
 
@@ -46,41 +65,37 @@ def certificate(
     pages: bytes | None,
     original: Result | None = None,
 ) -> Element:
-    """Return the certificate's root element.
+    """Return the root element of the certificate of a result that `check_certifiable` accepts.
 
-    Parameters
-    ----------
-    result
-        A result that `check_certifiable` accepts.
-    lab
-        The laboratory's data.
-    issue
-        Identifier and date.
-    verdicts
-        Conformity of the certified coefficients.
-    pages
-        The same as PDF, or None.
-    original
-        The result as its file has it, if that is another.
+    verdicts: Conformity of the certified coefficients.
+    pages: The same as PDF, or None.
+    original: The result as its file has it, if that is another.
     """
-    stated = with_capability(result, lab)
-    raised = capability_lines(result, stated, lab)
-    root = dcc(
-        "digitalCalibrationCertificate",
-        administrative_data(lab, result, issue, statements(lab, stated, issue, verdicts, raised)),
-        measurement_results(lab, stated, original or result),
-        _comment(lab, result),
-        None
-        if pages is None
-        else attached(
-            "document",
-            issue.file_name(".pdf"),
-            "application/pdf",
-            pages,
-            "The same for people to read.",
-        ),
-        schemaVersion=SCHEMA_VERSION,
+    names, stated = lab.certified(result), with_capability(result, lab)
+    written = _template().render(
+        version=__version__,
+        schema_version=SCHEMA_VERSION,
+        namespaces=NAMESPACES,
+        lab=lab,
+        settings=lab.certificate,
+        issue=issue,
+        result=stated,
+        file=(original or result).content,
+        names=names,
+        statements=statements(lab, result, stated, issue, verdicts),
+        inputs=[f"{file} {checksum}" for file, checksum in result.provenance.shown],
+        rates=_rates(stated),
+        platform={
+            symbol: c
+            for symbol, c in stated.platform.items()
+            if symbol in SHARED_TERMS and wording.is_determined(c)
+        },
+        all_together=_all_together(stated, names),
+        warnings=_warnings(result, names),
+        pages=pages,
     )
+    parser = etree.XMLParser(remove_blank_text=True, huge_tree=True, resolve_entities=False)
+    root = etree.fromstring(written.encode(), parser)
     _drop_unlinked(root)
     _drop_single_languages(root)
     etree.indent(root, " ")
@@ -93,19 +108,114 @@ def to_bytes(root: Element) -> bytes:
     return written + b"\n"
 
 
-def _comment(lab: Lab, result: Result) -> Element | None:
+@cache
+def _template() -> Template:
+    # Whatever is text is cleaned where it is set; what macros return is set already.
+    made = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: clean(value) if type(value) is str else value,
+    )
+    made.filters |= {
+        "paragraphs": lambda lines: Markup("\n").join(map(clean, lines)),
+        "number": number,
+        "factor": factor,
+        "plainly": wording.plainly,
+        "base64": lambda data: b64encode(data).decode("ascii"),
+    }
+    made.globals |= {
+        "wording": wording,
+        "PROCEDURE": PROCEDURE,
+        "COVERAGE": COVERAGE,
+        "ITEM_STATES": ITEM_STATES,
+        "SHARED_TERMS": SHARED_TERMS,
+        "ONE": SiUnit().text,
+        "coverage_factor": coverage_factor,
+        "significant_digit": _significant_digit,
+        "release": _release,
+        "si": lambda unit: si_unit(unit)[0].text,
+        "to_si": to_si,
+        "in_si": in_si,
+        "output_in_si": output_in_si,
+        "together": _together,
+        "item_id": item_id,
+    }
+    assets = resources.files("counterspin.certificates") / "assets"
+    return made.from_string((assets / "certificate.xml.jinja").read_text(encoding="utf-8"))
+
+
+def _release(version: str) -> str:
+    """Return the form of a version that the DCC takes, such as v1.2.3."""
+    found = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", version)
+    return f"v{found[0] if found else version}"
+
+
+def _significant_digit(value: float, u: float) -> int | None:
+    rounded = round_to_uncertainty(value, u)
+    return None if rounded is None else rounded.place
+
+
+def _rates(result: Result) -> list[tuple[str, float]]:
+    """Return name and rate in rad/s of each reading, made while something turned."""
+    every = (one for readings in readings_of(result).values() for one in readings)
+    return list(dict.fromkeys((reading.name, reading.rate) for reading in every if reading.rate))
+
+
+def _all_together(result: Result, names: Sequence[str]) -> dict[str, Any] | None:
+    """Return the covariance across accelerometers, which g, radius and platform make."""
+    if len(names) < 2:
+        return None
+    return _together(
+        result.correlation,
+        {
+            f"{name}.{symbol}": estimate
+            for name in names
+            for symbol, estimate in in_si(result, name).items()
+        },
+    )
+
+
+def _together(
+    correlation: Correlation | None, estimates: Mapping[str, SiEstimate]
+) -> dict[str, Any] | None:
+    """Return the covariance of the certified coefficients, where there are two or more."""
+    symbols = [s for s in (correlation.terms if correlation else ()) if s in estimates]
+    if correlation is None or len(symbols) < 2:
+        return None
+    # The fewest of several degrees of freedom: the region is then rather too large.
+    dof = min((d for s in symbols if (d := estimates[s].dof) is not None), default=None)
+    return {
+        "symbols": symbols,
+        "values": [estimates[s].value for s in symbols],
+        "units": [estimates[s].unit.text for s in symbols],
+        "columns": [
+            [
+                (
+                    covariance(correlation, estimates, row, column),
+                    (estimates[row].unit * estimates[column].unit).text,
+                )
+                for row in symbols
+            ]
+            for column in symbols
+        ],
+        "dof": dof,
+        "factor": region_factor(len(symbols), dof),
+    }
+
+
+def _warnings(result: Result, names: Sequence[str]) -> list[str]:
     """Return all warnings of the calibration, which the certificate must state."""
     lines = list(result.warnings)
     if result.accepted_misfit is not None:
         lines.append(f"The misfit was accepted: {result.accepted_misfit}")
-    for name in lab.certified(result):
+    for name in names:
         lines += [
             warning if warning.startswith(name) else f"{name}: {warning}"
             for warning in result.accelerometers[name].warnings
         ]
-    if not lines:
-        return None
-    return rich("comment", *(f"Warning: {wording.plainly(line)}" for line in lines))
+    return [f"Warning: {wording.plainly(line)}" for line in lines]
 
 
 def _drop_unlinked(root: Element) -> None:

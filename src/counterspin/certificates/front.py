@@ -13,7 +13,6 @@ from counterspin.calibration.notebook.si_estimate import SiEstimate
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
-from counterspin.certificates.administrative import Issue
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.capability import capability_lines, with_capability
 from counterspin.certificates.conversion import in_si
@@ -21,7 +20,7 @@ from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
-from counterspin.certificates.statements import Verdicts
+from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import format_count, format_estimate, format_number

@@ -12,7 +12,6 @@ from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
-from counterspin.certificates.administrative import Issue
 from counterspin.certificates.amendment import (
     Amended,
     Amendment,
@@ -33,7 +32,7 @@ from counterspin.certificates.ledger import checksum_of
 from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import Signer, is_signed, read_signer, sign, verify
-from counterspin.certificates.statements import Verdicts
+from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import reserve, write_whole

@@ -1,156 +1,127 @@
-"""The statements of a certificate: its claims in words, marked up for machines."""
+"""The statements of a certificate: its claims in words, and what machines are told of each."""
 
 from __future__ import annotations
 
+import datetime
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates import wording
-from counterspin.certificates.administrative import Issue, item_id
-from counterspin.certificates.amendment import amendment_lines
-from counterspin.certificates.elements import ENGLISH, Element, dcc, rich, text
+from counterspin.certificates.amendment import Amended, amendment_lines
+from counterspin.certificates.capability import capability_lines
+from counterspin.certificates.elements import ENGLISH
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
+from counterspin.frozen import frozen
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
 
+_GUM: Final = ("JCGM 100:2008", "JCGM 102:2011")
+_QUALITY: Final = ("ISO/IEC 17025:2017",)
 
-def quantity_id(lab: Lab, result: Result, name: str, symbol: str) -> str:
-    """Return the id of a coefficient."""
-    return f"{item_id(lab, result, name)}.{symbol}"
+
+@frozen
+class Issue:
+    """Identifier and date of a certificate."""
+
+    identifier: str  #: Unique.
+    date: datetime.datetime  #: Of issue, UTC.
+    signed: bool = False  #: Whether an electronic signature follows.
+    #: Whether the laboratory's data are not its own yet, so that nothing is certified.
+    draft: bool = False
+    amended: Amended | None = None  #: The certificate that this one replaces.
+
+    def file_name(self, ending: str) -> str:
+        """Return a file name made of the identifier, in which a slash would name a folder."""
+        return re.sub(r"[^\w.-]+", "_", self.identifier) + ending
+
+
+@frozen
+class Statement:
+    """A claim in words, with its marks for machines (``dcc:statement``)."""
+
+    name: str
+    lines: Sequence[str]  #: Its paragraphs; there is no statement without any.
+    norms: Sequence[str] = ()  #: The standards that it follows.
+    language: str = ENGLISH
+    ref: str | None = None  #: Id of the element that it is about.
+    kind: str | None = None  #: ``refType`` of the DCC.
+    traceable: bool = False
+    non_si: str | None = None  #: Definition of the unit g.
+    conformity: str | None = None  #: ``pass``, ``fail`` and so on, as the DCC has them.
+
+
+def item_id(lab: Lab, result: Result, name: str) -> str:
+    """Return the id of an accelerometer's own item."""
+    return f"item-{lab.certified(result).index(name) + 1}"
 
 
 def statements(
-    lab: Lab, result: Result, issue: Issue, verdicts: Verdicts, raised: Sequence[str]
-) -> list[Element]:
+    lab: Lab, result: Result, stated: Result, issue: Issue, verdicts: Verdicts
+) -> list[Statement]:
     """Return every statement, in the order in which they are read.
 
-    lab: The laboratory's data.
+    stated: The result with the uncertainties that the laboratory may claim.
     """
-    gravity = result.inputs.gravity
-    settings = lab.certificate
-    names = lab.certified(result)
-    texts = [
-        *_said("Draft", *([wording.DRAFT] if issue.draft else ())),
-        *_said("Amendment", *amendment_lines(issue.amended), norm="ISO/IEC 17025:2017"),
-        *_said("Misfit of the result", *wording.despite_lines(result, names)),
-        *_said("File of the result", *wording.seal_lines(result)),
-        _traceability(lab),
-        dcc(
-            "statement",
-            text("name", wording.UNCERTAINTY),
-            dcc("norm", "JCGM 100:2008"),
-            dcc("norm", "JCGM 102:2011"),
-            rich("declaration", wording.uncertainty_statement()),
-            refType="basic_methodMeasurementUncertainty",
-        ),
-        dcc(
-            "statement",
-            text("name", wording.UNITS),
-            rich("declaration", wording.unit_statement(gravity)),
-            dcc("nonSIDefinition", f"1 g = {gravity!r} m/s^2, the local gravity of the site"),
-            dcc("nonSIUnit", "g"),
-        ),
-        *_said(wording.CAPABILITY, *raised, norm="ILAC-P14:09/2020"),
-        *_said(
-            wording.KNOWN,
-            *(line for name in names for line in wording.known_beforehand(name, result, settings)),
-        ),
-        *_said(
-            wording.ASSUMED,
-            *evidence_lines(result.assumed, lab.evidence),
-            language=settings.language,
-        ),
-        *_said(
-            wording.SUPPLIED,
-            *wording.customer_lines(settings),
-            language=settings.language,
-            norm="ISO/IEC 17025:2017",
-        ),
-        *_missing(lab, result),
-        *_assumptions(lab, result),
-        *_conformity(lab, result, verdicts),
-        dcc(
-            "statement",
-            text("name", wording.SCOPE),
-            dcc("norm", "ISO/IEC 17025:2017"),
-            rich("declaration", wording.scope_statement()),
-        ),
+    every = [
+        *_of_the_certificate(lab, stated, issue),
+        *_of_the_values(lab, result, stated),
+        *_of_conformity(lab, stated, verdicts),
+        Statement(wording.SCOPE, [wording.scope_statement()], _QUALITY),
+        Statement(wording.REMARKS, lab.certificate.remarks, language=lab.certificate.language),
     ]
-    if lab.certificate.remarks:
-        texts.append(
-            dcc(
-                "statement",
-                text("name", wording.REMARKS),
-                rich("declaration", *lab.certificate.remarks, language=lab.certificate.language),
-            )
-        )
-    return texts
+    return [statement for statement in every if statement.lines]
 
 
-def _said(
-    name: str, *lines: str, norm: str | None = None, language: str = ENGLISH
-) -> Iterator[Element]:
-    """Yield a statement of some lines; nothing without any."""
-    if lines:
-        yield dcc(
-            "statement",
-            text("name", name),
-            None if norm is None else dcc("norm", norm),
-            rich("declaration", *lines, language=language),
-        )
-
-
-def _traceability(lab: Lab) -> Element:
+def _of_the_certificate(lab: Lab, stated: Result, issue: Issue) -> Iterator[Statement]:
     settings = lab.certificate
-    return dcc(
-        "statement",
-        text("name", wording.TRACEABILITY),
-        dcc("traceable", "true"),
-        rich("declaration", settings.traceability, language=settings.language),
+    yield Statement("Draft", [wording.DRAFT] if issue.draft else [])
+    yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
+    misfit = wording.despite_lines(stated, lab.certified(stated))
+    yield Statement("Misfit of the result", misfit)
+    yield Statement("File of the result", wording.seal_lines(stated))
+    yield Statement(
+        wording.TRACEABILITY, [settings.traceability], language=settings.language, traceable=True
     )
 
 
-def _missing(lab: Lab, result: Result) -> Iterator[Element]:
-    for name in lab.certified(result):
-        if lines := wording.not_determined(name, result.accelerometers[name]):
-            yield dcc(
-                "statement",
-                text("name", f"Not determined, accelerometer {name}"),
-                rich("declaration", *lines),
-                refId=item_id(lab, result, name),
-            )
+def _of_the_values(lab: Lab, result: Result, stated: Result) -> Iterator[Statement]:
+    settings, names, g = lab.certificate, lab.certified(result), stated.inputs.gravity
+    kind = "basic_methodMeasurementUncertainty"
+    yield Statement(wording.UNCERTAINTY, [wording.uncertainty_statement()], _GUM, kind=kind)
+    one_g = f"1 g = {g!r} m/s^2, the local gravity of the site"
+    yield Statement(wording.UNITS, [wording.unit_statement(g)], non_si=one_g)
+    raised = capability_lines(result, stated, lab)
+    yield Statement(wording.CAPABILITY, raised, ("ILAC-P14:09/2020",))
+    known = [line for n in names for line in wording.known_beforehand(n, stated, settings)]
+    yield Statement(wording.KNOWN, known)
+    evidence = [*evidence_lines(stated.assumed, lab.evidence)]
+    yield Statement(wording.ASSUMED, evidence, language=settings.language)
+    supplied = wording.customer_lines(settings)
+    yield Statement(wording.SUPPLIED, supplied, _QUALITY, settings.language)
+    for name in names:
+        lines = wording.not_determined(name, stated.accelerometers[name])
+        yield Statement(
+            f"Not determined, accelerometer {name}", lines, ref=item_id(lab, stated, name)
+        )
+    for name in names:
+        lines = wording.rest_lines(name, stated)
+        about = f"{wording.RESTS_ON}, accelerometer {name}"
+        yield Statement(about, lines, ref=item_id(lab, stated, name))
 
 
-def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
-    for name in lab.certified(result):
-        if lines := wording.rest_lines(name, result):
-            yield dcc(
-                "statement",
-                text("name", f"{wording.RESTS_ON}, accelerometer {name}"),
-                rich("declaration", *lines),
-                refId=item_id(lab, result, name),
-            )
-
-
-def _conformity(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Element]:
+def _of_conformity(lab: Lab, stated: Result, verdicts: Verdicts) -> Iterator[Statement]:
     for name, by_symbol in verdicts.items():
         for symbol, judged in by_symbol.items():
-            coefficient = result.accelerometers[name].coefficients.get(symbol)
-            certified = coefficient is not None and wording.is_determined(coefficient)
-            word = wording.conformity_word(judged, coefficient)
-            yield dcc(
-                "statement",
-                text("name", f"{wording.CONFORMITY}, {symbol} of {name}"),
-                dcc("norm", "JCGM 106:2012"),
-                rich(
-                    "declaration",
-                    wording.verdict(symbol, name, judged, coefficient),
-                    wording.decision_rule(judged),
-                ),
-                None if word is None else dcc("conformity", word),
-                refId=quantity_id(lab, result, name, symbol)
-                if certified
-                else item_id(lab, result, name),
+            c = stated.accelerometers[name].coefficients.get(symbol)
+            item = item_id(lab, stated, name)
+            yield Statement(
+                f"{wording.CONFORMITY}, {symbol} of {name}",
+                [wording.verdict(symbol, name, judged, c), wording.decision_rule(judged)],
+                ("JCGM 106:2012",),
+                ref=f"{item}.{symbol}" if c is not None and wording.is_determined(c) else item,
+                conformity=wording.conformity_word(judged, c),
             )
