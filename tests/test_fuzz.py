@@ -19,7 +19,7 @@ from fuzz.requests import request_of, valid_requests
 from fuzz.tracing import Runner, possible
 from prose import sentences, told, value_of
 
-from counterspin.application.interface import ENDPOINTS, Nothing
+from counterspin.application.interface import ENDPOINTS
 from counterspin.errors import CounterspinError
 
 CASES = sorted((ROOT / "tests" / "cases").glob("*/*.case"))
@@ -133,12 +133,12 @@ def test_the_judge_finds_what_is_wrong(tmp_path, monkeypatch, use, words):
     assert words in said
 
 
-def touch_outside(desk, _):
+def touch_outside(desk):
     """Stands for a request that reads beside the folder."""
     return (desk.folder.root.parent / "outside" / "secret.toml").read_text()
 
 
-def leave_half(desk, _):
+def leave_half(desk):
     """Stands for one that fails in the middle of a file."""
     (desk.folder.root / ".half").write_text("x")
     raise CounterspinError("no space")
@@ -149,14 +149,14 @@ def leave_half(desk, _):
     [
         (touch_outside, "outside was touched"),
         (leave_half, "has changed ['.half']"),
-        (lambda desk, _: 1 / 0, "ZeroDivisionError"),
-        (lambda desk, _: {"told": SECRET}, "what is outside was told"),
-        (lambda desk, _: desk.file("nowhere"), ""),
+        (lambda desk: 1 / 0, "ZeroDivisionError"),
+        (lambda desk: {"told": SECRET}, "what is outside was told"),
+        (lambda desk: desk.file("nowhere"), ""),
     ],
 )
 def test_an_answer_that_is_wrong_is_found(bench, monkeypatch, respond, words):
     form, path = bench("requests")
-    monkeypatch.setitem(ENDPOINTS, ("GET", "folder"), (Nothing, respond))
+    monkeypatch.setitem(ENDPOINTS, ("GET", "folder"), respond)
     path.write_text(json.dumps([request_of("GET", "/api/folder", {})]))
     verdict, said = judge(form, path)
     assert verdict == ("found" if words else "refused")

@@ -227,7 +227,11 @@ def _runs(desk: Desk, name: str, path: Path) -> list[dict[str, Any]]:
 
 
 def begin_calibration(
-    desk: Desk, name: str, output: str, method: Method, accept_misfit: str | None
+    desk: Desk,
+    name: str,
+    output: str = _RESULT_NAME,
+    method: Method = "joint",
+    accept_misfit: str | None = None,
 ) -> dict[str, Any]:
     """Begin to calibrate a campaign; return the job.
 
@@ -247,7 +251,7 @@ def begin_calibration(
     return desk.jobs.begin(make, calibrate_into, path, place, method, accept_misfit).shown()
 
 
-def begin_campaign(desk: Desk, name: str, test: Test) -> dict[str, Any]:
+def begin_campaign(desk: Desk, name: str, test: Test = "double-turntable") -> dict[str, Any]:
     """Write an example campaign into a folder; return its name and the command."""
     from counterspin.campaign.starter import init
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from counterspin.application.desk import Desk
 from counterspin.application.editing import Edited, changed, checked_campaign, checked_lab
@@ -41,16 +41,21 @@ def _example() -> str:
         return write_example(Path(folder) / "LAB.toml").read_text(encoding="utf-8")
 
 
-def check_text(desk: Desk, file: str, text: str, result: str | None) -> dict[str, Any]:
+def check_text(desk: Desk, file: str, text: str, result: str | None = None) -> dict[str, Any]:
     """Return what a text would say in the place of a file, and what is wrong with it."""
     return _checked(desk, file, text, result).shown()
 
 
 def change_text(
-    desk: Desk, file: str, text: str, result: str | None, change: tuple[list[str | int], Any, str]
+    desk: Desk,
+    file: str,
+    text: str,
+    path: list[str | int],
+    value: Any,
+    kind: Literal["", "date"] = "",
+    result: str | None = None,
 ) -> dict[str, Any]:
     """Return a text with another value at a key, as `check_text` does."""
-    path, value, kind = change
     return _checked(desk, file, changed(text, path, value, kind), result).shown()
 
 
@@ -63,11 +68,13 @@ def _checked(desk: Desk, file: str, text: str, result: str | None) -> Edited:
     return checked_lab(text, desk.result(result))
 
 
-def save_text(desk: Desk, file: str, text: str, seen: str, result: str | None) -> dict[str, Any]:
+def save_text(
+    desk: Desk, file: str, text: str, version: str, result: str | None = None
+) -> dict[str, Any]:
     """Write a text, mistakes and all, if the file still is what its editor had seen."""
     _place(desk, file)
     told = _checked(desk, file, text, result).shown()
-    return told | {"file": file, "version": desk.folder.write(file, text, seen).version}
+    return told | {"file": file, "version": desk.folder.write(file, text, version).version}
 
 
 def _place(desk: Desk, file: str) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -60,7 +60,7 @@ def _draft(desk: Desk, names: Sequence[str]) -> Draft:
     return _DRAFTS.get(tuple(files), files, lambda: draft(files))
 
 
-def drafted(desk: Desk, names: Sequence[str]) -> dict[str, Any]:
+def drafted(desk: Desk, names: list[str]) -> dict[str, Any]:
     """Return what files show, in sentences, and what has to be asked."""
     found = _draft(desk, names)
     return {
@@ -70,11 +70,11 @@ def drafted(desk: Desk, names: Sequence[str]) -> dict[str, Any]:
 
 
 def begin_drafted(
-    desk: Desk, folder: str, names: Sequence[str], answers: Mapping[str, str]
+    desk: Desk, folder: str, names: list[str], answers: dict[str, str] | None = None
 ) -> dict[str, Any]:
     """Write the campaign that files and answers make; return its name and the command."""
     place = desk.place(folder)
-    said = {key: answer for key, answer in answers.items() if answer.strip()}
+    said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     write_description(_draft(desk, names), said, place)
     files = [desk.file(name) for name in names]
     return {"name": desk.folder.name(place), "command": export_command(place, files, said)}

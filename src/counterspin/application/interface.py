@@ -1,12 +1,17 @@
-"""What the page may ask, by name: each request's form, and what answers it."""
+"""What the page may ask, by name, and what answers it.
+
+What a request must say is the signature of the function that answers: its parameters after `desk`.
+"""
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Literal, TypeVar
+from functools import cache
+from typing import Any, Final, Literal, TypeVar, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from counterspin.application import (
     campaigns,
@@ -21,177 +26,13 @@ from counterspin.application import (
 )
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ChangedMeanwhileError, NotThereError, OutsideError
-from counterspin.calibration.options import Method
-from counterspin.campaign.starter import Test
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
 T = TypeVar("T")
 
 
-class Asked(BaseModel):
-    """What a request says; nothing else may be said."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Nothing(Asked):
-    """A request that says nothing."""
-
-
-class Named(Asked):
-    """A file or campaign, by its name in the folder."""
-
-    name: str
-
-
-class PageAsked(Asked):
-    """A page of results, whose names stand one below the other."""
-
-    kind: pages.Kind
-    names: str
-    term: str = "K_II"
-
-    @property
-    def files(self) -> list[str]:
-        """The results' files."""
-        return self.names.split("\n")
-
-
-class PictureAsked(PageAsked):
-    """A picture of such a page."""
-
-    place: int
-
-
-class RecordAsked(Named):
-    """The record of a run."""
-
-    run: str
-
-
-class WatchAsked(Named):
-    """The state of a campaign whose records grow."""
-
-    goal: str = ""
-
-
-class DraftAsked(Asked):
-    """What files of a recorder show."""
-
-    names: list[str]
-
-
-class DraftedAsked(DraftAsked):
-    """The campaign that they make."""
-
-    folder: str
-    answers: dict[str, str] = {}
-
-
-class WindowAsked(RecordAsked):
-    """A part of it, between two times."""
-
-    low: FiniteFloat
-    high: FiniteFloat
-    parts: int = 1000
-
-
-class LimitsAsked(Named):
-    """A plan whose limits are moved."""
-
-    moved: dict[str, FiniteFloat] = {}
-
-
-class PlannedAsked(LimitsAsked):
-    """The campaign of such a plan."""
-
-    folder: str
-
-
-class CertificateAsked(Asked):
-    """A certificate that is to be issued."""
-
-    result: str
-    lab: str
-    output: str
-
-
-class CalibrationAsked(Named):
-    """A calibration."""
-
-    output: str = "result.json"
-    method: Method = "joint"
-    accept_misfit: str | None = None
-
-
-class ReportAsked(Named):
-    """The report of a result, as a file of a kind."""
-
-    kind: Literal["html", "md", "pdf"]
-
-
-class TicketAsked(Asked):
-    """An address that counts once for a file, which the browser fetches by itself."""
-
-    name: Literal["report", "file"]
-    said: dict[str, str]
-
-
-class StudyAsked(Named):
-    """A study of a campaign."""
-
-    trials: int
-
-
-class SimulationAsked(Named):
-    """Records of a campaign, made in a folder."""
-
-    folder: str
-
-
-class JobAsked(Asked):
-    """A job, by its number."""
-
-    number: int
-
-
-class CampaignAsked(Named):
-    """A new campaign."""
-
-    test: Test = "double-turntable"
-
-
 _STATUS: Final = {ChangedMeanwhileError: 409, NotThereError: 404, OutsideError: 403}
-
-
-class LabAsked(Asked):
-    """The laboratory's data, for the certificate of a result."""
-
-    file: str
-    result: str
-
-
-class TextAsked(Asked):
-    """A text in the place of a file; `result`: for whose certificate, if it is the laboratory's."""
-
-    file: str
-    text: str
-    result: str | None = None
-
-
-class ChangeAsked(TextAsked):
-    """A text with another value at a key."""
-
-    path: list[str | int]
-    value: Any
-    kind: Literal["", "date"] = ""
-
-
-class SavingAsked(TextAsked):
-    """A text that is to be the file's, in place of the version that was seen."""
-
-    version: str
 
 
 @frozen
@@ -204,135 +45,100 @@ class Answer:
     name: str | None = None
 
 
-Endpoint = tuple[type[Asked], Callable[[Desk, Any], Any]]
+# Where the page says something else than a function takes
 
-ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
-    ("GET", "folder"): (Nothing, lambda desk, _: campaigns.folder_overview(desk)),
-    ("GET", "campaign"): (Named, lambda desk, asked: campaigns.campaign_overview(desk, asked.name)),
-    ("POST", "campaign"): (
-        CampaignAsked,
-        lambda desk, asked: campaigns.begin_campaign(desk, asked.name, asked.test),
-    ),
-    ("GET", "description"): (
-        Named,
-        lambda desk, asked: descriptions.description(desk, asked.name),
-    ),
-    ("GET", "lab"): (
-        LabAsked,
-        lambda desk, asked: descriptions.lab_data(desk, asked.file, asked.result),
-    ),
-    ("POST", "check"): (
-        TextAsked,
-        lambda desk, asked: descriptions.check_text(desk, asked.file, asked.text, asked.result),
-    ),
-    ("POST", "change"): (
-        ChangeAsked,
-        lambda desk, asked: descriptions.change_text(
-            desk, asked.file, asked.text, asked.result, (asked.path, asked.value, asked.kind)
-        ),
-    ),
-    ("PUT", "text"): (
-        SavingAsked,
-        lambda desk, asked: descriptions.save_text(
-            desk, asked.file, asked.text, asked.version, asked.result
-        ),
-    ),
-    ("GET", "page"): (
-        PageAsked,
-        lambda desk, asked: pages.page_of(desk, asked.kind, asked.files, asked.term),
-    ),
-    ("GET", "picture"): (
-        PictureAsked,
-        lambda desk, asked: Answer(
-            200,
-            pages.picture_of(desk, asked.kind, asked.files, asked.term, asked.place),
-            "image/svg+xml",
-        ),
-    ),
-    ("GET", "record-about"): (
-        RecordAsked,
-        lambda desk, asked: record_plots.record_overview(desk, asked.name, asked.run),
-    ),
-    ("GET", "record"): (
-        WindowAsked,
-        lambda desk, asked: record_plots.record_window(
-            desk, asked.name, asked.run, (asked.low, asked.high), asked.parts
-        ),
-    ),
-    ("GET", "check"): (
-        RecordAsked,
-        lambda desk, asked: judging.judged(desk, asked.name, asked.run),
-    ),
-    ("GET", "watch"): (
-        WatchAsked,
-        lambda desk, asked: judging.followed(desk, asked.name, asked.goal),
-    ),
-    ("POST", "draft"): (DraftAsked, lambda desk, asked: drafts.drafted(desk, asked.names)),
-    ("POST", "drafted"): (
-        DraftedAsked,
-        lambda desk, asked: drafts.begin_drafted(desk, asked.folder, asked.names, asked.answers),
-    ),
-    ("POST", "certificate"): (
-        CertificateAsked,
-        lambda desk, asked: certification.begin_certificate(
-            desk, asked.result, asked.lab, asked.output
-        ),
-    ),
-    ("GET", "report"): (
-        ReportAsked,
-        lambda desk, asked: _offered(*certification.report_of(desk, asked.name, asked.kind)),
-    ),
-    ("GET", "file"): (
-        Named,
-        lambda desk, asked: _offered(*certification.taken_file(desk, asked.name)),
-    ),
-    ("POST", "ticket"): (
-        TicketAsked,
-        lambda desk, asked: {"ticket": desk.tickets.issue((asked.name, asked.said))},
-    ),
-    ("GET", "plan"): (Named, lambda desk, asked: plans.plan_overview(desk, asked.name)),
-    ("POST", "plan"): (Named, lambda desk, asked: plans.begin_plan(desk, asked.name)),
-    ("POST", "plan-try"): (
-        LimitsAsked,
-        lambda desk, asked: plans.tried_plan(desk, asked.name, asked.moved),
-    ),
-    ("DELETE", "plan-try"): (Named, lambda desk, asked: plans.end_trying(desk, asked.name)),
-    ("POST", "planned"): (
-        PlannedAsked,
-        lambda desk, asked: plans.begin_planned(desk, asked.name, asked.moved, asked.folder),
-    ),
-    ("GET", "jobs"): (Nothing, lambda desk, _: [job.shown() for job in desk.jobs.all()]),
-    ("POST", "jobs"): (
-        CalibrationAsked,
-        lambda desk, asked: campaigns.begin_calibration(
-            desk, asked.name, asked.output, asked.method, asked.accept_misfit
-        ),
-    ),
-    ("POST", "study"): (
-        StudyAsked,
-        lambda desk, asked: trying.begin_study(desk, asked.name, asked.trials),
-    ),
-    ("POST", "simulation"): (
-        SimulationAsked,
-        lambda desk, asked: trying.begin_simulation(desk, asked.name, asked.folder),
-    ),
-    ("DELETE", "jobs"): (JobAsked, lambda desk, asked: desk.jobs.stop(asked.number).shown()),
-}
+
+def _page(desk: Desk, kind: pages.Kind, names: str, term: str = "K_II") -> Any:
+    return pages.page_of(desk, kind, names.split("\n"), term)
+
+
+def _picture(desk: Desk, kind: pages.Kind, names: str, place: int, term: str = "K_II") -> Answer:
+    drawn = pages.picture_of(desk, kind, names.split("\n"), term, place)
+    return Answer(200, drawn, "image/svg+xml")
+
+
+def _report(desk: Desk, name: str, kind: Literal["html", "md", "pdf"]) -> Answer:
+    return _offered(*certification.report_of(desk, name, kind))
+
+
+def _file(desk: Desk, name: str) -> Answer:
+    return _offered(*certification.taken_file(desk, name))
+
+
+def _ticket(desk: Desk, name: Literal["report", "file"], said: dict[str, str]) -> Any:
+    """Return an address that counts once for a file, which the browser fetches by itself."""
+    return {"ticket": desk.tickets.issue((name, said))}
+
+
+def _jobs(desk: Desk) -> Any:
+    return [job.shown() for job in desk.jobs.all()]
+
+
+def _stop(desk: Desk, number: int) -> Any:
+    return desk.jobs.stop(number).shown()
 
 
 def _offered(name: str, content: bytes) -> Answer:
     return Answer(200, content, "application/octet-stream", name)
 
 
+ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
+    ("GET", "folder"): campaigns.folder_overview,
+    ("GET", "campaign"): campaigns.campaign_overview,
+    ("POST", "campaign"): campaigns.begin_campaign,
+    ("GET", "description"): descriptions.description,
+    ("GET", "lab"): descriptions.lab_data,
+    ("POST", "check"): descriptions.check_text,
+    ("POST", "change"): descriptions.change_text,
+    ("PUT", "text"): descriptions.save_text,
+    ("GET", "page"): _page,
+    ("GET", "picture"): _picture,
+    ("GET", "record-about"): record_plots.record_overview,
+    ("GET", "record"): record_plots.record_window,
+    ("GET", "check"): judging.judged,
+    ("GET", "watch"): judging.followed,
+    ("POST", "draft"): drafts.drafted,
+    ("POST", "drafted"): drafts.begin_drafted,
+    ("POST", "certificate"): certification.begin_certificate,
+    ("GET", "report"): _report,
+    ("GET", "file"): _file,
+    ("POST", "ticket"): _ticket,
+    ("GET", "plan"): plans.plan_overview,
+    ("POST", "plan"): plans.begin_plan,
+    ("POST", "plan-try"): plans.tried_plan,
+    ("DELETE", "plan-try"): plans.end_trying,
+    ("POST", "planned"): plans.begin_planned,
+    ("GET", "jobs"): _jobs,
+    ("POST", "jobs"): campaigns.begin_calibration,
+    ("POST", "study"): trying.begin_study,
+    ("POST", "simulation"): trying.begin_simulation,
+    ("DELETE", "jobs"): _stop,
+}
+
+
+@cache
+def form_of(respond: Callable[..., Any]) -> type[BaseModel]:
+    """Return what a request must say, and nothing else may: a function's parameters after desk."""
+    hints = get_type_hints(respond, include_extras=True)
+    parameters = list(inspect.signature(respond).parameters.values())[1:]
+    fields: dict[str, Any] = {
+        p.name: (hints[p.name], ... if p.default is p.empty else p.default) for p in parameters
+    }
+    return create_model(
+        respond.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields
+    )
+
+
 def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:
     """Answer one request; whatever goes wrong is an answer, too."""
     if (method, name) not in ENDPOINTS:
         return Answer(404, {"error": "There is nothing of that name."})
-    asked, respond = ENDPOINTS[method, name]
+    respond = ENDPOINTS[method, name]
 
     def made() -> Any:
         document = json.loads(said) if isinstance(said, bytes) else dict(said)
-        return respond(desk, asked.model_validate(document))
+        asked = form_of(respond).model_validate(document)
+        return respond(desk, **{key: getattr(asked, key) for key in form_of(respond).model_fields})
 
     told = answered(desk, made)
     return told if isinstance(told, Answer) else Answer(200, told)

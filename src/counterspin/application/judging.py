@@ -29,7 +29,7 @@ def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
     }
 
 
-def followed(desk: Desk, name: str, goal: str) -> dict[str, Any]:
+def followed(desk: Desk, name: str, goal: str = "") -> dict[str, Any]:
     """Return the newest state of a campaign whose records grow, and the command.
 
     name: The campaign's folder.

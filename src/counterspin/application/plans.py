@@ -9,6 +9,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import FiniteFloat
+
 from counterspin.application.commands import plan_command
 from counterspin.application.desk import Desk
 from counterspin.application.editing import changed
@@ -157,7 +159,9 @@ def _highs(described: Plan) -> dict[str, float]:
     }
 
 
-def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, Any]:
+def tried_plan(
+    desk: Desk, name: str, moved: dict[str, FiniteFloat] | None = None
+) -> dict[str, Any]:
     """Return what the best plan within other limits would tell, and its runs.
 
     It is searched in a process that is kept while it is asked, as `LiveViews.ask` has it.
@@ -166,7 +170,9 @@ def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, A
     """
     file = desk.file(name)
     _plan(desk, file)
-    told: dict[str, Any] | None = desk.live.ask(file, search_into, tuple(sorted(moved.items())))
+    told: dict[str, Any] | None = desk.live.ask(
+        file, search_into, tuple(sorted((moved or {}).items()))
+    )
     if told is None:
         return {"busy": True}
     if "error" in told:
@@ -234,7 +240,7 @@ def _line(name: str, u: float) -> dict[str, Any]:
 def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
     limits = described.limits
     values, highs = _values(limits), _highs(described)
-    for key, value in moved.items():
+    for key, value in (moved or {}).items():
         limit = PLAN_KEYS.get(key)
         if limit is None:
             raise CounterspinError(f"{key}: there is no such limit to move")
@@ -254,7 +260,9 @@ def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
     )
 
 
-def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str) -> dict[str, Any]:
+def begin_planned(
+    desk: Desk, name: str, folder: str, moved: dict[str, FiniteFloat] | None = None
+) -> dict[str, Any]:
     """Begin to plan within other limits; return the job.
 
     When it is done, the limits stand in the plan's file, and the campaign in a new folder.
@@ -268,7 +276,7 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
     refuse_other_campaign(place)
     before = desk.folder.read(name)
     text, values = before.text, _values(_plan(desk, file).limits)
-    for key, value in moved.items():
+    for key, value in (moved or {}).items():
         if key in PLAN_KEYS and not math.isclose(value, values[key], rel_tol=1e-9):
             limit = PLAN_KEYS[key]
             written: Any = round(value) if limit.whole else float(f"{value:.6g}")

@@ -11,6 +11,7 @@ import math
 from typing import Any, Final
 
 import numpy as np
+from pydantic import FiniteFloat
 
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import NotThereError
@@ -59,17 +60,17 @@ def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
 
 
 def record_window(
-    desk: Desk, name: str, run: str, window: tuple[float, float], parts: int
+    desk: Desk, name: str, run: str, low: FiniteFloat, high: FiniteFloat, parts: int = 1000
 ) -> dict[str, Any]:
     """Return the values of a record between two times, row by row or as extremes of parts.
 
     name, run: The campaign's folder, and the run.
-    window: First and last time, s.
+    low, high: First and last time, s.
     """
     record = _record(*_run(desk, name, run))
     # One more on either side, so that lines leave the window.
-    first = max(int(np.searchsorted(record.time, window[0])) - 1, 0)
-    last = int(np.searchsorted(record.time, window[1], side="right")) + 1
+    first = max(int(np.searchsorted(record.time, low)) - 1, 0)
+    last = int(np.searchsorted(record.time, high, side="right")) + 1
     last = max(min(last, len(record.time)), first)
     parts = min(max(parts, 1), MOST_PARTS)
     if last - first <= 2 * parts:
