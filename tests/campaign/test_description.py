@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from campaigns import PLACE, changed
 
-from counterspin.campaign.description import DEFAULT_TERMS, read_campaign
+from counterspin.campaign.description import read_campaign
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.truth import unfit
+from counterspin.campaign.simulable import unfit
+from counterspin.campaign.terms import DEFAULT_TERMS
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site

@@ -14,7 +14,7 @@ from counterspin.application.guard import Tickets
 from counterspin.application.jobs import Jobs
 from counterspin.application.live import LiveViews
 from counterspin.calibration.result import Result
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity

@@ -17,7 +17,8 @@ from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import NotThereError
 from counterspin.arrays import Array
 from counterspin.calibration.observed import record_columns
-from counterspin.campaign.resolved import Campaign, Run
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen

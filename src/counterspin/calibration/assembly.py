@@ -27,8 +27,8 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.calibration.two_stage import two_stage
 from counterspin.calibration.two_stage_request import noise_found
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
-from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.results import environment

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from counterspin.calibration.observed import ObservedRun
     from counterspin.calibration.result import Result
     from counterspin.campaign.checksums import Checksums
-    from counterspin.campaign.resolved import Campaign
+    from counterspin.campaign.description import Campaign
 
 
 def calibrate(

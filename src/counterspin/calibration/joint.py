@@ -55,7 +55,7 @@ from counterspin.calibration.result_parts import (
     Finding,
     Knowledge,
 )
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.calibration.observed import ObservedRun
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.inference.joint.estimation import NoiseRequest
 from counterspin.inference.joint.series import Series
 from counterspin.physics import observation

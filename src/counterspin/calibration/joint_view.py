@@ -7,7 +7,8 @@ from functools import cached_property
 from typing import Final
 
 from counterspin.calibration.readings import AccelerometerReadings
-from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.identifiability import Assessment

@@ -13,10 +13,10 @@ from typing import Final
 
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of, origin_of
-from counterspin.campaign.error_model import EVERYTHING
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.campaign.resolved import EVERYTHING, Accelerometer
 from counterspin.campaign.terms import acts, shows
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns

@@ -13,8 +13,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Accelerometer, Campaign, Run
+from counterspin.campaign.resolved import Accelerometer, Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen

@@ -17,9 +17,9 @@ from counterspin.calibration.result_parts import (
     ReadingResult,
     Residual,
 )
-from counterspin.campaign.reading_groups import groups_of
+from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Campaign
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE

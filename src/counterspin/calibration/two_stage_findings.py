@@ -16,7 +16,7 @@ from counterspin.calibration.findings import (
 )
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient, ConfoundedTerms, Finding
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import agreement_of, normal_equivalent
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import write_combination

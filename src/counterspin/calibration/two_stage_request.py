@@ -9,7 +9,8 @@ from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.noise.variance_components import VarianceComponents

@@ -6,22 +6,22 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `attitude`: directions and platform attitudes
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
-- `error_model`: which error terms are asked for, held and assumed to be perfect
 - `terms`: the error terms of a campaign's model, and their priors
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
-- `resolved`: the campaign as the calculation sees it, in SI
+- `resolved`: the parts of a campaign as the calculation sees them, in SI
 - `toml_file`: files in TOML, read
-- `description`: `read_campaign`, from the file to the resolved campaign
+- `accelerometers`: the tables of the accelerometers: axes, columns, priors
+- `description`: the `Campaign`, and `read_campaign`, from the file to it
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
 - `machine`: what the machine does to them
-- `reading_groups`: such values as simulation and fit take them
 - `questions`: what a description says that may well be a slip
-- `conditions`: when runs were made, and how warm it was
+- `conditions`: when runs were made, and how warm it was; readings grouped with theirs
 - `memory`: campaigns made or changed in Python, and written as folders
 - `runs`: runs with records: how each is read, and which are left out
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `starter`: a commented campaign to start from
+- `simulable`: whether a campaign can be simulated, and has room to be computed
 - `simulation`: records and readings of a campaign whose coefficients are known
 - `reading_truth`, `reading_simulation`, `reading_files`: what is true of simulated readings, their
   values, and the files that have them

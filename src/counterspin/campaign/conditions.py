@@ -1,18 +1,20 @@
-"""Under which conditions runs were made: how warm, and when."""
+"""Under which conditions runs were made: how warm, and when; and readings grouped with theirs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from counterspin.campaign.checking import Problems
-from counterspin.campaign.error_model import ErrorModel
+import numpy as np
+
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Campaign, Run
+from counterspin.campaign.resolved import Run
 from counterspin.frozen import frozen
+from counterspin.inference.readings import Readings
 from counterspin.physics.effects import RunConditions
-from counterspin.physics.terms import CONDITION_TERMS
+from counterspin.physics.station import Station
 
 #: By how much it is assumed to become warmer in a campaign that records no temperature, K.
 UNKNOWN_WARMING: Final = 1.0
@@ -24,46 +26,6 @@ class Origin:
 
     temperature: float
     time: float
-
-
-def check_conditions(
-    model: ErrorModel,
-    also: Iterable[str],
-    runs: Sequence[tuple[int, Run]],
-    reference: float | None,
-    problems: Problems,
-) -> None:
-    """Note what is missing for the slopes of a model, and slopes that nothing determines.
-
-    reference: The reference temperature, K, if there is one.
-    """
-    for symbol, row in CONDITION_TERMS.items():
-        if row.effect.condition == "force" and symbol in model.terms:
-            problems.add(
-                ("model", "terms"),
-                f'"{symbol}" cannot be told from K_II; state what is known of it in [model.priors]',
-            )
-    used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
-    used += [row for s, row in CONDITION_TERMS.items() if s in set(also)]
-    for key in ("temperature", "time"):
-        asking = next((row.symbol for row in used if row.effect.condition == key), None)
-        stated = [getattr(run, key) is not None for _, run in runs]
-        if asking is None and (key == "temperature" or not any(stated)):
-            continue
-        why = f"{asking} is in the model" if asking else "other runs state theirs"
-        for (place, _), there in zip(runs, stated, strict=True):
-            if not there:
-                example = '"23.4 degC"' if key == "temperature" else '"12 min"'
-                problems.add(
-                    ("runs", place, key), f"is missing: {why}; write {key} = {example}, or the like"
-                )
-        if asking and key == "temperature" and reference is None and runs and all(stated):
-            temperatures = {run.temperature for _, run in runs}
-            if len(temperatures) == 1:
-                problems.add(
-                    ("centrifuge", "reference_temperature"),
-                    f"is missing: {asking} is in the model, and all runs are at one temperature",
-                )
 
 
 def origin_of(campaign: Campaign) -> Origin:
@@ -111,3 +73,46 @@ def _warming(conditions: Mapping[str, RunConditions]) -> dict[str, RunConditions
         name: replace(of_run, warmth=UNKNOWN_WARMING * (place / last - 0.5))
         for place, (name, of_run) in enumerate(conditions.items())
     }
+
+
+# Readings of a campaign by accelerometer, motion and noise, as simulation and fit take them
+
+
+def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
+    """Return the readings by accelerometer, motion and whether their noise was stated."""
+    keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in readings)
+    return [
+        _group(
+            campaign,
+            [r for r in readings if (r.accelerometer, r.motion, r.u is None) == key],
+        )
+        for key in keys
+    ]
+
+
+def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
+    first = readings[0]
+    origin = origin_of(campaign)
+    reference, start = origin.temperature, origin.time
+    return Readings(
+        accelerometer=first.accelerometer,
+        motion=first.motion,
+        names=tuple(r.name for r in readings),
+        site=campaign.site,
+        stations=tuple(
+            Station(r.motion, r.axes, rate=r.rate, radius=campaign.radius.value if r.rate else 0.0)
+            for r in readings
+        ),
+        mountings=tuple(r.mounting for r in readings),
+        head=np.array([r.head for r in readings]),
+        u_head=np.array([r.u_head for r in readings]),
+        value=np.array([r.value for r in readings]),
+        u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
+        temperature=np.array(
+            [(reference if r.temperature is None else r.temperature) - reference for r in readings]
+        ),
+        time=np.array([(start if r.time is None else r.time) - start for r in readings]),
+        repeats=np.array([float(r.repeats) for r in readings]),
+        scatter=np.array([r.scatter for r in readings]),
+        in_si=np.array([float(r.in_si) for r in readings]),
+    )

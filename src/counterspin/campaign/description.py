@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
+from counterspin.campaign.accelerometers import AccelerometersReader
 from counterspin.campaign.checking import M, Problems
-from counterspin.campaign.conditions import check_conditions
 from counterspin.campaign.machine import MachineModel, errors_of_the_path, resolve_machine
-from counterspin.campaign.memory.source import Source, keep
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.memory.changes import change_campaign
+from counterspin.campaign.memory.joining import join_campaigns
+from counterspin.campaign.memory.source import Source, keep, source_of
+from counterspin.campaign.memory.writing import write_campaign
+from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading_truth import of_records, resolve_reading_truth
 from counterspin.campaign.readings import (
     Output,
@@ -25,10 +27,10 @@ from counterspin.campaign.readings import (
 from counterspin.campaign.readings_table import read_table
 from counterspin.campaign.resolved import (
     Accelerometer,
-    Campaign,
     Channel,
+    ErrorModel,
+    Recording,
     Run,
-    RunTruth,
     Simulation,
     StatedNoise,
 )
@@ -40,9 +42,6 @@ from counterspin.campaign.runs import (
     taken_runs,
 )
 from counterspin.campaign.settings import (
-    OBSERVABLES,
-    AccelerometerSettings,
-    AxesSettings,
     CampaignSettings,
     CentrifugeSettings,
     DocumentSettings,
@@ -51,12 +50,10 @@ from counterspin.campaign.settings import (
     RecordsSettings,
     SimulationSettings,
     SiteSettings,
-    exact,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import (
-    DEFAULT_TERMS,
-    about_nominal,
+    check_conditions,
     refuse_encoder,
     resolve_model,
     with_errors_of_the_path,
@@ -67,26 +64,211 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_with_checksum,
 )
-from counterspin.campaign.truth import TRUTH_TABLES, resolve_simulation
+from counterspin.campaign.truth import resolve_simulation
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
-from counterspin.physics.terms import COMMON_NAMES, TERMS
+from counterspin.physics.terms import term
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS
-from counterspin.units import check_unit, unit_factor
+from counterspin.records.memory import MemoryTable
 
-__all__ = [
-    "DEFAULT_TERMS",
-    "Accelerometer",
-    "Campaign",
-    "Channel",
-    "Run",
-    "RunTruth",
-    "Simulation",
-    "read_campaign",
-]
 
-_ACCELEROMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+@frozen
+class Campaign:
+    """A campaign description, checked and resolved.
+
+    Attributes
+    ----------
+    title
+        [campaign] title; the folder's name if there is none.
+    path, folder
+        The description's file and its folder, absolute.
+    site
+        Gravity and latitude as plain numbers, for the physics.
+    gravity, latitude, radius
+        The same with their uncertainties: m/s^2, rad, m.
+    time
+        Column of the time, in s.
+    angle
+        Column of the spindle's angle, in rad; None: the nominal rate is taken.
+    timing_offset
+        How much later than its displacement the angle of a row was sampled, s; None: not stated.
+    clock
+        By how much of itself the recorder's clock runs fast; None: not stated.
+    own_velocity
+        Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
+        not the platform's.
+    accelerometers
+        By name, in the file's order.
+    noise
+        None: to be estimated from the residuals.
+    model
+        Terms, priors and limits.
+    runs
+        In the file's order; names and records are unique.
+    simulation
+        None if the file has neither [simulation] nor [truth].
+    details
+        What else [campaign] states (`serial_number`, `date`, `laboratory`, `operator`,
+        `comment`), only what is there.
+    specifications
+        Tolerance limits of the coefficients; None if the file states none.
+    tables, table_checksums
+        Files of readings, and SHA-256 of those that were read with the description.
+    frames
+        Records that are in memory, by the files in whose place they are.
+    dialect
+        How record files are written, as far as that is said.
+    skipped
+        Names of the runs that are left out.
+    source
+        The description that it was resolved from; None of a copy that `dataclasses.replace` made.
+    """
+
+    title: str
+    path: Path
+    folder: Path
+    site: Site
+    gravity: Quantity
+    latitude: Quantity
+    radius: Quantity
+    time: Channel
+    angle: Channel | None
+    timing_offset: Quantity | None
+    accelerometers: Mapping[str, Accelerometer]
+    noise: StatedNoise | None
+    model: ErrorModel
+    runs: tuple[Run, ...]
+    simulation: Simulation | None
+    details: Mapping[str, str]
+    specifications: Specifications | None = None
+    readings: tuple[Reading, ...] = ()
+    machine: MachineModel = field(default_factory=MachineModel)
+    reference_temperature: float | None = None
+    tables: tuple[Path, ...] = ()
+    table_checksums: Mapping[Path, str] = field(default_factory=dict)
+    frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
+    clock: Quantity | None = None
+    own_velocity: bool = False
+    dialect: Dialect = TO_BE_FOUND
+    skipped: tuple[str, ...] = ()
+    source: Source | None = field(default=None, init=False, repr=False, compare=False)
+
+    def limit_of(self, symbol: str, owner: str = "") -> float:
+        """Return the largest credible size of a term: as stated, or by the owner's grade.
+
+        Parameters
+        ----------
+        symbol
+            Of the table of terms.
+        owner
+            The accelerometer, for a term of its own; else it is no matter.
+        """
+        return self.model.limits.get(symbol) or self._size(symbol, owner).limit
+
+    def typical_of(self, symbol: str, owner: str = "") -> float:
+        """Return the standard uncertainty to assume of a term; parameters as of `limit_of`."""
+        return self.model.typical.get(symbol) or self._size(symbol, owner).typical
+
+    def _size(self, symbol: str, owner: str) -> Size:
+        accelerometer = self.accelerometers.get(owner)
+        return term(symbol).sizes(DEFAULT_GRADE if accelerometer is None else accelerometer.grade)
+
+    def recording_of(self, run: Run) -> Recording:
+        """Return how the record of a run is read."""
+        return run.recording or Recording(self.time, self.angle, self.dialect)
+
+    def record_at(self, file: Path) -> Path | MemoryTable:
+        """Return the record in memory that stands in the place of a file, or else the file."""
+        return self.frames.get(file, file)
+
+    def change(self, **changes: Any) -> Campaign:
+        """Return the campaign with named changes, checked as its description was.
+
+        Parameters
+        ----------
+        **changes
+            ``title``, ``gravity``, ``latitude``, ``radius``, ``terms``, ``considered``,
+            ``priors``, ``noise``, ``truth``, ``seed``, ``sampling_rate``, or another section of
+            ``campaign.toml``: what to write there. A mapping changes the keys it has; None takes
+            a key away. ``accelerometers`` and ``runs``: the names of those that stay, or a
+            mapping from names to changes. ``records``: as of `make_campaign`. Any other key is
+            named with dots, ``**{"records.time.column": "t"}``.
+
+        Raises
+        ------
+        CampaignError
+            With every mistake, as of a file.
+
+        Notes
+        -----
+        A prior takes the place of one in the accelerometer's own table (``bias``). Where terms
+        are changed, the priors of those that are left out go with them.
+        """
+        document, frames = change_campaign(self, changes)
+        source = replace(source_of(self), document=document)
+        return resolved_in_memory(source, {**self.frames, **frames}, self.folder)
+
+    def join(self, *others: Campaign) -> Campaign:
+        """Return one campaign with the runs of this one and of others, for one fit.
+
+        Parameters
+        ----------
+        *others
+            Of the same site, centrifuge, accelerometers, noise, model and columns.
+
+        Returns
+        -------
+        Campaign
+            A run whose name is taken has the campaign's number behind it, ``slow (2)``. The
+            truth is kept where all have the same.
+
+        Raises
+        ------
+        CampaignError
+            With all that they do not have in common.
+        """
+        document, frames = join_campaigns([self, *others])
+        return resolved_in_memory(Source(document), frames, self.folder)
+
+    def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
+        """Write ``campaign.toml`` and all records, from which the same result comes.
+
+        Parameters
+        ----------
+        folder
+            Made if it is not there.
+        overwrite
+            Whether files that are already there may be replaced.
+
+        Returns
+        -------
+        Path
+            The description.
+
+        Raises
+        ------
+        CounterspinError
+            If a file is in the way, cannot be written, or a record is not there.
+        """
+        return write_campaign(self, folder, overwrite=overwrite)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All record files, of runs and of readings."""
+        read = (reading.record for reading in self.readings if reading.record is not None)
+        return (*(file for run in self.runs for file in run.files), *read)
+
+    def require_records(self, what: str) -> None:
+        """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""
+        if self.readings:
+            raise CampaignError(
+                str(self.path),
+                [f"runs: {what} takes records of a double turntable; this campaign has readings"],
+            )
 
 
 def read_campaign(path: Path | str) -> Campaign:
@@ -123,6 +305,32 @@ def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> 
     return _DescriptionReader(raw, file.absolute(), problems).campaign()
 
 
+def resolved_in_memory(
+    source: Source,
+    frames: Mapping[Path, MemoryTable],
+    folder: Path,
+    noted: Problems | None = None,
+) -> Campaign:
+    """Return the campaign of a document and of records in memory.
+
+    noted: Mistakes in the document that are known already.
+    """
+    problems = noted or Problems(source.document)
+    campaign = resolve_campaign(source.document, folder / DESCRIPTION_NAME, problems)
+    if campaign is None or problems.lines:
+        raise CampaignError(source.label, problems.lines)
+    info = source.document.get("campaign")
+    titled = source.file is not None or (isinstance(info, Mapping) and "title" in info)
+    named = set(campaign.files)
+    made = replace(
+        campaign,
+        path=Path(source.label),
+        title=campaign.title if titled else "",
+        frames={path: table for path, table in frames.items() if path in named},
+    )
+    return keep(made, source)
+
+
 class _DescriptionReader:
     """Reads one document; each section is checked even where another one is wrong."""
 
@@ -135,11 +343,13 @@ class _DescriptionReader:
         # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
         self.gravity = self.site.gravity.value if self.site else 9.80665
         self.simulated = "simulation" in raw or "truth" in raw
-        self.raw_accelerometers = self._table("accelerometers")
         runs = raw.get("runs")
         self.all_runs = runs if isinstance(runs, list) else []
         self.numbered_runs = taken_runs(self.all_runs)
         self.raw_runs = [run for _, run in self.numbered_runs]
+        self.accelerometers = AccelerometersReader(
+            self._table("accelerometers"), self.raw_runs, problems, self.gravity
+        )
         self.table_checksums: dict[Path, str] = {}
 
     def _table(self, key: str) -> Mapping[str, Any]:
@@ -158,25 +368,20 @@ class _DescriptionReader:
         centrifuge = self._required(CentrifugeSettings, "centrifuge")
         records = self._required(RecordsSettings, "records")
         noise = self._noise()
-        mountings = self._mountings()
-        tables = {
-            name: problems.check(
-                AccelerometerSettings, table, ("accelerometers", name), gravity=gravity
-            )
-            for name, table in self.raw_accelerometers.items()
-        }
-        self._check_names()
-        observables = self._observables(noise)
+        mountings = self.accelerometers.mountings()
+        tables = self.accelerometers.tables()
+        self.accelerometers.check_names()
+        observables = self.accelerometers.observables(noise)
         settings = problems.check(ModelSettings, self._table("model"), ("model",))
         runs = self._runs()
-        outputs = self._outputs(tables)
+        outputs = self.accelerometers.outputs(tables)
         readings = self._readings(mountings, outputs)
         self._check_sections(readings)
         if not self.raw_runs and "readings" not in self.raw:
             said = "must have at least one entry" if "runs" in self.raw else "is missing"
             said = "are all left out by skip = true" if self.all_runs else said
             problems.add(("runs",), said)
-        given = {name: self._given_priors(name, table) for name, table in tables.items()}
+        given = self.accelerometers.given_priors(tables)
         reference = problems.attempt(
             ("centrifuge", "reference_temperature"),
             read_temperature,
@@ -214,23 +419,11 @@ class _DescriptionReader:
         assert info is not None
         assert self.site is not None
         assert model is not None
-        accelerometers = {
-            name: Accelerometer(
-                name,
-                mountings[name],
-                observables[name],
-                self._recorded(name, table, observables[name], outputs[name]),
-                priors[name],
-                table.serial_number,
-                outputs[name],
-                self._force(name, table, outputs[name]),
-                table.grade,
-            )
-            for name, table in tables.items()
-            if table is not None
-        }
+        accelerometers = self.accelerometers.accelerometers(
+            tables, mountings, observables, priors, outputs
+        )
         if records is not None:
-            self._check_columns(records, accelerometers)
+            self.accelerometers.check_columns(records, accelerometers)
         if problems.lines:
             return None
         site, recording = self.site, recording_of(records)
@@ -275,26 +468,6 @@ class _DescriptionReader:
         for key, needed in (("centrifuge", turning), ("records", recorded)):
             if (needed or not (self.raw_runs or "readings" in self.raw)) and key not in self.raw:
                 self.problems.add((key,), "is missing")
-
-    def _outputs(self, tables: Mapping[str, Any]) -> dict[str, Output | None]:
-        """Return what each accelerometer's readings are in."""
-        outputs: dict[str, Output | None] = dict.fromkeys(tables)
-        for name, table in tables.items():
-            if table is None or table.output is None:
-                continue
-            path = ("accelerometers", name, "output")
-            unit = self.problems.attempt((*path, "unit"), check_unit, table.output.unit)
-            if unit is None:
-                continue
-            wanted = f"{unit}/g"
-            sensitivity = self.problems.attempt(
-                (*path, "sensitivity"), exact, table.output.sensitivity, wanted
-            )
-            if sensitivity == 0.0:
-                self.problems.add((*path, "sensitivity"), "must not be zero")
-            elif sensitivity is not None:
-                outputs[name] = Output(unit, sensitivity)
-        return outputs
 
     def _readings(
         self, mountings: Mapping[str, Mounting], outputs: Mapping[str, Output | None]
@@ -346,39 +519,6 @@ class _DescriptionReader:
             files.add(self.file.parent / self.raw["readings"]["file"])
         return tuple(sorted(files))
 
-    def _recorded(self, name: str, table: Any, observable: str, output: Output | None) -> Channel:
-        """Return the column of an accelerometer; an output such as a current as m/s^2."""
-        settings = getattr(table, observable)
-        path = ("accelerometers", name, observable, "unit")
-        if settings is None or observable != "specific_force":
-            return self._channel(settings, OBSERVABLES[observable])
-        try:
-            return self._channel(settings, "m/s^2")
-        except ValueError as error:
-            if output is None:
-                self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
-                return Channel("", 1.0, "")
-        factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
-        return Channel(settings.column, factor / output.sensitivity * self.gravity, settings.unit)
-
-    def _force(self, name: str, table: Any, output: Output | None) -> Channel | None:
-        """Return the column that records on an arm or at rest are read from, if there are any."""
-        if not any(is_reading(raw) and "record" in raw for raw in self.raw_runs):
-            return None
-        if table.specific_force is None:
-            self.problems.add(
-                ("accelerometers", name),
-                "has no specific_force: the column of its records on an arm or at rest",
-            )
-            return None
-        return self._recorded(name, table, "specific_force", output)
-
-    def _channel(self, settings: Any, si_unit: str) -> Channel:
-        if settings is None:
-            return Channel("", 1.0, si_unit)
-        factor = unit_factor(settings.unit, si_unit, gravity=self.gravity) if settings.unit else 1.0
-        return Channel(settings.column, factor, settings.unit or "", si_unit=si_unit)
-
     def _noise(self) -> StatedNoise | None:
         if not isinstance(self.raw.get("noise"), dict):
             return None
@@ -386,99 +526,6 @@ class _DescriptionReader:
             NoiseSettings, self.raw["noise"], ("noise",), gravity=self.gravity
         )
         return StatedNoise(**settings.model_dump()) if settings else None
-
-    def _mountings(self) -> dict[str, Mounting]:
-        mountings = {}
-        for name, table in self.raw_accelerometers.items():
-            path = ("accelerometers", name)
-            if not isinstance(table, dict):
-                continue
-            axes = {key: table[key] for key in AxesSettings.model_fields if key in table}
-            settings = self.problems.check(AxesSettings, axes, path)
-            if settings is None:
-                continue
-            mounting = self.problems.attempt(
-                path,
-                Mounting.from_axes,
-                settings.input_axis,
-                settings.pendulous_axis,
-                settings.output_axis,
-            )
-            if mounting is not None:
-                mountings[name] = mounting
-        return mountings
-
-    def _check_names(self) -> None:
-        for name in self.raw_accelerometers:
-            if name in TRUTH_TABLES or not _ACCELEROMETER_NAME.fullmatch(name):
-                self.problems.add(
-                    ("accelerometers", name),
-                    "cannot be an accelerometer's name; use letters, digits, - and _, "
-                    f"and none of {', '.join(TRUTH_TABLES)}",
-                )
-
-    def _observables(self, noise: StatedNoise | None) -> dict[str, str]:
-        observables = {}
-        for name, table in self.raw_accelerometers.items():
-            if not isinstance(table, dict):
-                continue
-            given = [key for key in OBSERVABLES if key in table]
-            turned = any(not is_reading(raw) for raw in self.raw_runs)
-            carried = any(is_reading(raw) and "record" in raw for raw in self.raw_runs)
-            if not turned and (not given or carried):
-                observables[name] = "specific_force"  # readings are all there is of it
-            elif turned and carried and len(given) == 2 and given[-1] == "specific_force":
-                observables[name] = given[0]  # the other one is of records on an arm or at rest
-            elif len(given) == 1:
-                observables[name] = given[0]
-            else:
-                has = f"has {' and '.join(given)}" if given else "has no observable"
-                self.problems.add(
-                    ("accelerometers", name), f"{has}; give one of {', '.join(OBSERVABLES)}"
-                )
-        for key in OBSERVABLES if noise and observables else ():
-            if key not in observables.values() and getattr(noise, key) != 0.0:
-                self.problems.add(("noise", key), f"no accelerometer records {key}")
-        return observables
-
-    def _given_priors(self, name: str, table: Any) -> dict[str, Quantity]:
-        """Return the priors of an accelerometer's own table, by symbol."""
-        if table is None:
-            return {}
-        priors = {symbol: getattr(table, symbol) for symbol in TERMS}
-        if table.sensitivity_prior is not None:
-            priors["K_I"] = self._sensitivity_prior(name, table)
-        for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
-            if (prior := getattr(table, key)) is not None:
-                path = ("accelerometers", name, key)
-                self.problems.attempt(path, about_nominal, symbol, prior, table.grade)
-        for key, symbol in COMMON_NAMES.items():
-            value = getattr(table, key)
-            if value is not None and priors[symbol] is not None:
-                self.problems.add(
-                    ("accelerometers", name, key),
-                    f"is the prior of {symbol}, given too; keep one",
-                )
-            priors[symbol] = priors[symbol] if value is None else value
-        return {symbol: prior for symbol, prior in priors.items() if prior is not None}
-
-    def _sensitivity_prior(self, name: str, table: Any) -> Quantity | None:
-        """Return what is known of the sensitivity as the prior of K_I."""
-        path = ("accelerometers", name, "sensitivity_prior")
-        if table.output is None:
-            self.problems.add(path, "needs output = { unit = ..., sensitivity = ... } beside it")
-            return None
-        plain = self.problems.attempt(
-            ("accelerometers", name, "output", "unit"), check_unit, table.output.unit
-        )
-        if plain is None:
-            return None
-        unit = f"{plain}/g"
-        known = self.problems.attempt(path, parse, table.sensitivity_prior, unit)
-        nominal = self.problems.attempt(path, parse, table.output.sensitivity, unit)
-        if known is None or nominal is None or nominal.value == 0.0:
-            return None
-        return Quantity(known.value / nominal.value, known.u / abs(nominal.value), "g/g")
 
     def _runs(self) -> list[Run]:
         simulated = of_records(self._table("truth"), {}, self.problems)
@@ -515,7 +562,7 @@ class _DescriptionReader:
         simulation = resolve_simulation(
             self._sampling(),
             of_records(self._table("truth"), outputs, self.problems),
-            self.raw_accelerometers,
+            self.accelerometers.raw,
             noise,
             problems=self.problems,
             gravity=self.gravity,
@@ -536,24 +583,7 @@ class _DescriptionReader:
             return None
         return resolve_specifications(
             self.raw["specification"],
-            self.raw_accelerometers,
+            self.accelerometers.raw,
             problems=self.problems,
             gravity=self.gravity,
         )
-
-    def _check_columns(
-        self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
-    ) -> None:
-        """Note columns that are used twice."""
-        seen = {records.time.column or "": "records.time"}
-        others = {"records.angle": records.angle.column} if records.angle else {}
-        others |= {
-            f"accelerometers.{a.name}.{a.observable}": a.channel.column
-            for a in accelerometers.values()
-        }
-        for key, column in others.items():
-            if column in seen:
-                self.problems.add(
-                    tuple(key.split(".")), f'column "{column}" is used by {seen[column]} already'
-                )
-            seen[column] = key

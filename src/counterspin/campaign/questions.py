@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.physics.gravity import HEIGHTS, gravity_range
 from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unseen

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.readings import BLANK, Reading, is_reading
 from counterspin.campaign.readings_table import (
@@ -21,7 +22,6 @@ from counterspin.campaign.readings_table import (
     is_empty,
     load_table,
 )
-from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
 from counterspin.input import read_file

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.reading_groups import groups_of
+from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Campaign, sample_count
+from counterspin.campaign.resolved import sample_count
 from counterspin.inference.readings import Readings
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS

@@ -5,7 +5,6 @@ Nothing here reaches a calibration.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -13,10 +12,8 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.machine import expand, less_nominal, symbols_shown
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Output, Reading
-from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import CentrifugeSettings, exact
 from counterspin.campaign.toml_file import flat_keys
-from counterspin.campaign.truth import TRUTH_MARGIN
 from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, term
 
 #: The machine's table of [truth], and the key of [truth.noise] that readings have.
@@ -25,9 +22,6 @@ _READING: Final = "reading"
 
 #: Term that records show too, and its place in [truth.centrifuge].
 _STRETCH: Final = "centrifuge.stretch"
-
-#: Why a record at rest cannot be simulated.
-_NO_LENGTH: Final = "a record at rest that is simulated needs a duration"
 
 
 def of_records(
@@ -148,32 +142,3 @@ def _noise(
         elif value is not None:
             sizes[name] = value / abs(size)
     return sizes
-
-
-def unfit_readings(campaign: Campaign) -> list[str]:
-    """Return why a campaign's readings cannot be simulated: no noise or length, incredible sizes.
-
-    Calibration does not ask.
-    """
-    if campaign.simulation is None:
-        return []
-    truth = campaign.simulation.truth
-    problems = []
-    for reading in campaign.readings:
-        if reading.record is not None:
-            if reading.motion == "static" and reading.duration is None:
-                problems.append(f'run "{reading.name}": {_NO_LENGTH}')
-        elif reading.u is None and reading.accelerometer not in truth.reading_noise:
-            problems.append(
-                f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so that '
-                "its true noise is needed"
-            )
-            break
-    for symbol, value in truth.machine.items():
-        row = term(symbol)
-        if not math.fabs(value) <= TRUTH_MARGIN * row.limit:
-            problems.append(
-                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} "
-                f"times the largest credible size, {row.limit:.6g} {row.unit}; check its unit"
-            )
-    return problems

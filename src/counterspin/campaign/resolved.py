@@ -1,4 +1,4 @@
-"""A campaign as the calculation sees it: SI and g-units, names resolved, defaults filled in.
+"""The parts of a campaign as the calculation sees them: SI and g-units, names resolved.
 
 Accelerometer coefficients are in g-units; everything else is SI, angles in rad. `Quantity`
 carries a standard uncertainty; a plain number is exact.
@@ -10,28 +10,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Final
 
 from counterspin.arrays import Array
-from counterspin.campaign.error_model import ErrorModel
-from counterspin.campaign.machine import MachineModel
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Output, Reading
-from counterspin.campaign.specification import Specifications
-from counterspin.errors import CampaignError
+from counterspin.campaign.readings import Output
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.grades import DEFAULT_GRADE, Size
-from counterspin.physics.motion import Site
+from counterspin.physics.grades import DEFAULT_GRADE
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnKind, ColumnSpec
-
-if TYPE_CHECKING:
-    from counterspin.campaign.memory.source import Source
-
 
 #: Most rows, those of all accelerometers together, that are computed at once of records that exist
 #: only on paper. A line of a description can state any length, and what is made from it takes
@@ -46,6 +35,9 @@ MOST_SIMULATED_ROWS: Final = 5_000_000
 #: forecast or a study is made.
 MOST_READINGS: Final = 10_000
 MOST_RECORDS: Final = 60
+
+#: In ``assume``: whatever is not stated.
+EVERYTHING: Final = "all"
 
 
 def sample_count(duration: float, sampling_rate: float) -> int:
@@ -212,257 +204,31 @@ class Simulation:
 
 
 @frozen
-class Campaign:
-    """A campaign description, checked and resolved.
+class ErrorModel:
+    """Which terms are asked for, which are held, and which are taken as perfect.
 
-    Attributes
-    ----------
-    title
-        [campaign] title; the folder's name if there is none.
-    path, folder
-        The description's file and its folder, absolute.
-    site
-        Gravity and latitude as plain numbers, for the physics.
-    gravity, latitude, radius
-        The same with their uncertainties: m/s^2, rad, m.
-    time
-        Column of the time, in s.
-    angle
-        Column of the spindle's angle, in rad; None: the nominal rate is taken.
-    timing_offset
-        How much later than its displacement the angle of a row was sampled, s; None: not stated.
-    clock
-        By how much of itself the recorder's clock runs fast; None: not stated.
-    own_velocity
-        Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
-        not the platform's.
-    accelerometers
-        By name, in the file's order.
-    noise
-        None: to be estimated from the residuals.
-    model
-        Terms, priors and limits.
-    runs
-        In the file's order; names and records are unique.
-    simulation
-        None if the file has neither [simulation] nor [truth].
-    details
-        What else [campaign] states (`serial_number`, `date`, `laboratory`, `operator`,
-        `comment`), only what is there.
-    specifications
-        Tolerance limits of the coefficients; None if the file states none.
-    tables, table_checksums
-        Files of readings, and SHA-256 of those that were read with the description.
-    frames
-        Records that are in memory, by the files in whose place they are.
-    dialect
-        How record files are written, as far as that is said.
-    skipped
-        Names of the runs that are left out.
-    source
-        The description that it was resolved from; None of a copy that `dataclasses.replace` made.
+    Everything else that acts is an unknown beside what is asked for.
     """
 
-    title: str
-    path: Path
-    folder: Path
-    site: Site
-    gravity: Quantity
-    latitude: Quantity
-    radius: Quantity
-    time: Channel
-    angle: Channel | None
-    timing_offset: Quantity | None
-    accelerometers: Mapping[str, Accelerometer]
-    noise: StatedNoise | None
-    model: ErrorModel
-    runs: tuple[Run, ...]
-    simulation: Simulation | None
-    details: Mapping[str, str]
-    specifications: Specifications | None = None
-    readings: tuple[Reading, ...] = ()
-    machine: MachineModel = field(default_factory=MachineModel)
-    reference_temperature: float | None = None
-    tables: tuple[Path, ...] = ()
-    table_checksums: Mapping[Path, str] = field(default_factory=dict)
-    frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
-    clock: Quantity | None = None
-    own_velocity: bool = False
-    dialect: Dialect = TO_BE_FOUND
-    skipped: tuple[str, ...] = ()
-    source: Source | None = field(default=None, init=False, repr=False, compare=False)
+    #: Symbols asked for; bare names are resolved to the components that act.
+    terms: tuple[str, ...]
+    #: Symbols that are held: known but not adjusted, their prior's u is carried.
+    considered: tuple[str, ...]
+    #: Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
+    #: are in `Accelerometer.priors`.
+    priors: Mapping[str, Quantity]
+    #: Symbol -> largest credible size, and standard uncertainty to assume where none is stated, in
+    #: the table's unit: where the campaign states them. `Campaign.limit_of` and
+    #: `Campaign.typical_of` know all.
+    limits: Mapping[str, float]
+    typical: Mapping[str, float]
+    #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
+    assume: tuple[str, ...] = ()
 
-    def limit_of(self, symbol: str, owner: str = "") -> float:
-        """Return the largest credible size of a term: as stated, or by the owner's grade.
-
-        Parameters
-        ----------
-        symbol
-            Of the table of terms.
-        owner
-            The accelerometer, for a term of its own; else it is no matter.
-        """
-        return self.model.limits.get(symbol) or self._size(symbol, owner).limit
-
-    def typical_of(self, symbol: str, owner: str = "") -> float:
-        """Return the standard uncertainty to assume of a term; parameters as of `limit_of`."""
-        return self.model.typical.get(symbol) or self._size(symbol, owner).typical
-
-    def _size(self, symbol: str, owner: str) -> Size:
-        accelerometer = self.accelerometers.get(owner)
-        return term(symbol).sizes(DEFAULT_GRADE if accelerometer is None else accelerometer.grade)
-
-    def recording_of(self, run: Run) -> Recording:
-        """Return how the record of a run is read."""
-        return run.recording or Recording(self.time, self.angle, self.dialect)
-
-    def record_at(self, file: Path) -> Path | MemoryTable:
-        """Return the record in memory that stands in the place of a file, or else the file."""
-        return self.frames.get(file, file)
-
-    def change(self, **changes: Any) -> Campaign:
-        """Return the campaign with named changes, checked as its description was.
-
-        Parameters
-        ----------
-        **changes
-            ``title``, ``gravity``, ``latitude``, ``radius``, ``terms``, ``considered``,
-            ``priors``, ``noise``, ``truth``, ``seed``, ``sampling_rate``, or another section of
-            ``campaign.toml``: what to write there. A mapping changes the keys it has; None takes
-            a key away. ``accelerometers`` and ``runs``: the names of those that stay, or a
-            mapping from names to changes. ``records``: as of `make_campaign`. Any other key is
-            named with dots, ``**{"records.time.column": "t"}``.
-
-        Raises
-        ------
-        CampaignError
-            With every mistake, as of a file.
-
-        Notes
-        -----
-        A prior takes the place of one in the accelerometer's own table (``bias``). Where terms
-        are changed, the priors of those that are left out go with them.
-        """
-        from counterspin.campaign.memory.changes import change_campaign
-
-        return change_campaign(self, changes)
-
-    def join(self, *others: Campaign) -> Campaign:
-        """Return one campaign with the runs of this one and of others, for one fit.
-
-        Parameters
-        ----------
-        *others
-            Of the same site, centrifuge, accelerometers, noise, model and columns.
-
-        Returns
-        -------
-        Campaign
-            A run whose name is taken has the campaign's number behind it, ``slow (2)``. The
-            truth is kept where all have the same.
-
-        Raises
-        ------
-        CampaignError
-            With all that they do not have in common.
-        """
-        from counterspin.campaign.memory.joining import join_campaigns
-
-        return join_campaigns([self, *others])
-
-    def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
-        """Write ``campaign.toml`` and all records, from which the same result comes.
-
-        Parameters
-        ----------
-        folder
-            Made if it is not there.
-        overwrite
-            Whether files that are already there may be replaced.
-
-        Returns
-        -------
-        Path
-            The description.
-
-        Raises
-        ------
-        CounterspinError
-            If a file is in the way, cannot be written, or a record is not there.
-        """
-        from counterspin.campaign.memory.writing import write_campaign
-
-        return write_campaign(self, folder, overwrite=overwrite)
-
-    def require_records(self, what: str) -> None:
-        """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""
-        if self.readings:
-            raise CampaignError(
-                str(self.path),
-                [f"runs: {what} takes records of a double turntable; this campaign has readings"],
-            )
-
-
-def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
-    """Return how many rows a record takes that is computed, not read.
-
-    rate, duration, sampling_rate: rad/s, s, Hz.
-    means: Whether the samples are averaged as `calibrate` does it.
-    """
-    from counterspin.records.reduction import BLOCKS_PER_REVOLUTION, block_size
-
-    samples = duration * sampling_rate
-    if means and rate:
-        samples /= block_size(1.0 / sampling_rate, rate)
-    # The integrals need about as many places in a revolution, however few samples it has.
-    return max(samples, BLOCKS_PER_REVOLUTION * abs(rate) * duration / (2.0 * math.pi))
-
-
-def require_room(
-    campaign: Campaign, sampling_rate: float, purpose: Literal["forecast", "study", "simulation"]
-) -> None:
-    """Raise CampaignError if the records of a campaign would be too much to compute.
-
-    What is written piece by piece (a simulation) may have any number of runs.
-
-    sampling_rate: Hz.
-    """
-    lengths = [
-        (f"runs[{index}]", run.rate, run.duration, len(campaign.accelerometers))
-        for index, run in enumerate(campaign.runs)
-    ]
-    if purpose == "simulation":  # the others need only how uncertain a mean is
-        lengths += [
-            (f'run "{reading.name}"', reading.rate, reading.duration, 1)
-            for reading in campaign.readings
-            if reading.record is not None
-        ]
-    sizes = [
-        (
-            (1 if purpose == "simulation" else count)
-            * paper_rows(rate, duration, sampling_rate, means=purpose == "forecast"),
-            f"{where}: {duration:.4g} s at {abs(rate) / (2.0 * math.pi):.3g} rev/s, sampled at "
-            f"{sampling_rate:.4g} Hz,",
+    def assumes(self, symbol: str) -> bool:
+        """Return whether a term, or an input, is taken as perfect where nothing is stated."""
+        names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
+        return any(
+            name in ("", EVERYTHING) or symbol == name or symbol.startswith(f"{name}.")
+            for name in names
         )
-        for where, rate, duration, count in lengths
-        if duration is not None
-    ]
-    total = sum(rows for rows, _ in sizes)
-    records = len(campaign.runs) * len(campaign.accelerometers)
-    if purpose != "simulation" and records > MOST_RECORDS:
-        words = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
-        raise CampaignError(str(campaign.path), [words])
-    most = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
-    advice = (
-        f"rows to compute, and a {purpose} has room for {most:.2g}; choose fewer "
-        "revolutions, a shorter duration or a lower sampling rate"
-    )
-    if purpose == "simulation":
-        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > most]
-    elif total > most:
-        rows, words = max(sizes)
-        problems = [f"{words} makes {rows:.3g} of the {total:.3g} {advice}"]
-    else:
-        problems = []
-    if problems:
-        raise CampaignError(str(campaign.path), problems)

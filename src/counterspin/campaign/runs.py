@@ -11,7 +11,7 @@ from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.memory.documents import patched
 from counterspin.campaign.readings import is_reading, read_temperature
-from counterspin.campaign.resolved import Campaign, Channel, Recording, Run, RunTruth
+from counterspin.campaign.resolved import Channel, Recording, Run, RunTruth
 from counterspin.campaign.settings import (
     STAMPS,
     AngleChannel,
@@ -21,7 +21,6 @@ from counterspin.campaign.settings import (
     exact,
 )
 from counterspin.campaign.truth import resolve_run_truth
-from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
 from counterspin.units import unit_factor
@@ -226,31 +225,3 @@ def _part(settings: RunSettings, path: KeyPath, problems: Problems) -> tuple[flo
     if not start < stop:
         problems.add((*path, "stop"), "must come after start")
     return start, stop
-
-
-def refuse_unwritable(campaign: Campaign) -> None:
-    """Raise CampaignError if records are read in a way in which none are simulated."""
-    problems = []
-    said = [key for key, value in vars(campaign.dialect).items() if value is not None]
-    problems += [f"records.{key}: simulated records are plain; leave it out" for key in said]
-    for key, channel in (("time", campaign.time), ("angle", campaign.angle)):
-        if channel is not None and channel.column and (channel.kind != "numbers"):
-            problems.append(f"records.{key}: simulated records have numbers in every row")
-        elif channel is not None and channel.column and not channel.unit:
-            problems.append(f"records.{key}.unit: is missing, to simulate records")
-    for name, accelerometer in campaign.accelerometers.items():
-        if accelerometer.channel.column and not accelerometer.channel.unit:
-            key = f"accelerometers.{name}.{accelerometer.observable}.unit"
-            problems.append(f"{key}: is missing, to simulate records")
-    if campaign.time.kind == "rows" and campaign.runs:
-        problems.append("records.time: simulated records have a column of the time")
-    records = [run.record for run in campaign.runs]
-    for run in campaign.runs:
-        if records.count(run.record) > 1:
-            problems.append(f'run "{run.name}": a simulated record is of one run')
-        if len(run.files) > 1:
-            problems.append(f'run "{run.name}": a simulated record is one file')
-        if run.recording is not None:
-            problems.append(f'run "{run.name}": all simulated records are read alike')
-    if problems:
-        raise CampaignError(str(campaign.path), problems)

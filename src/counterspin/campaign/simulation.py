@@ -9,45 +9,40 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Final, overload
+from typing import overload
 
 import numpy as np
 import polars as pl
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.conditions import conditions_of
-from counterspin.campaign.description import read_campaign
+from counterspin.campaign.description import Campaign, read_campaign, resolved_in_memory
+from counterspin.campaign.memory.records import WRITERS
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.reading_files import filled_description, filled_table
 from counterspin.campaign.reading_simulation import simulate_mean_record, stream, true_readings
-from counterspin.campaign.reading_truth import unfit_readings
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
     Accelerometer,
-    Campaign,
     Run,
     SimulatedTruth,
     StatedNoise,
-    require_room,
     sample_count,
 )
-from counterspin.campaign.runs import refuse_unwritable
+from counterspin.campaign.simulable import (
+    refuse_unwritable,
+    require_room,
+    unfit,
+    unfit_readings,
+)
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
-from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.output import make_folder, write_open, write_text, write_whole
+from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
 from counterspin.physics.path_errors import encoder_error, true_trajectory
 from counterspin.records.memory import memory_table
-
-#: How the record of each ending is written.
-WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
-    ".csv": lambda frame, path: write_open(path, frame.write_csv),
-    ".parquet": lambda frame, path: write_open(path, frame.write_parquet),
-}
 
 
 @overload
@@ -186,9 +181,7 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
         file: memory_table(f"{names[file]} in memory", frame)
         for file, frame in zip(files, frames, strict=True)
     }
-    from counterspin.campaign.memory.making import resolved_in_memory
-
-    return resolved_in_memory(source, tables, campaign.folder, Problems(source.document))
+    return resolved_in_memory(source, tables, campaign.folder)
 
 
 def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:

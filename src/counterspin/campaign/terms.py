@@ -21,14 +21,15 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.error_model import EVERYTHING, ErrorModel
 from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.resolved import EVERYTHING, ErrorModel, Run
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES
 from counterspin.physics.terms import (
+    CONDITION_TERMS,
     INPUTS,
     OWN_TERMS,
     SHARED_TERMS,
@@ -353,3 +354,43 @@ def _resolve_sizes(
         elif size is not None:
             sizes |= dict.fromkeys(symbols, size)
     return sizes
+
+
+def check_conditions(
+    model: ErrorModel,
+    also: Iterable[str],
+    runs: Sequence[tuple[int, Run]],
+    reference: float | None,
+    problems: Problems,
+) -> None:
+    """Note what is missing for the slopes of a model, and slopes that nothing determines.
+
+    reference: The reference temperature, K, if there is one.
+    """
+    for symbol, row in CONDITION_TERMS.items():
+        if row.effect.condition == "force" and symbol in model.terms:
+            problems.add(
+                ("model", "terms"),
+                f'"{symbol}" cannot be told from K_II; state what is known of it in [model.priors]',
+            )
+    used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
+    used += [row for s, row in CONDITION_TERMS.items() if s in set(also)]
+    for key in ("temperature", "time"):
+        asking = next((row.symbol for row in used if row.effect.condition == key), None)
+        stated = [getattr(run, key) is not None for _, run in runs]
+        if asking is None and (key == "temperature" or not any(stated)):
+            continue
+        why = f"{asking} is in the model" if asking else "other runs state theirs"
+        for (place, _), there in zip(runs, stated, strict=True):
+            if not there:
+                example = '"23.4 degC"' if key == "temperature" else '"12 min"'
+                problems.add(
+                    ("runs", place, key), f"is missing: {why}; write {key} = {example}, or the like"
+                )
+        if asking and key == "temperature" and reference is None and runs and all(stated):
+            temperatures = {run.temperature for _, run in runs}
+            if len(temperatures) == 1:
+                problems.add(
+                    ("centrifuge", "reference_temperature"),
+                    f"is missing: {asking} is in the model, and all runs are at one temperature",
+                )

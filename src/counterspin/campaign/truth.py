@@ -6,19 +6,12 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.resolved import (
-    Campaign,
-    RunTruth,
-    SimulatedTruth,
-    Simulation,
-    StatedNoise,
-)
+from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation, StatedNoise
 from counterspin.campaign.settings import (
-    ESTIMATE,
     AccelerometerTruthSettings,
     CentrifugeTruthSettings,
     EncoderTruthSettings,
@@ -31,7 +24,7 @@ from counterspin.campaign.settings import (
     SpindleTruthSettings,
 )
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
 TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise", "machine")
@@ -42,13 +35,6 @@ _SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
     "centrifuge": CentrifugeTruthSettings,
     "encoder": EncoderTruthSettings,
 }
-
-#: A true value may be this many times its largest credible size.
-TRUTH_MARGIN: Final = 5.0
-#: Relative change of the rate by ripple and drift together stays below this.
-_MAX_RATE_CHANGE: Final = 0.5
-#: Highest ripple harmonic that is simulated.
-_MAX_RIPPLE_HARMONIC: Final = 1000
 
 
 def resolve_simulation(
@@ -159,60 +145,3 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
         problems.add(path, "each ripple has either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
     return Ripple(entry.harmonic, amplitude, entry.phase)
-
-
-def unfit(campaign: Campaign) -> list[str]:
-    """Return why a campaign's truth cannot be simulated: noise without a size, incredible sizes.
-
-    Calibration does not ask. The largest credible sizes are those of the term table or of
-    [model.limits].
-    """
-    if campaign.simulation is None:
-        return []
-    truth = campaign.simulation.truth
-    stated = truth.noise is campaign.noise
-    problems = [
-        f"{'noise' if stated else 'truth.noise'}.{key}: a simulation needs its true size"
-        + ("; write it in [truth.noise]" if stated else "")
-        for key, size in vars(truth.noise).items()
-        if size == ESTIMATE
-    ]
-    for name, coefficients in truth.coefficients.items():
-        for symbol, value in coefficients.items():
-            limit = campaign.limit_of(symbol, name)
-            problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limit)
-    for index, run in enumerate(campaign.runs):
-        if run.truth is None:
-            continue
-        place = f'truth of runs[{index}] ("{run.name}")'
-        for symbol, value in run.truth.shared.items():
-            limit = campaign.limit_of(symbol)
-            problems += _incredible(f"{place}, {symbol}", symbol, value, limit)
-        problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
-    return problems
-
-
-def _incredible(place: str, symbol: str, value: float, limit: float) -> Iterator[str]:
-    row = term(symbol)
-    if abs(value - row.nominal) > TRUTH_MARGIN * limit:
-        yield (
-            f"{place}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
-            f"credible size, {limit:.6g} {row.unit}"
-            + (f" about {row.nominal:g}" if row.nominal else "")
-            + f'; check its unit, or raise "{symbol}" in [model.limits]'
-        )
-
-
-def _unsteady(spindle: Spindle, duration: float | None) -> Iterator[str]:
-    if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
-        yield (
-            f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, the "
-            "highest that is simulated"
-        )
-    ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
-    change = ripple + abs(spindle.drift) * (duration or 0.0)
-    if not change < _MAX_RATE_CHANGE:
-        yield (
-            f"ripple and drift change the rate by {100.0 * change:.3g} % within the run; "
-            f"less than {100.0 * _MAX_RATE_CHANGE:g} % can be simulated"
-        )

@@ -16,10 +16,9 @@ from counterspin.calibration.options import asked_by
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.error_model import EVERYTHING
+from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.memory.source import keep, source_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.resolved import EVERYTHING
 from counterspin.comparisons.changes import changes
 from counterspin.comparisons.result import Repeated, RepeatedCoefficient
 from counterspin.errors import RecordError

@@ -11,7 +11,7 @@ import numpy as np
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
-from counterspin.campaign.memory.making import record_name
+from counterspin.campaign.memory.records import record_name
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import COMPASS
 from counterspin.campaign.toml_file import DESCRIPTION_NAME

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import did_you_mean
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import Campaign, Run, StatedNoise
+from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.resolved import Run, StatedNoise
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.monitoring.judging import remarks_of, run_state

@@ -9,7 +9,7 @@ from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
 from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
 from counterspin.monitoring.observing import record_name

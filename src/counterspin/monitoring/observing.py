@@ -9,7 +9,8 @@ from typing import Final
 
 from counterspin.calibration.observed import ObservedRun, observe_run, read_run, record_columns
 from counterspin.campaign.conditions import conditions_of
-from counterspin.campaign.resolved import Campaign, Run
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import Run
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
 from counterspin.monitoring.following import APPENDED, FollowedTable

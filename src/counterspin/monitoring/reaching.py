@@ -12,7 +12,7 @@ from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess

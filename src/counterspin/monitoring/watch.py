@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from counterspin.calibration.observed import ObservedRun
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.monitoring.judging import run_state

@@ -15,7 +15,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.model import assumed_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered

@@ -17,10 +17,10 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
 from counterspin.calibration.readings import block_name
-from counterspin.campaign.conditions import conditions_of
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.reading_groups import groups_of
-from counterspin.campaign.resolved import Campaign, Run, require_room, sample_count
+from counterspin.campaign.conditions import conditions_of, groups_of
+from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.resolved import Run, sample_count
+from counterspin.campaign.simulable import require_room
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess

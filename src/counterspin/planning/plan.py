@@ -13,9 +13,8 @@ from counterspin._version import __version__
 from counterspin.calibration.model import assumed
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.attitude import attitude_words
-from counterspin.campaign.description import read_campaign
+from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.questions import questions
-from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen

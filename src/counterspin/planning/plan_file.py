@@ -14,10 +14,9 @@ from typing import Any, Final, Literal
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError

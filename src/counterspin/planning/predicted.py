@@ -11,7 +11,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import budget_lines, coefficient
 from counterspin.calibration.result_parts import ConfoundedTerms
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS

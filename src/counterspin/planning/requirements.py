@@ -10,7 +10,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.campaign.resolved import Campaign, sample_count
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import sample_count
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns, prepared_for

@@ -12,8 +12,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.description import resolve_campaign
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.errors import CampaignError
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.forecast import setup_of

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array, triangle_of
-from counterspin.campaign.reading_groups import groups_of
+from counterspin.campaign.conditions import groups_of
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import blocks_of, solve_blocks

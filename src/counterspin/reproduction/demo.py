@@ -13,8 +13,7 @@ from counterspin.calibration.observed import observe
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.calibration.two_stage import TwoStageOutcome, two_stage
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError

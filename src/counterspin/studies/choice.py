@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest

@@ -21,13 +21,12 @@ from counterspin.calibration.model import model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.reading_truth import unfit_readings
-from counterspin.campaign.resolved import Campaign, require_room
 from counterspin.campaign.settings import SettingsSection, Text, exact, several
+from counterspin.campaign.simulable import require_room, unfit, unfit_readings
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -35,7 +34,6 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_document,
 )
-from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term

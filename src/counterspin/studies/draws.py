@@ -14,7 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import OWN_TERMS

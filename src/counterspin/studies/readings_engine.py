@@ -14,9 +14,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading_simulation import head_errors, indications, numbered_groups
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import assess

@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin._version import __version__
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study

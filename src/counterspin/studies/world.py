@@ -9,7 +9,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
-from counterspin.campaign.resolved import Campaign, sample_count
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import sample_count
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series, jitter_of

@@ -11,7 +11,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS, TERMS
 from counterspin.reports.numbers import field_unit, format_number

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.result_parts import Coefficient, Finding, Knowledge
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import OWN_TERMS, is_term, term
 from counterspin.reports.numbers import field_unit, format_estimate, format_number

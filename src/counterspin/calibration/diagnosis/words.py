@@ -7,7 +7,7 @@ from typing import Final
 
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import inputs_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.frozen import frozen
 from counterspin.inference.joint import mistakes

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.memory.documents import patched, plain
-from counterspin.campaign.memory.making import give_records, resolved_in_memory
-from counterspin.campaign.memory.source import source_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.memory.records import give_records
+from counterspin.campaign.memory.source import Documented, source_of
 from counterspin.campaign.settings import OBSERVABLES, DocumentSettings
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import COMMON_NAMES, TERMS
+from counterspin.records.memory import MemoryTable
 
 #: Short names of keys that are changed often.
 SHORT: Final[Mapping[str, KeyPath]] = {
@@ -46,8 +46,10 @@ _PRIOR_KEYS: Final = (
 )
 
 
-def change_campaign(campaign: Campaign, changes: Mapping[str, Any]) -> Campaign:
-    """Return a campaign with named changes; see `Campaign.change`."""
+def change_campaign(
+    campaign: Documented, changes: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[Path, MemoryTable]]:
+    """Return a campaign's document with named changes, and the records among them by file."""
     source = source_of(campaign)
     document = copy.deepcopy(dict(source.document))
     label = source.label if source.file is None else f"{source.file}, changed in memory"
@@ -60,13 +62,10 @@ def change_campaign(campaign: Campaign, changes: Mapping[str, Any]) -> Campaign:
             _select(document, name, value, problems)
         elif (path := _path(name, problems)) is not None:
             _set(document, path, value, problems)
-    tables = dict(campaign.frames)
-    tables |= give_records(document, records, campaign.folder, problems)
+    tables = give_records(document, records, campaign.folder, problems)
     if problems.lines:
         raise CampaignError(label, problems.lines)
-    return resolved_in_memory(
-        replace(source, document=document), tables, campaign.folder, Problems(document)
-    )
+    return document, tables
 
 
 def _path(name: str, problems: Problems) -> KeyPath | None:

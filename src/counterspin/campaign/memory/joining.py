@@ -8,11 +8,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.checking import Problems
 from counterspin.campaign.memory.documents import differences
-from counterspin.campaign.memory.making import record_name, resolved_in_memory
-from counterspin.campaign.memory.source import Source, source_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.memory.records import record_name
+from counterspin.campaign.memory.source import Documented, source_of
 from counterspin.errors import CampaignError
 from counterspin.records.memory import MemoryTable
 
@@ -33,8 +31,13 @@ _COMMON: Final = {
 }
 
 
-def join_campaigns(campaigns: Sequence[Campaign]) -> Campaign:
-    """Return one campaign with the runs of several; see `Campaign.join`."""
+def join_campaigns(
+    campaigns: Sequence[Documented],
+) -> tuple[dict[str, Any], dict[Path, MemoryTable]]:
+    """Return one document with the runs of several campaigns, and the records in memory by file.
+
+    It is for the folder of the first.
+    """
     first = campaigns[0]
     problems = [
         p for place, other in enumerate(campaigns[1:], 2) for p in _apart(first, other, place)
@@ -67,10 +70,10 @@ def join_campaigns(campaigns: Sequence[Campaign]) -> Campaign:
     titles = dict.fromkeys(campaign.title for campaign in campaigns if campaign.title)
     if titles:
         document["campaign"] = {**document.get("campaign", {}), "title": " + ".join(titles)}
-    return resolved_in_memory(Source(document), tables, first.folder, Problems(document))
+    return document, tables
 
 
-def _apart(first: Campaign, other: Campaign, place: int) -> Iterator[str]:
+def _apart(first: Documented, other: Documented, place: int) -> Iterator[str]:
     """Yield what two campaigns would have to have in common, and have not."""
     words = f"is not the same in campaign {place}"
     for attribute, key in _COMMON.items():
@@ -94,7 +97,7 @@ def _apart(first: Campaign, other: Campaign, place: int) -> Iterator[str]:
             yield f"readings: campaign {number} has a table of readings; write them as [[runs]]"
 
 
-def _said(campaign: Campaign, key: str) -> str:
+def _said(campaign: Documented, key: str) -> str:
     """Return what a description says at a key."""
     value: Any = source_of(campaign).document
     for part in key.split("."):
@@ -102,7 +105,7 @@ def _said(campaign: Campaign, key: str) -> str:
     return "nothing" if value is None else str(value)
 
 
-def _same_simulation(first: Campaign, other: Campaign) -> bool:
+def _same_simulation(first: Documented, other: Documented) -> bool:
     one, two = (source_of(c).document for c in (first, other))
     return all(one.get(key) == two.get(key) for key in ("truth", "simulation"))
 
@@ -117,7 +120,7 @@ def _distinct(name: str, place: int, taken: Sequence[str]) -> str:
 
 def _place_record(
     run: dict[str, Any],
-    campaign: Campaign,
+    campaign: Documented,
     folder: Path,
     runs: Sequence[Mapping[str, Any]],
     tables: dict[Path, MemoryTable],

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.description import Campaign, resolved_in_memory
 from counterspin.campaign.memory.documents import plain
-from counterspin.campaign.memory.source import Source, keep
+from counterspin.campaign.memory.records import give_records, name_records
+from counterspin.campaign.memory.source import Source
 from counterspin.campaign.readings import Output
 from counterspin.campaign.readings_table import ReadingsSettings, runs_of
-from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
-    DESCRIPTION_NAME,
     description_file,
     load_with_checksum,
     unusable,
 )
 from counterspin.errors import CampaignError
-from counterspin.records.memory import MemoryTable, columns_of, memory_table
+from counterspin.records.memory import columns_of
 
 #: What messages call a table of readings without a file.
 _IN_MEMORY: Final = "readings in memory"
-
-#: Endings of the files that records in memory are written to.
-WRITABLE: Final = (".csv", ".parquet")
 
 
 def make_campaign(
@@ -76,7 +71,7 @@ def make_campaign(
         if problems.lines:
             raise CampaignError(source.label, problems.lines)
     if records is None:
-        _name_records(document)
+        name_records(document)
     tables = give_records(document, records or {}, where, problems)
     return resolved_in_memory(replace(source, document=document), tables, where, problems)
 
@@ -98,28 +93,6 @@ def _source(
     document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
     where = file.parent if folder is None else Path(folder).absolute()
     return Source(document, file, checksum, document), where
-
-
-def resolved_in_memory(
-    source: Source, tables: Mapping[Path, MemoryTable], folder: Path, problems: Problems
-) -> Campaign:
-    """Return the campaign of a document; CampaignError with all its mistakes."""
-    campaign = resolve_campaign(source.document, folder / DESCRIPTION_NAME, problems)
-    if campaign is None or problems.lines:
-        raise CampaignError(source.label, problems.lines)
-    named = {run.record for run in campaign.runs} | {r.record for r in campaign.readings}
-    made = replace(
-        campaign,
-        path=Path(source.label),
-        title=campaign.title if source.file or "title" in _table(source, "campaign") else "",
-        frames={path: table for path, table in tables.items() if path in named},
-    )
-    return keep(made, source)
-
-
-def _table(source: Source, key: str) -> Mapping[str, Any]:
-    value = source.document.get(key)
-    return value if isinstance(value, Mapping) else {}
 
 
 def _take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
@@ -156,69 +129,3 @@ def _output(table: Any) -> Output | None:
     output = table.get("output") if isinstance(table, Mapping) else None
     unit = output.get("unit") if isinstance(output, Mapping) else None
     return Output(unit, 1.0) if isinstance(unit, str) else None
-
-
-def _name_records(document: dict[str, Any]) -> None:
-    """Name a record for each run that states none, for what needs none or makes it."""
-    runs = document.get("runs")
-    if not isinstance(runs, list):
-        return
-    taken = [run.get("record") for run in runs if isinstance(run, Mapping)]
-    named: list[Any] = []
-    for run in runs:
-        table = isinstance(run, Mapping) and isinstance(run.get("name"), str)
-        if table and "record" not in run and "reading" not in run:
-            taken.append(record_name(run["name"], ".parquet", taken))
-            named.append({**run, "record": taken[-1]})
-        else:
-            named.append(run)
-    document["runs"] = named
-
-
-def give_records(
-    document: dict[str, Any], records: Mapping[str, Any], folder: Path, problems: Problems
-) -> dict[Path, MemoryTable]:
-    """Put records into a document's runs; return those in memory by the file each stands for.
-
-    records: Run's name -> frame or file.
-    folder: Of the document's files.
-    """
-    runs = document.get("runs")
-    given = list(runs) if isinstance(runs, list) else []
-    names = {run.get("name"): place for place, run in enumerate(given) if isinstance(run, Mapping)}
-    tables = {}
-    for name, record in records.items():
-        if name not in names:
-            known = [known for known in names if isinstance(known, str)]
-            problems.add(("records",), f'no run is called "{name}"' + did_you_mean(name, known))
-            continue
-        run = dict(given[names[name]])
-        if isinstance(record, Path | str):
-            run["record"] = _file_name(Path(record).absolute(), folder)
-        else:
-            taken = [other.get("record") for other in given if isinstance(other, Mapping)]
-            stated = run.get("record")
-            if not (isinstance(stated, str) and stated.lower().endswith(WRITABLE)):
-                run["record"] = record_name(name, ".parquet", taken)
-            tables[folder / run["record"]] = memory_table(f"{name} in memory", record)
-        given[names[name]] = run
-    if records:
-        document["runs"] = given
-    return tables
-
-
-def record_name(run: str, ending: str, taken: list[Any]) -> str:
-    """Return the file that the record of a run would be written to, none of those taken."""
-    plain_name = re.sub(r"[^\w.-]+", "_", run).strip("._") or "run"
-    others = {str(other).lower() for other in taken}
-    name, number = f"{plain_name}{ending}", 2
-    while name.lower() in others:
-        name, number = f"{plain_name}-{number}{ending}", number + 1
-    return name
-
-
-def _file_name(file: Path, folder: Path) -> str:
-    try:
-        return file.relative_to(folder).as_posix()
-    except ValueError:
-        return str(file)

@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from dataclasses import field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from counterspin.campaign.memory.documents import differences
+from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
+from counterspin.records.memory import MemoryTable
 from counterspin.toml_text import write_document
-
-if TYPE_CHECKING:
-    from counterspin.campaign.resolved import Campaign
 
 #: What messages call a campaign without a file.
 IN_MEMORY: Final = "campaign in memory"
@@ -61,7 +60,45 @@ class Source:
         return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
 
 
-def source_of(campaign: Campaign) -> Source:
+class Documented(Protocol):
+    """A campaign, as far as its document and its files are concerned."""
+
+    @property
+    def title(self) -> str:
+        """As a report names it."""
+
+    @property
+    def path(self) -> Path:
+        """Its description, or what stands for it."""
+
+    @property
+    def folder(self) -> Path:
+        """Of its files."""
+
+    @property
+    def source(self) -> Source | None:
+        """What it was resolved from."""
+
+    @property
+    def accelerometers(self) -> Mapping[str, Accelerometer]:
+        """By name."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All record files."""
+
+    @property
+    def tables(self) -> tuple[Path, ...]:
+        """Files of readings."""
+
+    def record_at(self, file: Path) -> Path | MemoryTable:
+        """Return the record in memory that stands in the place of a file, or else the file."""
+
+
+C = TypeVar("C", bound=Documented)
+
+
+def source_of(campaign: Documented) -> Source:
     """Return what a campaign came from; CounterspinError where nothing is known of it."""
     if campaign.source is None:
         raise CounterspinError(
@@ -71,7 +108,7 @@ def source_of(campaign: Campaign) -> Source:
     return campaign.source
 
 
-def keep(campaign: Campaign, source: Source) -> Campaign:
+def keep(campaign: C, source: Source) -> C:
     """Give a campaign that has just been resolved its source, and return it.
 
     It is no argument of the class: a copy that `dataclasses.replace` changes has lost it.

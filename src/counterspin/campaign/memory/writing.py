@@ -7,10 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from counterspin.campaign.memory.making import record_name
-from counterspin.campaign.memory.source import source_of
-from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.simulation import WRITERS
+from counterspin.campaign.memory.records import WRITERS, record_name
+from counterspin.campaign.memory.source import Documented, source_of
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
@@ -18,7 +16,7 @@ from counterspin.records.memory import MemoryTable
 from counterspin.toml_text import write_document
 
 
-def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = False) -> Path:
+def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool = False) -> Path:
     """Write a campaign; see `Campaign.write`."""
     source = source_of(campaign)
     folder = Path(folder)
@@ -50,7 +48,7 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
 
 
 def _placed(
-    campaign: Campaign, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
+    campaign: Documented, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
 ) -> Any:
     """Note where a run's record goes, and return the run as it names it there."""
     if "record" not in run:
@@ -69,7 +67,7 @@ def _placed(
 
 
 def _further_placed(
-    campaign: Campaign, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
+    campaign: Documented, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
 ) -> dict[str, Any]:
     """Note where the other files of a run go; return the keys that name them differently there."""
 
@@ -91,16 +89,14 @@ def _further_placed(
     return {key: names for key, names in now.items() if names != run[key]}
 
 
-def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:
+def _refuse_overwriting(targets: list[Path], campaign: Documented, *, overwrite: bool) -> None:
     """Raise CounterspinError for a file that is in the way, or a record that is not there."""
     for target in targets:
         if target.exists() and not overwrite:
             raise CounterspinError(
                 f"{target} exists; write into another folder, or give `overwrite=True`"
             )
-    files = [file for run in campaign.runs for file in run.files]
-    files += [reading.record for reading in campaign.readings if reading.record is not None]
-    for file in files:
+    for file in campaign.files:
         record = campaign.record_at(file)
         if isinstance(record, Path) and not record.is_file():
             raise CounterspinError(f"{record}: there is no such record to copy")

@@ -14,9 +14,10 @@ from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import assumed, model_of
 from counterspin.calibration.result_parts import Provenance
+from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
-from counterspin.campaign.reading_groups import groups_of
-from counterspin.campaign.resolved import MOST_READINGS, Campaign
+from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.readings import rows_at

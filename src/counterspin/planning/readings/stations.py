@@ -14,9 +14,8 @@ from typing import Any, Final
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.readings import BLANK
-from counterspin.campaign.resolved import Campaign
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import Goal, load_plan, plan_name, resolve_goal

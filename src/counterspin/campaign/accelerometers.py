@@ -1,0 +1,249 @@
+"""[accelerometers.NAME]: axes, columns, priors, and what readings are in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.readings import Output, is_reading
+from counterspin.campaign.resolved import Accelerometer, Channel, StatedNoise
+from counterspin.campaign.settings import (
+    OBSERVABLES,
+    AccelerometerSettings,
+    AxesSettings,
+    RecordsSettings,
+    exact,
+)
+from counterspin.campaign.terms import about_nominal
+from counterspin.campaign.truth import TRUTH_TABLES
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.terms import COMMON_NAMES, TERMS
+from counterspin.units import check_unit, unit_factor
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+class AccelerometersReader:
+    """Reads the tables of accelerometers; each is checked even where another one is wrong.
+
+    raw: Accelerometer -> its table, as it stands.
+    runs: What stands in ``[[runs]]`` and is not left out.
+    gravity: Of the site, m/s^2.
+    """
+
+    def __init__(
+        self, raw: Mapping[str, Any], runs: Sequence[Any], problems: Problems, gravity: float
+    ) -> None:
+        self.raw, self.runs = raw, runs
+        self.problems, self.gravity = problems, gravity
+        kinds = [is_reading(run) for run in runs]
+        #: Whether there are records of a double turntable, and others.
+        self.turned = not all(kinds)
+        self.carried = any(
+            reading and "record" in run for run, reading in zip(runs, kinds, strict=True)
+        )
+
+    def tables(self) -> dict[str, Any]:
+        """Return every accelerometer's keys, None with its mistakes noted."""
+        return {
+            name: self.problems.check(
+                AccelerometerSettings, table, ("accelerometers", name), gravity=self.gravity
+            )
+            for name, table in self.raw.items()
+        }
+
+    def accelerometers(
+        self,
+        tables: Mapping[str, Any],
+        mountings: Mapping[str, Mounting],
+        observables: Mapping[str, str],
+        priors: Mapping[str, Mapping[str, Quantity]],
+        outputs: Mapping[str, Output | None],
+    ) -> dict[str, Accelerometer]:
+        """Return the accelerometers of tables that are all in order; their columns are checked."""
+        return {
+            name: Accelerometer(
+                name,
+                mountings[name],
+                observables[name],
+                self._recorded(name, table, observables[name], outputs[name]),
+                priors[name],
+                table.serial_number,
+                outputs[name],
+                self._force(name, table, outputs[name]),
+                table.grade,
+            )
+            for name, table in tables.items()
+            if table is not None
+        }
+
+    def mountings(self) -> dict[str, Mounting]:
+        """Return the axes of every accelerometer whose axes are in order."""
+        mountings = {}
+        for name, table in self.raw.items():
+            path = ("accelerometers", name)
+            if not isinstance(table, dict):
+                continue
+            axes = {key: table[key] for key in AxesSettings.model_fields if key in table}
+            settings = self.problems.check(AxesSettings, axes, path)
+            if settings is None:
+                continue
+            mounting = self.problems.attempt(
+                path,
+                Mounting.from_axes,
+                settings.input_axis,
+                settings.pendulous_axis,
+                settings.output_axis,
+            )
+            if mounting is not None:
+                mountings[name] = mounting
+        return mountings
+
+    def check_names(self) -> None:
+        """Note names that [truth] could not tell from its other tables, or TOML would quote."""
+        for name in self.raw:
+            if name in TRUTH_TABLES or not _NAME.fullmatch(name):
+                self.problems.add(
+                    ("accelerometers", name),
+                    "cannot be an accelerometer's name; use letters, digits, - and _, "
+                    f"and none of {', '.join(TRUTH_TABLES)}",
+                )
+
+    def observables(self, noise: StatedNoise | None) -> dict[str, str]:
+        """Return what each accelerometer records; note noise of what none does."""
+        observables = {}
+        for name, table in self.raw.items():
+            if not isinstance(table, dict):
+                continue
+            given = [key for key in OBSERVABLES if key in table]
+            if not self.turned and (not given or self.carried):
+                observables[name] = "specific_force"  # readings are all there is of it
+            elif self.turned and self.carried and given[1:] == ["specific_force"]:
+                observables[name] = given[0]  # the other one is of records on an arm or at rest
+            elif len(given) == 1:
+                observables[name] = given[0]
+            else:
+                has = f"has {' and '.join(given)}" if given else "has no observable"
+                self.problems.add(
+                    ("accelerometers", name), f"{has}; give one of {', '.join(OBSERVABLES)}"
+                )
+        for key in OBSERVABLES if noise and observables else ():
+            if key not in observables.values() and getattr(noise, key) != 0.0:
+                self.problems.add(("noise", key), f"no accelerometer records {key}")
+        return observables
+
+    def given_priors(self, tables: Mapping[str, Any]) -> dict[str, dict[str, Quantity]]:
+        """Return the priors of the accelerometers' own tables, by symbol."""
+        return {name: self._given_priors(name, table) for name, table in tables.items()}
+
+    def _given_priors(self, name: str, table: Any) -> dict[str, Quantity]:
+        """Return the priors of an accelerometer's own table, by symbol."""
+        if table is None:
+            return {}
+        priors = {symbol: getattr(table, symbol) for symbol in TERMS}
+        if table.sensitivity_prior is not None:
+            priors["K_I"] = self._sensitivity_prior(name, table)
+        for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
+            if (prior := getattr(table, key)) is not None:
+                path = ("accelerometers", name, key)
+                self.problems.attempt(path, about_nominal, symbol, prior, table.grade)
+        for key, symbol in COMMON_NAMES.items():
+            value = getattr(table, key)
+            if value is not None and priors[symbol] is not None:
+                self.problems.add(
+                    ("accelerometers", name, key),
+                    f"is the prior of {symbol}, given too; keep one",
+                )
+            priors[symbol] = priors[symbol] if value is None else value
+        return {symbol: prior for symbol, prior in priors.items() if prior is not None}
+
+    def _sensitivity_prior(self, name: str, table: Any) -> Quantity | None:
+        """Return what is known of the sensitivity as the prior of K_I."""
+        path = ("accelerometers", name, "sensitivity_prior")
+        if table.output is None:
+            self.problems.add(path, "needs output = { unit = ..., sensitivity = ... } beside it")
+            return None
+        plain = self.problems.attempt(
+            ("accelerometers", name, "output", "unit"), check_unit, table.output.unit
+        )
+        if plain is None:
+            return None
+        unit = f"{plain}/g"
+        known = self.problems.attempt(path, parse, table.sensitivity_prior, unit)
+        nominal = self.problems.attempt(path, parse, table.output.sensitivity, unit)
+        if known is None or nominal is None or nominal.value == 0.0:
+            return None
+        return Quantity(known.value / nominal.value, known.u / abs(nominal.value), "g/g")
+
+    def outputs(self, tables: Mapping[str, Any]) -> dict[str, Output | None]:
+        """Return what each accelerometer's readings are in."""
+        outputs: dict[str, Output | None] = dict.fromkeys(tables)
+        for name, table in tables.items():
+            if table is None or table.output is None:
+                continue
+            path = ("accelerometers", name, "output")
+            unit = self.problems.attempt((*path, "unit"), check_unit, table.output.unit)
+            if unit is None:
+                continue
+            wanted = f"{unit}/g"
+            sensitivity = self.problems.attempt(
+                (*path, "sensitivity"), exact, table.output.sensitivity, wanted
+            )
+            if sensitivity == 0.0:
+                self.problems.add((*path, "sensitivity"), "must not be zero")
+            elif sensitivity is not None:
+                outputs[name] = Output(unit, sensitivity)
+        return outputs
+
+    def _recorded(self, name: str, table: Any, observable: str, output: Output | None) -> Channel:
+        """Return the column of an accelerometer; an output such as a current as m/s^2."""
+        settings = getattr(table, observable)
+        path = ("accelerometers", name, observable, "unit")
+        if settings is None or observable != "specific_force":
+            return self._channel(settings, OBSERVABLES[observable])
+        try:
+            return self._channel(settings, "m/s^2")
+        except ValueError as error:
+            if output is None:
+                self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
+                return Channel("", 1.0, "")
+        factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
+        return Channel(settings.column, factor / output.sensitivity * self.gravity, settings.unit)
+
+    def _force(self, name: str, table: Any, output: Output | None) -> Channel | None:
+        """Return the column that records on an arm or at rest are read from, if there are any."""
+        if not self.carried:
+            return None
+        if table.specific_force is None:
+            self.problems.add(
+                ("accelerometers", name),
+                "has no specific_force: the column of its records on an arm or at rest",
+            )
+            return None
+        return self._recorded(name, table, "specific_force", output)
+
+    def _channel(self, settings: Any, si_unit: str) -> Channel:
+        if settings is None:
+            return Channel("", 1.0, si_unit)
+        factor = unit_factor(settings.unit, si_unit, gravity=self.gravity) if settings.unit else 1.0
+        return Channel(settings.column, factor, settings.unit or "", si_unit=si_unit)
+
+    def check_columns(
+        self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
+    ) -> None:
+        """Note columns that are used twice."""
+        seen = {records.time.column or "": "records.time"}
+        others = {"records.angle": records.angle.column} if records.angle else {}
+        others |= {
+            f"accelerometers.{a.name}.{a.observable}": a.channel.column
+            for a in accelerometers.values()
+        }
+        for key, column in others.items():
+            if column in seen:
+                self.problems.add(
+                    tuple(key.split(".")), f'column "{column}" is used by {seen[column]} already'
+                )
+            seen[column] = key

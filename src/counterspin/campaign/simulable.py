@@ -1,0 +1,202 @@
+"""Whether a campaign can be simulated, and has room to be computed; calibration does not ask."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final, Literal
+
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
+from counterspin.campaign.settings import ESTIMATE
+from counterspin.errors import CampaignError
+from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import term
+
+#: A true value may be this many times its largest credible size.
+TRUTH_MARGIN: Final = 5.0
+#: Relative change of the rate by ripple and drift together stays below this.
+_MAX_RATE_CHANGE: Final = 0.5
+#: Highest ripple harmonic that is simulated.
+_MAX_RIPPLE_HARMONIC: Final = 1000
+#: Why a record at rest cannot be simulated.
+_NO_LENGTH: Final = "a record at rest that is simulated needs a duration"
+
+
+def unfit(campaign: Campaign) -> list[str]:
+    """Return why a campaign's truth cannot be simulated: noise without a size, incredible sizes.
+
+    Calibration does not ask. The largest credible sizes are those of the term table or of
+    [model.limits].
+    """
+    if campaign.simulation is None:
+        return []
+    truth = campaign.simulation.truth
+    stated = truth.noise is campaign.noise
+    problems = [
+        f"{'noise' if stated else 'truth.noise'}.{key}: a simulation needs its true size"
+        + ("; write it in [truth.noise]" if stated else "")
+        for key, size in vars(truth.noise).items()
+        if size == ESTIMATE
+    ]
+    for name, coefficients in truth.coefficients.items():
+        for symbol, value in coefficients.items():
+            limit = campaign.limit_of(symbol, name)
+            problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limit)
+    for index, run in enumerate(campaign.runs):
+        if run.truth is None:
+            continue
+        place = f'truth of runs[{index}] ("{run.name}")'
+        for symbol, value in run.truth.shared.items():
+            limit = campaign.limit_of(symbol)
+            problems += _incredible(f"{place}, {symbol}", symbol, value, limit)
+        problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
+    return problems
+
+
+def _incredible(place: str, symbol: str, value: float, limit: float) -> Iterator[str]:
+    row = term(symbol)
+    if abs(value - row.nominal) > TRUTH_MARGIN * limit:
+        yield (
+            f"{place}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
+            f"credible size, {limit:.6g} {row.unit}"
+            + (f" about {row.nominal:g}" if row.nominal else "")
+            + f'; check its unit, or raise "{symbol}" in [model.limits]'
+        )
+
+
+def _unsteady(spindle: Spindle, duration: float | None) -> Iterator[str]:
+    if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
+        yield (
+            f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, the "
+            "highest that is simulated"
+        )
+    ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
+    change = ripple + abs(spindle.drift) * (duration or 0.0)
+    if not change < _MAX_RATE_CHANGE:
+        yield (
+            f"ripple and drift change the rate by {100.0 * change:.3g} % within the run; "
+            f"less than {100.0 * _MAX_RATE_CHANGE:g} % can be simulated"
+        )
+
+
+def unfit_readings(campaign: Campaign) -> list[str]:
+    """Return why a campaign's readings cannot be simulated: no noise or length, incredible sizes.
+
+    Calibration does not ask.
+    """
+    if campaign.simulation is None:
+        return []
+    truth = campaign.simulation.truth
+    problems = []
+    for reading in campaign.readings:
+        if reading.record is not None:
+            if reading.motion == "static" and reading.duration is None:
+                problems.append(f'run "{reading.name}": {_NO_LENGTH}')
+        elif reading.u is None and reading.accelerometer not in truth.reading_noise:
+            problems.append(
+                f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so that '
+                "its true noise is needed"
+            )
+            break
+    for symbol, value in truth.machine.items():
+        row = term(symbol)
+        if not math.fabs(value) <= TRUTH_MARGIN * row.limit:
+            problems.append(
+                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} "
+                f"times the largest credible size, {row.limit:.6g} {row.unit}; check its unit"
+            )
+    return problems
+
+
+def refuse_unwritable(campaign: Campaign) -> None:
+    """Raise CampaignError if records are read in a way in which none are simulated."""
+    problems = []
+    said = [key for key, value in vars(campaign.dialect).items() if value is not None]
+    problems += [f"records.{key}: simulated records are plain; leave it out" for key in said]
+    for key, channel in (("time", campaign.time), ("angle", campaign.angle)):
+        if channel is not None and channel.column and (channel.kind != "numbers"):
+            problems.append(f"records.{key}: simulated records have numbers in every row")
+        elif channel is not None and channel.column and not channel.unit:
+            problems.append(f"records.{key}.unit: is missing, to simulate records")
+    for name, accelerometer in campaign.accelerometers.items():
+        if accelerometer.channel.column and not accelerometer.channel.unit:
+            key = f"accelerometers.{name}.{accelerometer.observable}.unit"
+            problems.append(f"{key}: is missing, to simulate records")
+    if campaign.time.kind == "rows" and campaign.runs:
+        problems.append("records.time: simulated records have a column of the time")
+    records = [run.record for run in campaign.runs]
+    for run in campaign.runs:
+        if records.count(run.record) > 1:
+            problems.append(f'run "{run.name}": a simulated record is of one run')
+        if len(run.files) > 1:
+            problems.append(f'run "{run.name}": a simulated record is one file')
+        if run.recording is not None:
+            problems.append(f'run "{run.name}": all simulated records are read alike')
+    if problems:
+        raise CampaignError(str(campaign.path), problems)
+
+
+def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
+    """Return how many rows a record takes that is computed, not read.
+
+    rate, duration, sampling_rate: rad/s, s, Hz.
+    means: Whether the samples are averaged as `calibrate` does it.
+    """
+    from counterspin.records.reduction import BLOCKS_PER_REVOLUTION, block_size
+
+    samples = duration * sampling_rate
+    if means and rate:
+        samples /= block_size(1.0 / sampling_rate, rate)
+    # The integrals need about as many places in a revolution, however few samples it has.
+    return max(samples, BLOCKS_PER_REVOLUTION * abs(rate) * duration / (2.0 * math.pi))
+
+
+def require_room(
+    campaign: Campaign, sampling_rate: float, purpose: Literal["forecast", "study", "simulation"]
+) -> None:
+    """Raise CampaignError if the records of a campaign would be too much to compute.
+
+    What is written piece by piece (a simulation) may have any number of runs.
+
+    sampling_rate: Hz.
+    """
+    lengths = [
+        (f"runs[{index}]", run.rate, run.duration, len(campaign.accelerometers))
+        for index, run in enumerate(campaign.runs)
+    ]
+    if purpose == "simulation":  # the others need only how uncertain a mean is
+        lengths += [
+            (f'run "{reading.name}"', reading.rate, reading.duration, 1)
+            for reading in campaign.readings
+            if reading.record is not None
+        ]
+    sizes = [
+        (
+            (1 if purpose == "simulation" else count)
+            * paper_rows(rate, duration, sampling_rate, means=purpose == "forecast"),
+            f"{where}: {duration:.4g} s at {abs(rate) / (2.0 * math.pi):.3g} rev/s, sampled at "
+            f"{sampling_rate:.4g} Hz,",
+        )
+        for where, rate, duration, count in lengths
+        if duration is not None
+    ]
+    total = sum(rows for rows, _ in sizes)
+    records = len(campaign.runs) * len(campaign.accelerometers)
+    if purpose != "simulation" and records > MOST_RECORDS:
+        words = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
+        raise CampaignError(str(campaign.path), [words])
+    most = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
+    advice = (
+        f"rows to compute, and a {purpose} has room for {most:.2g}; choose fewer "
+        "revolutions, a shorter duration or a lower sampling rate"
+    )
+    if purpose == "simulation":
+        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > most]
+    elif total > most:
+        rows, words = max(sizes)
+        problems = [f"{words} makes {rows:.3g} of the {total:.3g} {advice}"]
+    else:
+        problems = []
+    if problems:
+        raise CampaignError(str(campaign.path), problems)
