@@ -148,6 +148,17 @@ def multiplied(run: str | None, column: int, factor: float) -> Callable[[Records
     return apply
 
 
+def detrended(column: int) -> Callable[[Records], None]:
+    """Return what removes the parabola that fits best from a column of every run."""
+
+    def apply(records: Records) -> None:
+        for rows in records.values():
+            powers = np.vander(rows[:, TIME] / rows[-1, TIME], 3)
+            rows[:, column] -= powers @ np.linalg.lstsq(powers, rows[:, column], rcond=None)[0]
+
+    return apply
+
+
 def late_angle(delay: float, *names: str) -> Callable[[Records], None]:
     """Return what samples the angle of some runs, or of all, later than the displacement, by s."""
 

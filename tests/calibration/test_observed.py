@@ -3,6 +3,7 @@
 import math
 import re
 
+import numpy as np
 import polars as pl
 import pytest
 from campaigns import PLACE, SMALL, campaign_of, changed, runs
@@ -223,3 +224,68 @@ def test_what_is_left_of_gravity_acts_through_the_computers_velocity(tmp_path):
     result = calibrate(campaign_of(tmp_path, text))
     assert far_off(result) == set()
     assert not {"own-velocity", "lack-of-fit"} & {f.code for f in result.findings}
+
+
+def detrended(folder, text, count, tmp_path, files=("slow", "middle", "fast")):
+    """Return the campaign with what a recorder makes that removes so many of 1, t and t^2."""
+    for name in ("slow", "middle", "fast"):
+        record = pl.read_csv(folder / f"{name}.csv")
+        column = record.columns[2]
+        t, x = record["time_s"].to_numpy(), record[column].to_numpy()
+        powers = np.vander(t / t[-1], count, increasing=True)
+        if name in files and count:
+            x = x - powers @ np.linalg.lstsq(powers, x, rcond=None)[0]
+        record = record.with_columns(pl.Series(column, x.round(9)))
+        record.write_csv(tmp_path / f"{name}.csv")
+    return campaign_of(tmp_path, text)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_a_removed_line_or_parabola_is_refused_where_it_decides(recorded, tmp_path, count):
+    folder, text, _ = recorded
+    campaign = detrended(folder, text, count, tmp_path)
+    # The start velocity, an unknown of a record of velocity, takes up a mean.
+    harmless = 1 if "velocity = {" in text else 0
+    if count <= harmless:
+        assert len(list(observe(campaign))) == 3
+        return
+    word = ("mean", "line", "parabola")[count - 1]
+    with pytest.raises(RecordError, match=f"slow, middle, fast: a {word} was removed .* 'east'"):
+        list(observe(campaign))
+
+
+@pytest.fixture(scope="module")
+def displaced(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("displacement")
+    simulate(campaign_of(folder, SMALL), folder)
+    return folder
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_of_displacement_only_a_parabola_decides(displaced, tmp_path, count):
+    campaign = detrended(displaced, SMALL, count, tmp_path)
+    if count < 3:
+        result = calibrate(campaign)
+        codes = [finding.code for finding in calibrate(campaign_of(displaced, SMALL)).findings]
+        assert [finding.code for finding in result.findings] == codes
+        word = ("mean", "line")[count - 1]
+        assert any(f"A {word} was removed" in text for text in result.warnings)
+        return
+    with pytest.raises(RecordError, match="orthogonal to 1, t, t\\^2, as no record is"):
+        calibrate(campaign)
+
+
+def test_one_record_without_its_parabola_is_refused(displaced, tmp_path):
+    # Whichever rows are used of it, its file's rows show what was removed.
+    text = SMALL.replace('record = "fast.csv"', 'record = "fast.csv"\nstart = "3 s"')
+    campaign = detrended(displaced, text, 3, tmp_path, files=("fast",))
+    with pytest.raises(RecordError, match=r"^fast: a parabola was removed"):
+        list(observe(campaign))
+
+
+def test_a_good_campaign_has_nothing_removed(displaced):
+    parts = {run.run.name: run.record.polynomials for run in observe(campaign_of(displaced, SMALL))}
+    # Rounding would be below 0.02; the noise makes about 1, and a bias of 5 mg 1e5.
+    assert min(abs(part).max() for own in parts.values() for part in own.values()) > 1e3
+    warnings = calibrate(campaign_of(displaced, SMALL)).warnings
+    assert not any("removed" in text for text in warnings)

@@ -13,7 +13,7 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
 from counterspin.calibration.model import assumed
 from counterspin.calibration.notebook.residuals import residuals_of
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.observed import ObservedRun, removed_of
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
@@ -31,6 +31,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.records.removed import WORDS as REMOVED
 from counterspin.results import environment
 
 #: A record that lasts less than this part of what the campaign states is asked about.
@@ -86,7 +87,7 @@ def calibration(
         ),
         assumed=list(assumed(campaign)),
         details=dict(campaign.details),
-        warnings=_remarks(campaign),
+        warnings=[*_remarks(campaign), *_removed(campaign, observed)],
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums),
@@ -261,6 +262,20 @@ def _asked_about(campaign: Campaign) -> list[Finding]:
         Finding(code=question.code, subject=question.subject, text=question.text)
         for question in questions(campaign)
     ]
+
+
+def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
+    """Return what recorders removed that start offset and start velocity take up."""
+    remarks = []
+    for name, accelerometer in campaign.accelerometers.items():
+        count, runs = removed_of({run.run.name: run.record.polynomials[name] for run in observed})
+        if count:
+            remarks.append(
+                f"A {REMOVED[count]} was removed from column '{accelerometer.channel.column}' "
+                f"({name}) before it was written ({', '.join(runs)}). It does no harm: the start "
+                "offset and start velocity of each record are unknowns."
+            )
+    return remarks
 
 
 def _remarks(campaign: Campaign) -> list[str]:

@@ -27,6 +27,8 @@ from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
+from counterspin.records.removed import WORDS as REMOVED
+from counterspin.records.removed import removed
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
 _HORIZONTAL_PART: Final = 0.05
@@ -66,8 +68,10 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     _refuse_missing(campaign)
     first_with: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
+    parts: dict[str, dict[str, Array]] = {}
     for run in campaign.runs:
         record = read_run(campaign, run)
+        parts[run.name] = dict(record.polynomials)
         samples = _samples_digest(record)
         earlier = first_with.setdefault(samples, run)
         if earlier is not run:
@@ -75,6 +79,38 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
         # When a run was made may depend on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
         yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
+    for name in campaign.accelerometers:
+        _refuse_removed(campaign, name, {run: own[name] for run, own in parts.items()})
+
+
+def removed_of(parts: Mapping[str, Array]) -> tuple[int, list[str]]:
+    """Return how many of 1, t and t^2 a recorder removed from a signal, and in which runs.
+
+    parts: Run -> parts of the signal's column, as of `Record.polynomials`.
+    """
+    if not parts:
+        return 0, []
+    together = removed(list(parts.values()))
+    alone = {run: removed([own]) for run, own in parts.items()}
+    count = max(together, *alone.values())
+    return count, [run for run, own in alone.items() if count in (together, own)]
+
+
+def _refuse_removed(campaign: Campaign, name: str, parts: Mapping[str, Array]) -> None:
+    """Refuse a signal from which more was removed than start offset and velocity take up."""
+    observable = campaign.accelerometers[name].observable
+    count, runs = removed_of(parts)
+    if count <= observation.ORDERS[observable]:
+        return
+    column = campaign.accelerometers[name].channel.column
+    powers = ", ".join(("1", "t", "t^2")[:count])
+    raise RecordError(
+        f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
+        f"it was written: to the last digit its rows are orthogonal to {powers}, as no record "
+        f"is. With it went what K_F and K_II do to {observable.replace('_', ' ')}. Switch that off "
+        "in the recorder or in the export (detrend, remove offset, zero mean), and record or "
+        "export again."
+    )
 
 
 def _refuse_missing(campaign: Campaign) -> None:

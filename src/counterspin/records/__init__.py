@@ -8,6 +8,7 @@
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
   the order in which a record passes them
+- `removed`: whether a recorder took a mean, a line or a parabola off
 - `memory`: columns that a program holds, in the place of a file
 - `mean`: the mean of a record over whole revolutions; `mean_scatter`: how uncertain its noise
   leaves it

@@ -121,6 +121,11 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     return Waves(fitted[..., 0], centre, deviation, u_amplitude, first, last)
 
 
+def noise_of(fitted: Waves) -> float:
+    """Return what a signal scatters by beside its waves, in its unit; NaN where nothing tells."""
+    return float(np.median(fitted.deviation)) if len(fitted.deviation) else math.nan
+
+
 @frozen
 class UnitChange:
     """Where a wave's amplitude changes: a revolution before it and one after it, and the words."""

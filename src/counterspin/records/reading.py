@@ -21,6 +21,7 @@ from counterspin.records.amplitude import (
     Waves,
     against_reference,
     change_of_unit,
+    noise_of,
     switch,
     waves,
 )
@@ -33,6 +34,7 @@ from counterspin.records.memory import MemoryTable
 from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, piece_rows
 from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
 from counterspin.records.reduction import Blocks, Reducer, block_size, without_lone_rows
+from counterspin.records.removed import PolynomialParts
 from counterspin.records.report import Gap, Outlier, RecordReport
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
 from counterspin.records.spikes import find_spikes
@@ -159,6 +161,7 @@ class _RecordReader:
         self._motion = motion
         self._wants_blocks = block == "auto" and bool(motion.rate)
         self._clock = Clock(file.path, file.locate, motion.rate)
+        self._polynomials = PolynomialParts(len(self._signals))
         self._rows = 0
         self._lone = 0
         self._outside = 0
@@ -182,6 +185,9 @@ class _RecordReader:
         reducer: Reducer | None = None
         for columns in in_pieces(self._file.batches(self._columns.names), self._choose_rows):
             rows = column_rows(columns)
+            if not self._motion.steady:
+                signals = [columns[spec.name] for spec in self._signals]
+                self._polynomials.add(columns[self._columns.time.name], signals)
             first, last = self._rows_within(columns, within)
             left = rows - (last - first)
             outside = rows - _count(*self._rows_within(columns, self._columns.part)) if left else 0
@@ -324,13 +330,16 @@ class _RecordReader:
             self._refuse_beyond_measure(self._columns.angle, blocks.angle)
         phase = self._motion.rate * blocks.time if blocks.angle is None else blocks.angle
         signals: dict[str, np.ndarray] = {}
+        parts: dict[str, np.ndarray] = {}
         for place, (name, spec) in enumerate(self._columns.signals.items()):
             signal = blocks.signals[place] * spec.factor
             self._refuse_beyond_measure(spec, signal)
             if self._block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
             if not self._motion.steady:
-                self._check_amplitude(name, blocks.time, phase, signal)
+                fitted = self._check_amplitude(name, blocks.time, phase, signal)
+                noise = noise_of(fitted) * np.sqrt(np.median(blocks.count))
+                parts[name] = self._polynomials.of(place) * (spec.factor / noise)
             signals[name] = signal
         return Record(
             blocks.time,
@@ -341,6 +350,7 @@ class _RecordReader:
             self._start_time,
             self._report(blocks),
             self._file.identity,
+            polynomials=parts,
         )
 
     def _check_length(self, blocks: Blocks) -> None:
@@ -378,8 +388,8 @@ class _RecordReader:
 
     def _check_amplitude(
         self, accelerometer: str, time: np.ndarray, phase: np.ndarray, signal: np.ndarray
-    ) -> None:
-        """Refuse a signal whose wave changes its size or is not the motion's."""
+    ) -> Waves:
+        """Return a signal's waves; refuse those that change their size or are not the motion's."""
         expected = self._motion.swings.get(accelerometer)
         fitted = waves(phase, signal)
         change = change_of_unit(fitted, may_grow=expected is None)
@@ -390,6 +400,7 @@ class _RecordReader:
             if wrong is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
+        return fitted
 
     def _changed(
         self,

@@ -152,3 +152,6 @@ class Record:
     identity: FileIdentity | None  #: Which file it was read from; None of a record in memory.
     #: Likewise of further files: those in which it goes on, and that of its pulses.
     others: Mapping[Path, FileIdentity] = field(default_factory=dict)
+    #: Accelerometer -> parts of its whole column along 1, t and t^2, over the noise of one row,
+    #: shape (3,); NaN where nothing tells it. See `counterspin.records.removed`.
+    polynomials: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -13,6 +13,7 @@ from mistaken_campaigns import (
     TIME,
     Mistake,
     added,
+    detrended,
     exchanged,
     late_angle,
     make_records,
@@ -109,6 +110,13 @@ MISTAKES = (
         "angle sampled 5 ms after the displacement",
         "wrong-input records.timing_offset",
         records=late_angle(0.005),
+    ),
+    Mistake(
+        "a parabola removed from every record of one accelerometer",
+        "a parabola was removed from column 'east_m' (Qx) before it was written",
+        description=(("bias", "# bias"),),
+        records=detrended(EAST),
+        state="",
     ),
     Mistake(
         "columns of the two accelerometers exchanged",
