@@ -19,8 +19,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.description import Campaign
+from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import TERMS

@@ -16,8 +16,7 @@ from scipy.special import ndtri, stdtr
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.model import model_of
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.description import Campaign
+from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.physics.terms import INPUTS, OWN_TERMS, term
 from kept_table import DOCS, UNITS, KeptTable, frame, table_of
