@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.calibration.pages.full_report import document, identifier_of
+from counterspin.calibration.pages.full_report import document
 from counterspin.calibration.result import Result
 from counterspin.certificates.reading import read_certificate
 from counterspin.reports.blocks import Paragraph
@@ -15,7 +15,7 @@ RESULT = Result.read(EXAMPLES / "result.json")
 
 def test_the_report_is_of_this_result_and_gives_its_answers():
     page = (EXAMPLES / "report.html").read_text(encoding="utf-8")
-    assert identifier_of(RESULT) in page
+    assert RESULT.identifier in page
     answers = [b.text for b in document(RESULT) if isinstance(b, Paragraph) and b.style == "answer"]
     assert len(answers) == 2
     for answer in answers:
@@ -27,7 +27,7 @@ def test_the_pdf_is_of_this_result():
 
     pages = PdfReader(EXAMPLES / "report.pdf").pages
     for page in pages:
-        assert identifier_of(RESULT) in page.extract_text()
+        assert RESULT.identifier in page.extract_text()
 
 
 def test_the_pdf_certificate_carries_the_xml():

@@ -21,7 +21,6 @@ from counterspin.application import guard
 from counterspin.calibration import assembly
 from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
-from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.campaign import truth
 from counterspin.campaign.settings import exact
 from counterspin.certificates import coverage, signature
@@ -40,7 +39,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
 MOTION = terms.MOTION_TERMS
 RESULT = cs.read_result(DOCS / "examples" / "three-rate" / "result.json")
-DIGITS = len(identifier_of(RESULT).removeprefix("CS-"))
+DIGITS = len(RESULT.identifier.removeprefix("CS-"))
 PLAN = tomllib.loads((files("counterspin.planning") / "starter.toml").read_text("utf-8"))
 KNOWN = {
     symbol: float(re.search(r"± (\S+)", text)[1])

@@ -26,7 +26,7 @@ The commands, as functions:
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `validate`: reference cases, run on what is installed (`Dossier`); `write_dossier`: as files
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
-- `report`, `write_report`: its full report as HTML, PDF or Markdown, returned or written
+- `report`, `write_report`: the report of any of these results as HTML, PDF or Markdown
 - `certificate`: the Digital Calibration Certificate (`Certificate`) of a result
 - `read_campaign`: a description, checked (`Campaign`); `make_campaign`: from a mapping and data
   frames; `Quantity`: value, standard uncertainty and unit
@@ -81,8 +81,6 @@ if TYPE_CHECKING:
     from counterspin._version import __version__ as __version__
     from counterspin.calibration.calibrate import calibrate as calibrate
     from counterspin.calibration.options import TwoStageOptions as TwoStageOptions
-    from counterspin.calibration.pages.publishing import report as report
-    from counterspin.calibration.pages.publishing import write_report as write_report
     from counterspin.calibration.pages.terminal import print_result as print_result
     from counterspin.calibration.result import Result as Result
     from counterspin.calibration.result import read_result as read_result
@@ -143,6 +141,8 @@ if TYPE_CHECKING:
     from counterspin.planning.forecast import forecast as forecast
     from counterspin.planning.plan import Planned as Planned
     from counterspin.planning.plan import plan as plan
+    from counterspin.reports.publishing import report as report
+    from counterspin.reports.publishing import write_report as write_report
     from counterspin.reproduction.comparison import reproduce as reproduce
     from counterspin.reproduction.demo import Demonstration as Demonstration
     from counterspin.reproduction.demo import demo as demo
@@ -197,7 +197,7 @@ _OFFERED = {
     "physics.observation": ("columns", "reference"),
     "physics.terms": ("SHARED_TERMS", "TERMS"),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
-    "calibration.pages.publishing": ("report", "write_report"),
+    "reports.publishing": ("report", "write_report"),
     "certificates.issuing": ("Certificate", "certificate"),
     "calibration.pages.terminal": ("print_result",),
     "reproduction.comparison": ("reproduce",),

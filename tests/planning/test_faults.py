@@ -18,7 +18,6 @@ from counterspin.planning.faults import (
     square,
 )
 from counterspin.planning.forecast import forecast
-from counterspin.planning.page import render_plan
 from counterspin.planning.plan import plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.search import Search
@@ -209,7 +208,7 @@ def test_report_and_result_name_what_is_not_noticed(starter, capsys):
     assert k_oo.shift / told.coefficients["K_II"].u == pytest.approx(k_oo.ratio)
     console = report_console()
     console.width = 140
-    console.print(render_plan(result))
+    console.print(result)
     printed = " ".join(capsys.readouterr().out.split())
     assert "What these runs cannot notice of Qx" in printed
     assert "second-order output-axis coefficient (K_OO) 2 ug/g^2" in printed

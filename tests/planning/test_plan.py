@@ -21,7 +21,6 @@ from counterspin.physics.terms import CONDITION_TERMS
 from counterspin.planning.design import Design
 from counterspin.planning.figures import FIGURES, save_figures
 from counterspin.planning.forecast import forecast, planned_series
-from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.result import PlanResult
@@ -309,7 +308,7 @@ def test_forecast_needs_no_truth(plan_of, tmp_path):
 def report_of(result, capsys) -> str:
     console = report_console()
     console.width = 120  # no words of a table fold, whatever COLUMNS says
-    console.print(render_plan(result))
+    console.print(result)
     return " ".join(capsys.readouterr().out.split())
 
 

@@ -9,7 +9,6 @@ from counterspin.campaign.description import read_campaign
 from counterspin.campaign.starter import init
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import forecast
-from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan
 from counterspin.planning.watching import watch
 from counterspin.reports.text import report_console
@@ -70,7 +69,7 @@ def test_sizes_that_cannot_occur_are_no_limit(tmp_path, capsys):
     assert all(size is None or size < 1.0 for size in sizes.values())
     console = report_console()
     console.width = 120
-    console.print(render_plan(result))
+    console.print(result)
     printed = " ".join(capsys.readouterr().out.split())
     assert "angle's zero, a new one in each run no limit" in printed
     assert "clock of the angle against that of the output no limit" in printed

@@ -6,13 +6,12 @@ import pytest
 from rich.console import Console
 
 from counterspin.reproduction.comparison import reproduce
-from counterspin.reproduction.page import render_reproduction
 from counterspin.reproduction.result import PaperSection, Reproduction, Row
 
 
 def rendered(reproduction, width):
     out = io.StringIO()
-    Console(file=out, width=width).print(render_reproduction(reproduction))
+    Console(file=out, width=width).print(reproduction)
     return out.getvalue()
 
 

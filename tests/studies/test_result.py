@@ -4,7 +4,6 @@ import pytest
 from campaigns import SMALL, write
 
 from counterspin.reports.blocks import Paragraph
-from counterspin.studies.page import render_study
 from counterspin.studies.result import FEWEST_TRIALS, StudyResult
 from counterspin.studies.study import study
 
@@ -23,7 +22,7 @@ def test_too_few_trials_are_not_judged(tmp_path, trials):
     result.write(tmp_path / "study.json")
     again = StudyResult.read(tmp_path / "study.json")
     assert again.verdict == result.verdict
-    styles = [b.style for b in render_study(again).blocks if isinstance(b, Paragraph)]
+    styles = [b.style for b in again.blocks() if isinstance(b, Paragraph)]
     assert "answer" not in styles
     assert styles.count("warning") == 1
 

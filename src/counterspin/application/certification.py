@@ -35,7 +35,7 @@ def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[st
 
 def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tuple[str, bytes]:
     """Return a report's own name and what is in it; nothing is written into the folder."""
-    from counterspin.calibration.pages.publishing import report
+    from counterspin.reports.publishing import report
 
     found = desk.result(result)
     with desk.drawing:

@@ -8,7 +8,6 @@ from counterspin.application.commands import check_command, watch_command
 from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
 from counterspin.monitoring.check import check
-from counterspin.monitoring.page import render_check
 from counterspin.monitoring.reaching import goals_of
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
@@ -21,7 +20,7 @@ def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
     if not records:
         raise NotThereError(f"{name}: there is no run {run!r} with a record")
     checked = check(records[0], campaign, run=run)
-    blocks = list(map(typeset_block, render_check(checked).blocks))
+    blocks = list(map(typeset_block, checked.blocks()))
     return {
         "html": part(blocks, title=f"Check of {run}"),
         "good": checked.good,

@@ -139,13 +139,12 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
     """Follow a campaign's records, and tell each new state."""
 
     def work(_: Progress) -> None:
-        from counterspin.monitoring.page import render_watch
         from counterspin.monitoring.watch import watch
         from counterspin.reports.html import part
         from counterspin.reports.typography import typeset_block
 
         for state in watch(campaign, goals=[goal] if goal else []):
-            blocks = list(map(typeset_block, render_watch(state).blocks))
+            blocks = list(map(typeset_block, state.blocks()))
             told = {"events": state.events, "complete": state.complete}
             there.send(("told", {"html": part(blocks, title="Live"), **told}))
 

@@ -111,12 +111,12 @@ def forecast_into(there: Connection, file: Path) -> None:
 
 
 def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
-    from counterspin.studies.page import coverage_plots, render_study
+    from counterspin.studies.page import report_blocks
     from counterspin.studies.result import StudyResult
 
     file = desk.file(names[0])
     found = StudyResult.read(file)
-    blocks = _typeset([*render_study(found).blocks, *coverage_plots(found)])
+    blocks = _typeset(report_blocks(found))
     return Page(found.title, blocks, study_command(file.parent, found.trials_asked, file))
 
 

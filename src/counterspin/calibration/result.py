@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence, Sized
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
@@ -34,11 +35,12 @@ from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
+from counterspin.reports.publication import Publication
 from counterspin.reports.shown import ShownResult, loaded, on_axes
 
 if TYPE_CHECKING:
     from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
-    from counterspin.reports.blocks import Block, Picture
+    from counterspin.reports.blocks import Picture
 
 #: Where its pictures are made, and its whole residuals.
 _PICTURES: Final = "counterspin.calibration.pages.pictures"
@@ -68,6 +70,10 @@ class Result(ShownResult):
     `rests_on` is what else is known of terms and inputs, stated or not; `assumed` are those that
     are taken as perfect.
     """
+
+    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.sections:first_screen"
+    REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.full_report:document"
+    REPORT_KIND: ClassVar[str] = "a calibration report"
 
     schema_version: Annotated[int, Field(alias="schema")] = 2
 
@@ -284,9 +290,13 @@ class Result(ShownResult):
 
     __str__ = __repr__
 
-    def _first_screen(self) -> Sequence[Block]:
-        made: Sequence[Block] = loaded("counterspin.calibration.pages.sections:first_screen")(self)
-        return made
+    def publication(self, identifier: str | None = None) -> Publication:
+        """Return its report, to be written as HTML, PDF or Markdown."""
+        return replace(
+            super().publication(identifier),
+            title=self.title or "Calibration",
+            version=self.provenance.version,
+        )
 
     def faults(self) -> Iterator[str]:
         """Yield what would be applied or shown wrongly, though each part looks like one."""

@@ -10,7 +10,6 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
     Amended,
@@ -38,6 +37,7 @@ from counterspin.frozen import frozen
 from counterspin.output import reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
+from counterspin.reports.publication import issue_date
 
 #: Endings of the files that are written.
 FORMATS: Final = (".xml", ".pdf")

@@ -212,7 +212,6 @@ def calibrate_several(
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
     from counterspin.calibration.batch import BatchResult, calibrate_many
-    from counterspin.calibration.pages.batch import render_batch
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
     from counterspin.workers import Workers
@@ -229,7 +228,7 @@ def calibrate_several(
             progress=advance,
         )
     with saved.written(batch):
-        report_console().print(render_batch(batch))
+        report_console().print(batch)
     if batch.failed:
         raise CounterspinError(
             f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated"

@@ -31,13 +31,12 @@ def check(
         Which run it is, where its name does not say.
     """
     from counterspin.monitoring.check import check as judge
-    from counterspin.monitoring.page import render_check
     from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import report_console
 
     saved.reserve(CheckedRun.file_kind)
     checked = judge(record, campaign, run=run)
     with saved.written(checked):
-        report_console().print(render_check(checked))
+        report_console().print(checked)
     if not checked.good:
         raise CounterspinError("the run should not be kept as it is")

@@ -18,7 +18,6 @@ def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None
         Write the comparison to this file too: .html, .pdf or .md.
     """
     from counterspin.comparisons.compare import compare as run
-    from counterspin.comparisons.page import KIND, render_comparison, write_report
     from counterspin.comparisons.result import Compared
     from counterspin.output import marked, reserve
     from counterspin.reports.publication import check_format
@@ -26,10 +25,10 @@ def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None
 
     if report is not None:
         check_format(report)
-        reserve(report, lambda: marked(KIND), overwrite=saved.overwrite)
+        reserve(report, lambda: marked(Compared.report_kind()), overwrite=saved.overwrite)
     saved.reserve(Compared.file_kind)
     compared = run(*results)
     with saved.written(compared):
         if report is not None:
-            write_report(compared, report, overwrite=saved.overwrite)
-        report_console().print(render_comparison(compared))
+            compared.write_report(report, overwrite=saved.overwrite)
+        report_console().print(compared)

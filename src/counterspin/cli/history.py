@@ -32,7 +32,7 @@ def history(
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """
     from counterspin.histories.history import history as run
-    from counterspin.histories.page import CHART, history_plots, render_history
+    from counterspin.histories.page import CHART, history_plots
     from counterspin.histories.result import History
     from counterspin.output import marked, reserve
     from counterspin.reports.charts import check_format, save
@@ -48,7 +48,7 @@ def history(
     with saved.written(result):
         if figure is not None:
             save(history_plots(result), figure, CHART, overwrite=saved.overwrite)
-        report_console().print(render_history(result))
+        report_console().print(result)
     if result.damaged:
         raise CounterspinError(
             f"{len(result.damaged)} of the files are results that cannot be read; the history is "

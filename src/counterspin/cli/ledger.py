@@ -58,8 +58,8 @@ def ledger(
 
 def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
     """Enter a result's file, and say so."""
-    from counterspin.calibration.pages.publishing import issue_date
     from counterspin.certificates.entering import enter_result
+    from counterspin.reports.publication import issue_date
 
     entered = enter_result(ledger, result, who=who, why=why, date=issue_date())
     say(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")

@@ -57,7 +57,6 @@ def plan(
     """
     from counterspin.campaign.settings import exact
     from counterspin.planning.figures import FIGURE, FIGURES, save_figures
-    from counterspin.planning.page import render_plan
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example
@@ -95,7 +94,7 @@ def plan(
     with saved.written(result):
         written = None if output is None else write_campaign(planned, output)
         drawn = figures and save_figures(result, figures, overwrite=saved.overwrite)
-        report_console().print(render_plan(result))
+        report_console().print(result)
     if output is not None and result.readings:
         say("", f"Wrote {written}. Put what is read in the place of each ?, then:")
         say(f"  counterspin calibrate {shell_word(output)}")

@@ -1,10 +1,29 @@
-"""`counterspin report`: a result as HTML, PDF, Markdown or in the terminal."""
+"""`counterspin report`: any result as HTML, PDF, Markdown or in the terminal."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 from counterspin.cli.words import OutputFile, say
+
+if TYPE_CHECKING:
+    from counterspin.reports.shown import ShownResult
+
+#: Whatever a command writes with --json, beside a calibration: module and class.
+_KINDS: Final = (
+    ("planning.result", "PlanResult"),
+    ("studies.result", "StudyResult"),
+    ("histories.result", "History"),
+    ("comparisons.result", "Compared"),
+    ("comparisons.result", "Repeated"),
+    ("monitoring.result", "CheckedRun"),
+    ("monitoring.result", "WatchState"),
+    ("calibration.batch", "BatchResult"),
+    ("validation.result", "Dossier"),
+    ("reproduction.result", "Reproduction"),
+)
 
 
 def report(
@@ -16,12 +35,13 @@ def report(
     date: str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write the full report of a result: answer, checks, budget, residuals, origin.
+    """Write the report of a result: of a calibration the answer, checks, budget, residuals, origin.
 
     Parameters
     ----------
     source
-        Result file, or a campaign's folder or description, which is calibrated first.
+        File that a command has written with --json: of a calibration, plan, study, history and so
+        on; or a campaign's folder or description, which is calibrated first.
     output
         The report: .html, .pdf or .md; without it, the report is printed.
     identifier
@@ -29,21 +49,21 @@ def report(
     date
         When it was made, such as 2026-03-01; else SOURCE_DATE_EPOCH or now.
     overwrite
-        Replace an earlier report; never another file.
+        Replace an earlier report of the same kind; never another file.
     """
-    from counterspin.calibration.pages.full_report import document
-    from counterspin.calibration.pages.publishing import KIND, issue_date, write_report
     from counterspin.calibration.result import Result
     from counterspin.output import marked, reserve
-    from counterspin.reports.publication import check_format
+    from counterspin.reports.publication import check_format, issue_date
     from counterspin.reports.text import Report, report_console
 
     issued = issue_date(date)
+    is_file = source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml")
+    kind = _kind_of(source) if is_file else Result
     if output is not None:
         check_format(output)
-        reserve(output, lambda: marked(KIND), overwrite=overwrite)
-    if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
-        result = Result.read(source)
+        reserve(output, lambda: marked(kind.report_kind()), overwrite=overwrite)
+    if is_file:
+        result = kind.read(source)
     else:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.reports.progress import progress
@@ -51,7 +71,20 @@ def report(
         with progress() as advance:
             result = calibrate(source, progress=advance)
     if output is None:
-        report_console().print(Report(document(result)))
+        report_console().print(Report(list(result.publication(identifier).blocks)))
         return
-    write_report(result, output, identifier=identifier, issued=issued, overwrite=overwrite)
+    result.write_report(output, identifier=identifier, issued=issued, overwrite=overwrite)
     say(f"Wrote {output}.")
+
+
+def _kind_of(path: Path) -> type[ShownResult]:
+    """Return the class whose file this is; a calibration's where it is none's, to say what."""
+    from counterspin.calibration.result import Result
+
+    if Result.file_kind().recognises(path):
+        return Result
+    for module, name in _KINDS:
+        kind: type[ShownResult] = getattr(import_module(f"counterspin.{module}"), name)
+        if kind.file_kind().recognises(path):
+            return kind
+    return Result

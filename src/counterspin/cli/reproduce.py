@@ -9,10 +9,9 @@ def reproduce(*, saved: Saved = NOT_SAVED) -> None:
     """Recompute the paper's figures beside what is printed, and say why they differ."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
-    from counterspin.reproduction.page import render_reproduction
     from counterspin.reproduction.result import Reproduction
 
     saved.reserve(Reproduction.file_kind)
     reproduction = run()
     with saved.written(reproduction):
-        report_console().print(render_reproduction(reproduction))
+        report_console().print(reproduction)

@@ -25,7 +25,6 @@ def rerun(
         Where its campaign is; otherwise the folder of the result.
     """
     from counterspin.comparisons.rerun import rerun as run
-    from counterspin.comparisons.rerun_page import render_repeat
     from counterspin.comparisons.result import Repeated
     from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console
@@ -34,6 +33,6 @@ def rerun(
     with progress() as advance:
         repeated = run(result, folder, progress=advance)
     with saved.written(repeated):
-        report_console().print(render_repeat(repeated))
+        report_console().print(repeated)
     if not repeated.same:
         raise CounterspinError(f"{result}: calibrated again, it is not the same")

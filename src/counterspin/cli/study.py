@@ -77,7 +77,6 @@ def study(
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
     from counterspin.studies.folder import StudyFolder
-    from counterspin.studies.page import render_study
     from counterspin.studies.result import StudyResult
     from counterspin.studies.study import study as run
     from counterspin.workers import Workers
@@ -102,7 +101,7 @@ def study(
             from counterspin.studies.page import write_figures
 
             write_figures(result, output, overwrite=resume or saved.overwrite)
-        report_console().print(render_study(result))
+        report_console().print(result)
     if not result.complete:
         more = "" if output is None else "; the same command with --resume goes on"
         raise KeyboardInterrupt(f"stopped{more}")

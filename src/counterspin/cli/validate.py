@@ -22,7 +22,6 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     """
     from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console
-    from counterspin.validation.page import render_dossier
     from counterspin.validation.validate import check_folder, write_dossier
     from counterspin.validation.validate import validate as run
 
@@ -30,7 +29,7 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     with progress(words=("Running cases", "Running cases", "Writing")) as advance:
         dossier = run(schema=schema, progress=advance)
         write_dossier(dossier, output, overwrite=overwrite)
-    report_console().print(render_dossier(dossier))
+    report_console().print(dossier)
     say(f"Wrote {shell_word(output)}")
     if dossier.failed:
         raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")

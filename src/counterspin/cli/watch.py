@@ -67,22 +67,21 @@ def watch(
 def _live(states: Iterator[WatchState]) -> None:
     from rich.live import Live
 
-    from counterspin.monitoring.page import render_watch
     from counterspin.reports.text import report_console
 
     console = report_console()
     with Live(console=console, auto_refresh=False) as live:
         for state in states:
-            live.update(render_watch(state), refresh=True)
+            live.update(state, refresh=True)
 
 
 def _lines(states: Iterator[WatchState], *, once: bool) -> None:
-    from counterspin.monitoring.page import render_watch, watch_line
+    from counterspin.monitoring.page import watch_line
     from counterspin.reports.text import report_console
 
     for state in states:
         if once:
-            report_console().print(render_watch(state))
+            report_console().print(state)
             return
         clock = time.strftime("%H:%M:%S")
         told = [f"{clock} {event}" for event in state.events]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Final
 
-from counterspin.calibration.pages.publishing import issue_date
 from counterspin.comparisons.estimates import g_units_ratio
 from counterspin.comparisons.result import (
     AgreementOfTwo,
@@ -31,8 +29,6 @@ from counterspin.reports.numbers import (
     format_estimate,
     format_number,
 )
-from counterspin.reports.publication import Publication
-from counterspin.reports.text import Report
 
 _TITLE: Final = "Comparison of results"
 
@@ -44,11 +40,6 @@ _RECORDS: Final = {
     "part": "some records in common",
     "independent": "independent records",
 }
-
-
-def render_comparison(compared: Compared) -> Report:
-    """Return the comparison for the terminal."""
-    return Report(list(comparison_blocks(compared)))
 
 
 def comparison_blocks(compared: Compared) -> Iterator[Block]:
@@ -129,34 +120,6 @@ def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
         f"p = {format_number(agreement.p, 2)}"
     )
     return f"{whose} {agree} ({words}; {records})."
-
-
-def write_report(compared: Compared, path: Path | str, *, overwrite: bool = False) -> None:
-    """Write the comparison as a report.
-
-    Parameters
-    ----------
-    compared
-        The comparison.
-    path
-        The file; its ending says the format: .html, .pdf or .md.
-    overwrite
-        Whether an earlier comparison may be replaced; nothing else is.
-
-    Raises
-    ------
-    CampaignError
-        If there is no such format.
-    CounterspinError
-        If a file is in the way, or it cannot be written; nothing is left behind then.
-    """
-    page = Publication(
-        kind=KIND,
-        title=_TITLE,
-        identifier=" / ".join(result.name for result in compared.results),
-        blocks=list(comparison_blocks(compared)),
-    )
-    page.write(Path(path), issue_date(), overwrite=overwrite)
 
 
 def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:

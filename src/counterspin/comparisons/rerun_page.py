@@ -10,10 +10,9 @@ from counterspin.reports.numbers import (
     format_estimate,
     format_number,
 )
-from counterspin.reports.text import Report
 
 
-def render_repeat(repeated: Repeated) -> Report:
+def repeat_blocks(repeated: Repeated) -> list[Block]:
     """Return whether the result still holds, and what changed."""
     blocks: list[Block] = [
         Heading("A result calibrated again", 1),
@@ -33,7 +32,7 @@ def render_repeat(repeated: Repeated) -> Report:
                 tuple((change.subject, *change.values) for change in repeated.changes),
             )
         )
-    return Report(blocks)
+    return blocks
 
 
 def in_words(repeated: Repeated) -> str:

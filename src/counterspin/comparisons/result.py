@@ -5,12 +5,11 @@ Values are in the units of the coefficients, in g-units of the first result's gr
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
-from counterspin.reports.shown import ShownResult, loaded
+from counterspin.reports.shown import ShownResult
 from counterspin.results import ResultPart
 
 
@@ -113,7 +112,7 @@ class Compared(ShownResult):
         What is not the same: files, terms, noise, options, versions.
     """
 
-    FACE: ClassVar[str] = "counterspin.comparisons.page:render_comparison"
+    BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     KIND: ClassVar[str] = "comparison"
 
     gravity: float
@@ -160,9 +159,10 @@ class Compared(ShownResult):
                     column.append(cell)
         return frame_of(columns, _COLUMNS[3:8], library)
 
-    def write_report(self, path: Path | str, *, overwrite: bool = False) -> None:
-        """Write the comparison as .html, .pdf or .md; see `counterspin.comparisons.page`."""
-        loaded("counterspin.comparisons.page:write_report")(self, path, overwrite=overwrite)
+    @property
+    def identifier(self) -> str:
+        """The names of what is compared."""
+        return " / ".join(result.name for result in self.results)
 
 
 class RepeatedCoefficient(ResultPart):
@@ -205,7 +205,7 @@ class Repeated(ShownResult):
         Inputs that were found under another name: name in the result -> where.
     """
 
-    FACE: ClassVar[str] = "counterspin.comparisons.rerun_page:render_repeat"
+    BLOCKS: ClassVar[str] = "counterspin.comparisons.rerun_page:repeat_blocks"
     KIND: ClassVar[str] = "repeat of a result"
 
     result: str

@@ -17,7 +17,6 @@ from counterspin.reports.numbers import (
     format_probability,
     round_to_uncertainty,
 )
-from counterspin.reports.text import Report
 
 #: What a file of control charts says that it is.
 CHART: Final = "a control chart"
@@ -26,11 +25,6 @@ _YEAR: Final = 365.25  #: days
 
 #: z beyond which a result asks for action (ISO 13528:2015, 9.4.2).
 _ACTION_Z: Final = 3.0
-
-
-def render_history(history: History) -> Report:
-    """Return the history for the terminal: verdicts, tables and unused files, without pictures."""
-    return Report(list(history_blocks(history)))
 
 
 def history_blocks(history: History) -> Iterator[Block]:

@@ -161,7 +161,7 @@ class History(ShownResult):
         Further remarks about the files, in sentences.
     """
 
-    FACE: ClassVar[str] = "counterspin.histories.page:render_history"
+    BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     KIND: ClassVar[str] = "history"
 
     term: str

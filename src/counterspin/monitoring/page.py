@@ -20,17 +20,6 @@ from counterspin.reports.numbers import (
     format_number,
     format_uncertainty,
 )
-from counterspin.reports.text import Report
-
-
-def render_check(checked: CheckedRun) -> Report:
-    """Return the judgement of one record for the terminal."""
-    return Report(list(_check_blocks(checked)))
-
-
-def render_watch(state: WatchState) -> Report:
-    """Return a state for the terminal."""
-    return Report(list(_watch_blocks(state)))
 
 
 def watch_line(state: WatchState) -> str:
@@ -43,7 +32,8 @@ def watch_line(state: WatchState) -> str:
     return f"{runs}; {found}{residual}{goals}"
 
 
-def _check_blocks(checked: CheckedRun) -> Iterator[Block]:
+def check_blocks(checked: CheckedRun) -> Iterator[Block]:
+    """Yield the judgement of one record."""
     run = checked.run
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked.good:
@@ -113,7 +103,8 @@ def _ripple(run: RunState) -> str:
     return f"{format_number(part, 2)} of the rate, harmonic {run.harmonic}"
 
 
-def _watch_blocks(state: WatchState) -> Iterator[Block]:
+def watch_blocks(state: WatchState) -> Iterator[Block]:
+    """Yield the state of a campaign whose records grow."""
     yield Heading(state.title or "Campaign", 1)
     for event in state.events:
         yield Paragraph(event, "warning")

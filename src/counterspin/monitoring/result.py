@@ -95,7 +95,7 @@ class WatchState(ShownResult):
         Whether every run is read and as long as the campaign states.
     """
 
-    FACE: ClassVar[str] = "counterspin.monitoring.page:render_watch"
+    BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
     KIND: ClassVar[str] = "watch"
 
     title: str
@@ -133,7 +133,7 @@ class CheckedRun(ShownResult):
         Why that cannot be said; None if it can.
     """
 
-    FACE: ClassVar[str] = "counterspin.monitoring.page:render_check"
+    BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
     KIND: ClassVar[str] = "check"
 
     run: RunState

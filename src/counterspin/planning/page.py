@@ -20,7 +20,6 @@ from counterspin.planning.result import (
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share
-from counterspin.reports.text import Report
 
 _LINES: Final = 6  #: of a budget
 
@@ -29,11 +28,6 @@ _DETECTION_DEVIATIONS: Final = 4.0
 
 #: How limits are changed that are no sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
-
-
-def render_plan(result: PlanResult) -> Report:
-    """Return a plan or a forecast as a rich renderable."""
-    return Report(plan_blocks(result))
 
 
 def plan_blocks(result: PlanResult) -> list[Block]:

@@ -160,7 +160,7 @@ class PlanResult(ShownResult):
     `assumed` are the terms and inputs that are taken as perfect, and so no part of u.
     """
 
-    FACE: ClassVar[str] = "counterspin.planning.page:render_plan"
+    BLOCKS: ClassVar[str] = "counterspin.planning.page:plan_blocks"
     KIND: ClassVar[str] = "plan's result"
 
     title: str

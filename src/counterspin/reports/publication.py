@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, time
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -77,3 +78,29 @@ class Publication:
         reserve(path, kind, overwrite=overwrite)
         data = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
         write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
+
+
+def issue_date(text: str | None = None) -> datetime:
+    """Return when a document is said to have been made.
+
+    text: A date or a date and time by ISO 8601, without a time zone in UTC. None: the seconds in
+        ``SOURCE_DATE_EPOCH`` of the environment (reproducible-builds.org), or else now.
+    """
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        if text is not None:
+            if "T" not in text and " " not in text.strip():
+                return datetime.combine(date.fromisoformat(text.strip()), time(), UTC)
+            given = datetime.fromisoformat(text.strip())
+            given = given if given.tzinfo else given.replace(tzinfo=UTC)
+            # It is shown in UTC, where the year may be one that no calendar has.
+            given.astimezone(UTC)
+            return given
+        if epoch:
+            return datetime.fromtimestamp(int(epoch), UTC)
+    except (ValueError, OverflowError, OSError) as error:
+        source, given_text = ("`date`", text) if text is not None else ("SOURCE_DATE_EPOCH", epoch)
+        raise CampaignError(
+            source, [f"{given_text!r} is no date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
+        ) from error
+    return datetime.now(UTC).replace(microsecond=0)

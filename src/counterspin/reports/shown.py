@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
-from counterspin.reports.blocks import Block, Picture
+from counterspin.reports.blocks import Block, Heading, Picture, without_pictures
+from counterspin.reports.publication import Publication, issue_date
 from counterspin.reports.typography import typeset_block
 from counterspin.results import ResultFile
 
@@ -31,21 +35,59 @@ def loaded(face: str) -> Callable[..., Any]:
 
 
 class ShownResult(ResultFile):
-    """A result that shows itself: a class of it names what makes its report."""
+    """A result that shows itself, in a cell, on the terminal and as a report."""
 
-    #: ``package.module:name`` of the function that makes a report of it.
-    FACE: ClassVar[str]
+    #: ``package.module:name`` of the function that makes its blocks for the screen.
+    BLOCKS: ClassVar[str]
+    #: Of the one that makes those of its report, where a report has more.
+    REPORT_BLOCKS: ClassVar[str | None] = None
+    #: What the file of a report says that it is; None: what `KIND` says.
+    REPORT_KIND: ClassVar[str | None] = None
 
-    def _report(self) -> Report:
-        report: Report = loaded(self.FACE)(self)
-        return report
+    def blocks(self) -> list[Block]:
+        """Return what a screen shows of it, pictures included."""
+        return list(loaded(self.BLOCKS)(self))
+
+    @property
+    def identifier(self) -> str:
+        """What its report is known by; it follows from the bytes of its file."""
+        return f"CS-{hashlib.sha256(self.content).hexdigest()[:12]}"
+
+    @classmethod
+    def report_kind(cls) -> str:
+        """Return what the file of a report says that it is, such as "a history"."""
+        return cls.REPORT_KIND or f"a {cls.KIND}"
+
+    def publication(self, identifier: str | None = None) -> Publication:
+        """Return its report, to be written as HTML, PDF or Markdown."""
+        blocks = list(loaded(self.REPORT_BLOCKS or self.BLOCKS)(self))
+        title = next((block.text for block in blocks if isinstance(block, Heading)), self.KIND)
+        return Publication(self.report_kind(), title, identifier or self.identifier, blocks)
+
+    def write_report(
+        self,
+        path: Path | str,
+        *,
+        identifier: str | None = None,
+        issued: datetime | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        """Write its report; see `counterspin.write_report`."""
+        page = self.publication(identifier)
+        page.write(Path(path), issued or issue_date(), overwrite=overwrite)
+
+    def __rich__(self) -> Report:
+        """Return what rich prints."""
+        from counterspin.reports.text import Report
+
+        return Report(self.blocks())
 
     def _first_screen(self) -> Sequence[Block]:
         """Return the blocks that a cell shows."""
-        return self._report().blocks
+        return without_pictures(self.blocks())
 
     def __repr__(self) -> str:
-        """Return the beginning of the report as text, at most 20 lines."""
+        """Return the beginning of what the terminal shows, at most 20 lines."""
         return short_text(self._first_screen())
 
     __str__ = __repr__

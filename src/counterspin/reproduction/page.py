@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.text import Report
 from counterspin.reproduction.result import PaperSection, Reproduction, Row
 
 _COLUMNS = (
@@ -15,7 +14,7 @@ _COLUMNS = (
 )
 
 
-def render_reproduction(reproduction: Reproduction) -> Report:
+def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
     """Return the comparison with the paper: quantity, paper, counterspin, unit, why."""
     blocks: list[Block] = []
     for section in reproduction.sections:
@@ -27,7 +26,7 @@ def render_reproduction(reproduction: Reproduction) -> Report:
             "quiet",
         )
     )
-    return Report(blocks)
+    return blocks
 
 
 def _table(section: PaperSection) -> Table:

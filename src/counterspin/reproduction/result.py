@@ -54,7 +54,7 @@ class Reproduction(ShownResult):
         The rows, grouped in the order of the paper.
     """
 
-    FACE: ClassVar[str] = "counterspin.reproduction.page:render_reproduction"
+    BLOCKS: ClassVar[str] = "counterspin.reproduction.page:reproduction_blocks"
     KIND: ClassVar[str] = "reproduction"
 
     inputs: dict[str, Any]

@@ -21,7 +21,6 @@ from counterspin.reports.blocks import (
 )
 from counterspin.reports.charts import reserve_figures, save
 from counterspin.reports.numbers import field_unit, format_number
-from counterspin.reports.text import Report
 from counterspin.studies.result import CoefficientResult, StudyResult
 from counterspin.studies.tally import LEVELS, Z_BINS, Z_EDGE
 
@@ -46,7 +45,7 @@ _COVERAGE = (
 )
 
 
-def render_study(result: StudyResult) -> Report:
+def study_blocks(result: StudyResult) -> list[Block]:
     """Return the study's tables and its verdict."""
     state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
@@ -75,7 +74,12 @@ def render_study(result: StudyResult) -> Report:
             "quiet",
         )
     )
-    return Report(blocks)
+    return blocks
+
+
+def report_blocks(result: StudyResult) -> list[Block]:
+    """Return the tables, the verdict, and how intervals cover."""
+    return [*study_blocks(result), *coverage_plots(result)]
 
 
 def _errors(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:

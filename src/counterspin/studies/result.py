@@ -91,7 +91,8 @@ class StudyResult(ShownResult):
         ``version`` of the program.
     """
 
-    FACE: ClassVar[str] = "counterspin.studies.page:render_study"
+    BLOCKS: ClassVar[str] = "counterspin.studies.page:study_blocks"
+    REPORT_BLOCKS: ClassVar[str] = "counterspin.studies.page:report_blocks"
     KIND: ClassVar[str] = "study's result"
 
     title: str

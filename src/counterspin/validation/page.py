@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.publication import Publication
-from counterspin.reports.text import Report
 from counterspin.validation.result import CheckedCase, Dossier
 
 _TITLE: Final = "Validation of counterspin"
@@ -16,10 +14,9 @@ _TITLE: Final = "Validation of counterspin"
 KIND: Final = "a validation dossier"
 
 
-def render_dossier(dossier: Dossier) -> Report:
-    """Return the answer and the table of requirements for the terminal."""
-    blocks = [Heading(_TITLE, 1), *_answer(dossier), *_failures(dossier), _requirements(dossier)]
-    return Report(blocks)
+def summary_blocks(dossier: Dossier) -> list[Block]:
+    """Return the answer and the table of requirements."""
+    return [Heading(_TITLE, 1), *_answer(dossier), *_failures(dossier), _requirements(dossier)]
 
 
 def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
@@ -47,12 +44,6 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
     yield Heading("What is not covered")
     for text in dossier.not_covered:
         yield Paragraph(text)
-
-
-def publication(dossier: Dossier) -> Publication:
-    """Return the dossier as it is published."""
-    identifier = f"counterspin {dossier.installation.version}"
-    return Publication(KIND, _TITLE, identifier, list(dossier_blocks(dossier)))
 
 
 def _answer(dossier: Dossier) -> Iterator[Block]:

@@ -63,13 +63,19 @@ class Dossier(ShownResult):
         What no case says anything about, in sentences.
     """
 
-    FACE: ClassVar[str] = "counterspin.validation.page:render_dossier"
+    BLOCKS: ClassVar[str] = "counterspin.validation.page:summary_blocks"
+    REPORT_BLOCKS: ClassVar[str] = "counterspin.validation.page:dossier_blocks"
     KIND: ClassVar[str] = "validation dossier"
 
     passed: bool
     installation: Installation
     cases: list[CheckedCase]
     not_covered: list[str]
+
+    @property
+    def identifier(self) -> str:
+        """The version that was validated."""
+        return f"counterspin {self.installation.version}"
 
     @property
     def failed(self) -> list[str]:

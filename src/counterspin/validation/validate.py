@@ -133,26 +133,21 @@ def write_dossier(dossier: Dossier, folder: Path | str, *, overwrite: bool = Fal
     CounterspinError
         If another file is in the way, or one cannot be written.
     """
-    from counterspin.calibration.pages.publishing import issue_date
-    from counterspin.validation.page import publication
-
     place = Path(folder)
     check_folder(place, overwrite=overwrite)
     *pages, json = (place / name for name in DOSSIER_FILES)
-    page, issued = publication(dossier), issue_date()
     for path in pages:
-        page.write(path, issued, overwrite=overwrite)
+        dossier.write_report(path, overwrite=overwrite)
     dossier.write(json, overwrite=overwrite)
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
     """Make the folder, and refuse it where a file would be lost."""
-    from counterspin.validation.page import KIND
-
     make_folder(folder)
     for name in DOSSIER_FILES:
         path = folder / name
-        kind = Dossier.file_kind if path.suffix == ".json" else partial(marked, KIND)
+        page = partial(marked, Dossier.report_kind())
+        kind = Dossier.file_kind if path.suffix == ".json" else page
         reserve(path, kind, overwrite=overwrite)
 
 

@@ -7,7 +7,7 @@ import pytest
 from results import coefficient, result, trace
 
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.full_report import document, identifier_of
+from counterspin.calibration.pages.full_report import document
 from counterspin.calibration.pages.pictures import (
     budget_bars,
     correlation_map,
@@ -174,8 +174,8 @@ def test_words_alone_have_no_empty_chapters():
 
 
 def test_the_identifier_is_the_result_s_own():
-    assert identifier_of(result()) == identifier_of(result())
-    assert identifier_of(result()) != identifier_of(result(serial_number="Q-105"))
+    assert result().identifier == result().identifier
+    assert result().identifier != result(serial_number="Q-105").identifier
 
 
 # Pictures

@@ -1,7 +1,7 @@
 """A calibration's result as a person reads it: blocks for any face.
 
 - `terminal`: a result in the terminal; `sections`: its blocks
-- `full_report`: the whole report for paper and screen; `publishing`: as a file
+- `full_report`: the whole report for paper and screen
 - `verdict`, `accelerometer`, `uncertainty`, `motions`, `records`, `kinds`, `conformity`, `basis`,
   `pictures`: its chapters
 - `batch`: many campaigns in one table

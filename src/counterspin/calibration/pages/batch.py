@@ -9,7 +9,6 @@ from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
 from counterspin.reports.blocks import Block, Column, Paragraph, Table
 from counterspin.reports.numbers import format_estimate
-from counterspin.reports.text import Report
 
 _COLUMNS = (
     Column("Campaign"),
@@ -20,7 +19,7 @@ _COLUMNS = (
 )
 
 
-def render_batch(batch: BatchResult) -> Report:
+def batch_blocks(batch: BatchResult) -> list[Block]:
     """Return the summary of a batch, failures below it."""
     rows = tuple(
         row
@@ -37,7 +36,7 @@ def render_batch(batch: BatchResult) -> Report:
     failed = len(batch.failed)
     calibrated = len(batch.campaigns) - failed
     blocks.append(Paragraph(f"{calibrated} campaigns calibrated, {failed} failed.", "quiet"))
-    return Report(blocks)
+    return blocks
 
 
 def _rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:

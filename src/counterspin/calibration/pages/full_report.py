@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 
 from counterspin.calibration.findings import judge_result
@@ -43,11 +42,6 @@ def document(result: Result) -> list[Block]:
     # Names of files and checksums are left as they are.
     heading, inputs, *origin = origin_blocks(result)
     return [*map(typeset_block, (*blocks, heading, inputs)), *origin]
-
-
-def identifier_of(result: Result) -> str:
-    """Return an identifier that follows from the bytes of a result's file; another has another."""
-    return f"CS-{hashlib.sha256(result.content).hexdigest()[:12]}"
 
 
 def _chapters(result: Result) -> Iterator[Block]:

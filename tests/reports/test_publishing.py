@@ -3,13 +3,15 @@
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
+from prose import ROOT
 from results import result
 
-from counterspin.calibration.pages.full_report import identifier_of
-from counterspin.calibration.pages.publishing import issue_date, report, write_report
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.reports.publication import FORMATS
+from counterspin.reports.publication import FORMATS, issue_date
+from counterspin.reports.publishing import report, write_report
+
+EXAMPLE = ROOT / "docs" / "examples" / "three-rate" / "result.json"
 
 FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 
@@ -53,7 +55,7 @@ def test_the_identifier_is_on_paper_and_screen(tmp_path):
     told = (tmp_path / "a.md").read_text(encoding="utf-8")
     assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
     write_report(result(), tmp_path / "a.html", issued=FIXED)
-    assert identifier_of(result()) in (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert result().identifier in (tmp_path / "a.html").read_text(encoding="utf-8")
     write_report(result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED, overwrite=True)
     assert "LAB 7/26" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
@@ -159,3 +161,44 @@ def test_a_damaged_or_newer_result_leaves_no_report(stored, tmp_path, capsys):
         assert main(["report", str(stored), "-o", str(target)]) == 1
         assert words in capsys.readouterr().err
         assert not target.exists()
+
+
+@pytest.fixture(scope="module")
+def demonstration(tmp_path_factory):
+    """A small campaign with its result beside it, in a folder of files that commands write."""
+    folder = tmp_path_factory.mktemp("files")
+    assert main(["demo", "-o", str(folder / "demo")]) == 0
+    assert main(["calibrate", str(folder / "demo"), "--json", str(folder / "result.json")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("command", "title", "mark"),
+    [
+        (["history", str(EXAMPLE)], "History of K_II", "a history"),
+        (["compare", "result.json", str(EXAMPLE)], "Comparison of results", "a comparison"),
+        (["plan", "--check", "demo"], "", "a plan's result"),
+        (["rerun", "result.json"], "A result calibrated again", "a repeat of a result"),
+        (["check", "--campaign", "demo", "demo/run1.csv"], "run1: ", "a check"),
+        (["reproduce"], "", "a reproduction"),
+        (["study", "demo", "--trials", "3"], "", "a study's result"),
+    ],
+)
+def test_the_result_of_any_command_has_a_report(
+    command, title, mark, demonstration, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(demonstration)
+    file = tmp_path / "found.json"
+    assert main([*command, "--json", str(file)]) in (0, 1)
+    capsys.readouterr()
+    assert main(["report", str(file), "-o", str(tmp_path / "found.md")]) == 0
+    written = (tmp_path / "found.md").read_text(encoding="utf-8")
+    assert f"# {title}".replace("_", r"\_") in written
+    assert f"<!-- Made by counterspin: {mark}. -->" in written
+    capsys.readouterr()
+    assert main(["report", str(file)]) == 0
+    assert title in capsys.readouterr().out
+    # What is not a report of the same kind stays.
+    write_report(result(), tmp_path / "other.md", issued=FIXED)
+    assert main(["report", str(file), "-o", str(tmp_path / "other.md"), "--overwrite"]) == 1
+    assert f"is not {mark} of counterspin" in capsys.readouterr().err
