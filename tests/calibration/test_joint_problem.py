@@ -32,7 +32,7 @@ RAISED = Mounting.from_axes([0.6, 0.0, 0.8], [0.8, 0.0, -0.6])
 @pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
 def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable, mounting):
     """Each output is sampled a little early or late: its error is its slope times the delay."""
-    channel = SimpleNamespace(unit="m")
+    channel = SimpleNamespace(in_g=False)
     accelerometer = SimpleNamespace(observable=observable, mounting=mounting, channel=channel)
     campaign = SimpleNamespace(
         noise=SimpleNamespace(timing=TIMING), radius=SimpleNamespace(value=RADIUS)
@@ -73,6 +73,24 @@ def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_p
             assert one.limit == term(one.symbol).sizes(grade).limit
         request = request_of(campaign, campaign.accelerometers[name], TwoStageOptions(), None)
         assert request.limit_of("K_II") == term("K_II").sizes(grade).limit
+
+
+@pytest.mark.parametrize(
+    ("column", "in_g"),
+    [
+        ('displacement = { column = "east_m", unit = "mm" }', False),
+        ('specific_force = { column = "f", unit = "m/s^2" }', False),
+        ('specific_force = { column = "f", unit = "mm/s^2" }', False),
+        ('specific_force = { column = "f", unit = "ug" }', True),
+        ('specific_force = { column = "f", unit = "uA" }', True),
+    ],
+)
+def test_a_force_in_g_or_as_a_current_has_the_gravity_assumed_in_it(tmp_path, column, in_g):
+    """A record of a current was taken for one in m/s^2: an uncertain g then was not in u(K_I)."""
+    old = 'displacement = { column = "east_m", unit = "m" }'
+    output = 'output = { unit = "mA", sensitivity = "1.25 mA/g" }\n' if "uA" in column else ""
+    campaign = read_campaign(write(tmp_path, changed(SMALL, (old, output + column))))
+    assert campaign.accelerometers["Qx"].channel.in_g is in_g
 
 
 def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():

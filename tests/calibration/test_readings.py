@@ -438,6 +438,22 @@ def test_radius_of_a_mounting_is_shown_as_a_radius(tmp_path):
     assert radius.u < 1e-5
 
 
+def test_a_radius_of_a_mounting_that_is_stated_and_not_asked_for_counts(tmp_path):
+    """It is that mounting's own, and the other has the centrifuge's."""
+    test = arm()
+    values = simulated(test, np.random.default_rng(7), SIGMA, {"centrifuge.radius.inward": 3e-4})
+    prior = '[model.priors]\n"centrifuge.radius.inward" = "1.0 ± 1e-3 m"\n'
+    tumbled = tumble_runs(simulated(tumble(), np.random.default_rng(8), SIGMA, truth=TRUTH))
+    terms = ("K_F", "K_I", "K_II", "K_III", "delta_O")
+    result = calibrated(tmp_path, model(*terms, more=prior), tumbled, arm_runs(test, values))
+    known = {row.name: row for row in result.rests_on}
+    inward = known["centrifuge.radius.inward"]
+    assert (inward.kind, inward.u) == ("stated", 1e-3)
+    assert abs(inward.found - 3e-4) < 4.0 * inward.u_found < 4e-5
+    assert known["centrifuge.radius"].u == 1e-6
+    assert result.state == "good"
+
+
 def test_records_on_the_arm_are_averaged(tmp_path):
     rng, test = np.random.default_rng(9), arm()
     values = simulated(test, rng, 0.0)

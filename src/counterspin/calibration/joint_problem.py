@@ -33,7 +33,7 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                 count=run.record.count[keep].astype(float),
                 spacing=run.record.report.step,
                 error=signal.error[keep],
-                in_g=accelerometer.channel.unit.endswith("g"),
+                in_g=accelerometer.channel.in_g,
                 angle_error=run.rotation.error if run.rotation else None,
                 by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
             )

@@ -146,7 +146,7 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
     read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
-    known = {*campaign.machine.terms, *campaign.machine.considered}
+    known = {*campaign.machine.terms, *campaign.machine.considered, *campaign.machine.priors}
     # Of a mounting whose radius is no term of its own, that of the centrifuge is known.
     read = [(o, s) for o, s in read if s in known or not s.startswith("centrifuge.radius.")]
     return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))

@@ -332,7 +332,7 @@ def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]
         if earlier.record is not None and earlier.name != reading.name:
             raise recorded_twice(campaign, earlier, reading)
         # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
-        in_si = channel.unit == "m/s^2"
+        in_si = not channel.in_g
         yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si), mean
 
 

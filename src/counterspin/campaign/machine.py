@@ -78,9 +78,9 @@ def resolve_machine(
             )
     key, names = settings.held
     held = _expanded(names, key, known, problems)
-    priors = _of_centrifuge(centrifuge, known) | _given(
-        settings.priors, known, centrifuge, problems
-    )
+    # The centrifuge's radius is known of a mounting whose own is asked for or held.
+    own = [s for s in known if s in (*terms, *held) or not s.startswith("centrifuge.radius.")]
+    priors = _of_centrifuge(centrifuge, own) | _given(settings.priors, known, centrifuge, problems)
     for index, symbol in enumerate(held):
         if symbol not in priors:
             problems.add(

@@ -21,6 +21,7 @@ from counterspin.physics.grades import DEFAULT_GRADE
 from counterspin.physics.spindle import Spindle
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.record import ColumnKind, ColumnSpec
+from counterspin.units import base_unit
 
 #: Most rows, those of all accelerometers together, that are computed at once of records that exist
 #: only on paper. A line of a description can state any length, and what is made from it takes
@@ -63,6 +64,13 @@ class Channel:
     #: As of `counterspin.records.record.ColumnSpec`.
     kind: ColumnKind = "numbers"
     per_revolution: float = 1.0
+
+    @property
+    def in_g(self) -> bool:
+        """Whether the gravity assumed is in its numbers: recorded in g, or as a current."""
+        if self.si_unit:
+            return bool(self.unit) and base_unit(self.unit)[1]["[gravity]"] != 0.0
+        return bool(self.column)
 
     def filed(self, values: Array) -> Array:
         """Return values in SI as the column has them."""

@@ -220,7 +220,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         count=count,
         spacing=step,
         error=np.zeros_like(time),
-        in_g=accelerometer.channel.unit.endswith("g"),
+        in_g=accelerometer.channel.in_g,
         jitter=jitter_of(timing, campaign.radius.value, run.rate, order, axis),
     )
     if not series.in_g:
