@@ -213,6 +213,7 @@ EXACT_PATHS = [
     ("latitude =", "lattitude =", 'site.lattitude: unknown key; did you mean "latitude"?'),
     ('latitude = "45 deg"', "", "site.latitude: is missing"),
     ('"45 deg"', '"91 deg"', "site.latitude: a latitude lies between -90 deg and 90 deg"),
+    ('"45 deg"', "48.1", 'site.latitude: a number without its unit; write "48.1 deg" (an angle:'),
     ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: a number without its unit; write "9.8 m/s^2"'),
     ('"9.8 ± 1e-5 m/s^2"', '"-9.8 m/s^2"', "site.gravity: must be greater than zero"),
     ('"9.8 ± 1e-5 m/s^2"', '"980 m/s^2"', "site.gravity: 980 m/s^2 cannot be gravity on Earth"),
@@ -312,6 +313,11 @@ EXACT_PATHS = [
     ("run2.parquet", "run1.csv", 'runs[1].record: "run1.csv" is used by runs[0] already'),
     ("run2.parquet", "run2.xls", 'runs[1].record: cannot read "run2.xls"; records end in .csv,'),
     ('"run2"', '""', "runs[1].name: must not be empty"),
+    (
+        '"run1.csv"',
+        r'"data\new\table.csv"',
+        r"runs[0].record: 'data\new\table.csv' has a line break, tab or the like in it",
+    ),
     ('record = "run1.csv"', "", 'runs[0].record: is missing (run "run1")'),
     ("run1.csv", 'run1.csv"\nattitude = "tilted', "runs[0].attitude: is not an attitude; write"),
     ("run1.csv", 'run1.csv"\nattitude = "5 m about up', "runs[0].attitude: 'm' is not a unit of"),
@@ -400,6 +406,13 @@ def test_toml_mistakes_come_with_their_line(tmp_path):
     line = text[: text.index("2.5 m")].count("\n") + 1
     with pytest.raises(CampaignError, match=rf"campaign.toml: line {line}, column \d+: expected"):
         read_campaign(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("name", [r"C:\data\run1.csv", r"C:\Users\x.csv", r"D:\x.csv"])
+def test_a_windows_path_in_double_quotation_marks_is_explained(tmp_path, name):
+    (problem,) = problems_of(tmp_path, edited(("run1.csv", name)))
+    assert problem.startswith("line ")
+    assert r"write paths with / , or in single quotation marks, 'C:\data\run1.csv'" in problem
 
 
 def test_text_in_another_encoding_is_told(tmp_path):

@@ -80,6 +80,7 @@ def test_without_gravity_g_and_si_stay_apart():
     ("text", "unit", "message"),
     [
         (2.5, "m", r'a number without its unit; write "2.5 m" \(a length: m, mm, um, km\)'),
+        (0.5, "rad", r'write "0.5 deg", "0.5 arcsec" or "0.5 rad", whichever it is \(an angle:'),
         (float("nan"), "m", "nan is not a finite number"),
         (True, "m", "must be a length, written as text"),
         ([1], "m", "must be a length, written as text"),

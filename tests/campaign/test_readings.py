@@ -39,6 +39,25 @@ def test_a_run_with_a_reading(tmp_path):
     np.testing.assert_allclose(reading.axes.axes[0], [0.5, 0.0, math.sqrt(0.75)], atol=1e-12)
 
 
+@pytest.mark.parametrize(("unit", "scale"), [("g", 1.0), ("mg", 1e-3)])
+def test_an_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
+    output = f'output = {{ unit = "{unit}" }}\nsensitivity_prior = "{1.01 / scale} {unit}/g"\n'
+    head = HEAD.replace('output = { unit = "mA", sensitivity = "1.25 mA/g" }\n', output)
+    campaign = read(tmp_path, head + RUN.replace("mA", unit))
+    assert campaign.readings[0].value == pytest.approx(1.082532 * scale, rel=1e-15)
+    assert campaign.accelerometers["A"].priors["K_I"].value == pytest.approx(1.01, rel=1e-15)
+
+
+def test_records_at_rest_need_no_centrifuge_and_those_on_an_arm_do(tmp_path):
+    recorded = 'specific_force = { column = "mA", unit = "mA" }\n'
+    records = '[records]\ntime = { column = "t", unit = "s" }\n'
+    run = RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "rest.csv"')
+    campaign = read(tmp_path, HEAD + recorded + records + run)
+    assert campaign.readings[0].record == tmp_path / "rest.csv"
+    turning = ON_ARM.replace('reading = "12.5 ± 2e-6 mA"', 'record = "in.csv"')
+    assert problems(tmp_path, HEAD + recorded + records + turning) == ("centrifuge: is missing",)
+
+
 def test_a_run_on_the_arm(tmp_path):
     reading = read(tmp_path, HEAD + ARM + RUN + ON_ARM).readings[1]
     assert (reading.motion, reading.rate, reading.mounting) == ("arm", 9.9, "in")
@@ -75,6 +94,10 @@ SLIPS = {
     "a sensitivity of another unit": (
         HEAD.replace("1.25 mA/g", "1.25 V/g") + RUN,
         "accelerometers.A.output.sensitivity:",
+    ),
+    "an output without a sensitivity": (
+        HEAD.replace(', sensitivity = "1.25 mA/g"', "") + RUN,
+        'accelerometers.A.output.sensitivity: is missing: the nominal output, such as "1.25 mA/g"',
     ),
     "no centrifuge": (HEAD + ON_ARM, "centrifuge: is missing"),
     "no reading": (

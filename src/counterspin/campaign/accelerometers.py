@@ -173,10 +173,10 @@ class AccelerometersReader:
             return None
         unit = f"{plain}/g"
         known = self.problems.attempt(path, parse, table.sensitivity_prior, unit)
-        nominal = self.problems.attempt(path, parse, table.output.sensitivity, unit)
-        if known is None or nominal is None or nominal.value == 0.0:
+        nominal = self.problems.attempt(path, _per_g, table.output.sensitivity, plain)
+        if known is None or not nominal:
             return None
-        return Quantity(known.value / nominal.value, known.u / abs(nominal.value), "g/g")
+        return Quantity(known.value / nominal, known.u / abs(nominal), "g/g")
 
     def outputs(self, tables: Mapping[str, Any]) -> dict[str, Output | None]:
         """Return what each accelerometer's readings are in."""
@@ -188,9 +188,8 @@ class AccelerometersReader:
             unit = self.problems.attempt((*path, "unit"), check_unit, table.output.unit)
             if unit is None:
                 continue
-            wanted = f"{unit}/g"
             sensitivity = self.problems.attempt(
-                (*path, "sensitivity"), exact, table.output.sensitivity, wanted
+                (*path, "sensitivity"), _per_g, table.output.sensitivity, unit
             )
             if sensitivity == 0.0:
                 self.problems.add((*path, "sensitivity"), "must not be zero")
@@ -247,3 +246,13 @@ class AccelerometersReader:
                     tuple(key.split(".")), f'column "{column}" is used by {seen[column]} already'
                 )
             seen[column] = key
+
+
+def _per_g(sensitivity: str | None, unit: str) -> float:
+    """Return the nominal output per g, of an output in g without a word."""
+    if sensitivity is not None:
+        return exact(sensitivity, f"{unit}/g")
+    try:
+        return unit_factor("g", unit)
+    except ValueError:
+        raise ValueError(f'is missing: the nominal output, such as "1.25 {unit}/g"') from None

@@ -463,8 +463,9 @@ class _DescriptionReader:
     def _check_sections(self, readings: Sequence[Reading]) -> None:
         """Note sections that are missing although what there is needs them."""
         recorded = any(not is_reading(raw) or "record" in raw for raw in self.raw_runs)
-        asked = (raw.get("motion") for raw in self.raw_runs if isinstance(raw, dict))
-        turning = recorded or "arm" in asked or any(r.motion != "static" for r in readings)
+        turning = any(r.motion != "static" for r in readings) or any(
+            not isinstance(raw, dict) or raw.get("motion") != "static" for raw in self.raw_runs
+        )
         for key, needed in (("centrifuge", turning), ("records", recorded)):
             if (needed or not (self.raw_runs or "readings" in self.raw)) and key not in self.raw:
                 self.problems.add((key,), "is missing")

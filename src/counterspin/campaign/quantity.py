@@ -19,6 +19,12 @@ _MAX_CHARACTERS: Final = 500
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
 _SIZE_RANGE: Final = (1e-60, 1e60)
 
+#: Units of which none is the likely one of a number alone; of others it is the first accepted.
+_SCALES: Final = {
+    "rad": ("deg", "arcsec", "rad"),
+    "rad/s": ("rad/s", "rev/s", "deg/s"),
+}
+
 NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 PLUS_MINUS: Final = r"\s*(?:±|\+/-|\+-)\s*"
 _QUANTITY = re.compile(rf"({NUMBER})(?:{PLUS_MINUS}({NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
@@ -58,19 +64,25 @@ class Quantity:
         return f"{self.value!r} ± {self.u!r} {self.unit}"
 
 
-def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
+def parse(
+    text: object, unit: str, *, gravity: float | None = None, usual: str | None = None
+) -> Quantity:
     """Read ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``.
 
     gravity: The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
+    usual: The unit that a number without one is most likely in; None: what `_SCALES` say.
     """
     kind, accepted = advice(unit)
     if not isinstance(text, str):
-        example = f"{text!r} {accepted.split(',')[0]}" if isinstance(text, int | float) else None
-        if example is None or isinstance(text, bool):
+        if isinstance(text, bool) or not isinstance(text, int | float):
             raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
-        if not math.isfinite(text):  # type: ignore[arg-type]
+        if not math.isfinite(text):
             raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
-        raise ValueError(f'a number without its unit; write "{example}" ({kind}: {accepted})')
+        scales = (usual,) if usual else _SCALES.get(unit, (accepted.split(",")[0],))
+        *others, last = (f'"{text!r} {scale}"' for scale in scales)
+        written = f"{', '.join(others)} or {last}" if others else last
+        which = ", whichever it is" if len(scales) > 1 else ""
+        raise ValueError(f"a number without its unit; write {written}{which} ({kind}: {accepted})")
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from counterspin.arrays import Array
 from counterspin.campaign.attitude import TURN_WORDS, attitude_rows, read_direction
@@ -27,6 +27,7 @@ from counterspin.campaign.settings import (
     SettingsSection,
     Text,
     read_exactly,
+    record_file,
 )
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
@@ -61,7 +62,7 @@ class ReadingRunSettings(SettingsSection):
     skip: bool = False
     motion: MotionKind = "counter-rotating"
     reading: Written | dict[str, Written] | None = None
-    record: Text | None = None
+    record: Annotated[Text, AfterValidator(record_file)] | None = None
     rate: Annotated[float, read_exactly("rad/s")] = 0.0
     attitude: Any = None
     axes: ReadingAxes | None = None

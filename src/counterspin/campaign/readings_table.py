@@ -9,15 +9,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.readings import BLANK, Output, ReadingAxes
 from counterspin.campaign.resolved import MOST_READINGS
-from counterspin.campaign.settings import SettingsSection, TableDialect, Text, exact
+from counterspin.campaign.settings import SettingsSection, TableDialect, Text, exact, file_name
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind
@@ -53,7 +53,7 @@ _UTC: Final = datetime.UTC
 
 
 class _TableFile(SettingsSection):
-    file: Text
+    file: Annotated[Text, AfterValidator(file_name)]
 
 
 # The fields of the last base come first.

@@ -31,6 +31,7 @@ from pydantic import (
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.toml_file import BACKSLASH_ADVICE
 from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, TERMS
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -54,9 +55,9 @@ _GRAVITY_RANGE: Final = (9.0, 11.0)
 ESTIMATE: Final = "estimate"
 
 
-def exact(text: object, unit: str, gravity: float | None = None) -> float:
+def exact(text: object, unit: str, gravity: float | None = None, usual: str | None = None) -> float:
     """Read a quantity that must have no uncertainty."""
-    quantity = parse(text, unit, gravity=gravity)
+    quantity = parse(text, unit, gravity=gravity, usual=usual)
     if quantity.u != 0.0:
         raise ValueError(f"{text!r}: an uncertainty has no meaning here; leave out the ±")
     return quantity.value
@@ -66,12 +67,14 @@ def _gravity(info: ValidationInfo) -> float | None:
     return (info.context or {}).get("gravity")
 
 
-def _parsed(unit: str, text: object, info: ValidationInfo) -> Quantity:
-    return parse(text, unit, gravity=_gravity(info))
+def _parsed(unit: str, text: object, info: ValidationInfo, usual: str | None = None) -> Quantity:
+    return parse(text, unit, gravity=_gravity(info), usual=usual)
 
 
-def _parsed_exactly(unit: str, text: object, info: ValidationInfo) -> float:
-    return exact(text, unit, gravity=_gravity(info))
+def _parsed_exactly(
+    unit: str, text: object, info: ValidationInfo, usual: str | None = None
+) -> float:
+    return exact(text, unit, gravity=_gravity(info), usual=usual)
 
 
 def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
@@ -86,8 +89,8 @@ def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
 # Each is a partial function whose first argument is the unit, so that a form can show it.
 
 
-def _uncertain(unit: str) -> PlainValidator:
-    return PlainValidator(partial(_parsed, unit))
+def _uncertain(unit: str, usual: str | None = None) -> PlainValidator:
+    return PlainValidator(partial(_parsed, unit, usual=usual))
 
 
 def _part(text: object, info: ValidationInfo) -> Quantity:
@@ -100,9 +103,9 @@ def _part(text: object, info: ValidationInfo) -> Quantity:
         )
 
 
-def read_exactly(unit: str) -> PlainValidator:
-    """Return the validator of a quantity without uncertainty."""
-    return PlainValidator(partial(_parsed_exactly, unit))
+def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
+    """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
+    return PlainValidator(partial(_parsed_exactly, unit, usual=usual))
 
 
 def positive(value: Any) -> Any:
@@ -177,7 +180,19 @@ def _force_or_output(unit: str, info: ValidationInfo) -> str:
     return unit
 
 
-def _record(name: str) -> str:
+def file_name(name: str) -> str:
+    """Return a file's name; one whose backslashes TOML has taken for something else is refused."""
+    if any(ord(character) < 32 for character in name):
+        raise ValueError(
+            f"{name!r} has a line break, tab or the like in it: in double quotation marks TOML "
+            f"reads a backslash as the beginning of one; {BACKSLASH_ADVICE}"
+        )
+    return name
+
+
+def record_file(name: str) -> str:
+    """Return the name of a record that can be read by its ending."""
+    file_name(name)
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
         raise ValueError(f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}')
     return name
@@ -244,7 +259,7 @@ class SiteSettings(SettingsSection):
     """[site]: where the centrifuge stands."""
 
     gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(_of_earth)]
-    latitude: Annotated[Quantity, _uncertain("rad"), AfterValidator(_latitude)]
+    latitude: Annotated[Quantity, _uncertain("rad", "deg"), AfterValidator(_latitude)]
     removed_gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(_of_earth)] | None = (
         None
     )
@@ -256,7 +271,7 @@ class CentrifugeSettings(SettingsSection):
     radius: Annotated[Quantity, _uncertain("m"), AfterValidator(positive)]
     stretch: Annotated[Quantity, _uncertain("s^2/m")] | None = None
     droop: Annotated[Quantity, _uncertain("rad s^2")] | None = None
-    axis_tilt: Annotated[Quantity, _uncertain("rad")] | None = None
+    axis_tilt: Annotated[Quantity, _uncertain("rad", "arcsec")] | None = None
     reference_temperature: Text | None = None
 
 
@@ -288,7 +303,7 @@ def _zero(value: object) -> float:
     if isinstance(value, str) and value in COMPASS:
         return COMPASS[value]
     try:
-        return exact(value, "rad")
+        return exact(value, "rad", usual="deg")
     except ValueError as error:
         raise ValueError(f"{error}; or one of {', '.join(COMPASS)}") from None
 
@@ -398,7 +413,7 @@ class OutputSettings(SettingsSection):
     """``output``: what an accelerometer's readings are in, and its nominal sensitivity."""
 
     unit: Text
-    sensitivity: Text
+    sensitivity: Text | None = None
 
 
 class _AccelerometerKeys(AxesSettings):
@@ -471,7 +486,7 @@ class RippleSettings(SettingsSection):
     harmonic: Annotated[int, AfterValidator(positive)] = 1
     ratio: Ratio | None = None
     amplitude: Annotated[float, read_exactly("rad/s")] | None = None
-    phase: Annotated[float, read_exactly("rad")] = 0.0
+    phase: Annotated[float, read_exactly("rad", "deg")] = 0.0
 
 
 class SpindleTruthSettings(SettingsSection):
@@ -479,7 +494,7 @@ class SpindleTruthSettings(SettingsSection):
 
     drift: Annotated[float, read_exactly("1/s")] | None = None
     ripple: list[RippleSettings] | None = None
-    start_angle: Annotated[float, read_exactly("rad")] | None = None
+    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = None
     rate_error: Annotated[Ratio, AfterValidator(_rate_error)] | None = None
 
 
@@ -549,7 +564,7 @@ class RunSettings(SettingsSection):
 
     name: Text
     rate: Annotated[float, read_exactly("rad/s"), AfterValidator(_rate)]
-    record: Annotated[Text, AfterValidator(_record)]
+    record: Annotated[Text, AfterValidator(record_file)]
     attitude: Annotated[Any, PlainValidator(attitude_rows)] = Field(
         default_factory=lambda: attitude_rows("level")
     )
@@ -557,8 +572,8 @@ class RunSettings(SettingsSection):
     revolutions: PositiveRatio | None = None
     temperature: Text | None = None
     time: Annotated[float, read_exactly("s")] | None = None
-    continued_in: list[Annotated[Text, AfterValidator(_record)]] = []
-    pulses: Annotated[Text, AfterValidator(_record)] | None = None
+    continued_in: list[Annotated[Text, AfterValidator(record_file)]] = []
+    pulses: Annotated[Text, AfterValidator(record_file)] | None = None
     records: dict[str, Any] | None = None
     skip: bool = False
     start: Annotated[float, read_exactly("s")] | None = None

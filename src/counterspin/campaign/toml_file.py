@@ -29,6 +29,9 @@ _TEXT_BYTES: Final = 20_000_000
 #: Nor is any text in it longer.
 _MAX_CHARACTERS: Final = 10_000
 
+#: How the path of a file on Windows is written.
+BACKSLASH_ADVICE: Final = "write paths with / , or in single quotation marks, 'C:\\data\\run1.csv'"
+
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
 
@@ -127,7 +130,13 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
         place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         what, where = (place[1], place[2]) if place else (str(error), "TOML")
         what = what[:1].lower() + what[1:]
-        problem = f"{where}: {what}; text such as a quantity is written in quotation marks"
+        advice = "text such as a quantity is written in quotation marks"
+        if "\\" in what or "hex value" in what:
+            advice = (
+                "in double quotation marks a backslash begins an escape such as \\n; "
+                + BACKSLASH_ADVICE
+            )
+        problem = f"{where}: {what}; {advice}"
     except ValueError as error:
         # A number of thousands of digits, which Python reads no further.
         problem = f"cannot be read: {error}".partition(";")[0]
