@@ -21,7 +21,7 @@ from counterspin.application import guard
 from counterspin.calibration import assembly
 from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
-from counterspin.campaign import truth
+from counterspin.campaign import simulable
 from counterspin.campaign.settings import exact
 from counterspin.certificates import coverage, signature
 from counterspin.comparisons import rerun
@@ -73,9 +73,9 @@ ROWS = {
         ("unless there are {} rows for each", 1.0 / reading.FURTHER_REVOLUTIONS_A_ROW),
         ("a record shorter than {} of that", assembly.COMPLETE_PART),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
-        ("more than {} times the largest credible size", truth.TRUTH_MARGIN),
-        ("a ripple above harmonic {},", truth._MAX_RIPPLE_HARMONIC),
-        ("a rate that changes by {}.", truth._MAX_RATE_CHANGE),
+        ("more than {} times the largest credible size", simulable.TRUTH_MARGIN),
+        ("a ripple above harmonic {},", simulable._MAX_RIPPLE_HARMONIC),
+        ("a rate that changes by {}.", simulable._MAX_RATE_CHANGE),
     ],
     "plan": [
         ("highest / {} |", 1.0 / plan_file._LOWEST_RATE_PART),
