@@ -5,10 +5,11 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from scipy import special
+from scipy import special, stats
 
 from counterspin.inference.distributions import (
     chi_square_tail,
+    dof_beside,
     log_binomial,
     normal_cdf,
     normal_quantile,
@@ -75,3 +76,22 @@ def test_infinite_degrees_of_freedom_are_the_normal_distribution():
 def test_logarithm_of_a_binomial_coefficient():
     assert math.exp(log_binomial(10, 3)) == pytest.approx(math.comb(10, 3), rel=1e-13)
     assert log_binomial(5000, 200) == pytest.approx(math.log(math.comb(5000, 200)), rel=1e-13)
+
+
+@pytest.mark.parametrize("dof", [1.0, 2.0, 5.0, 20.0])
+@pytest.mark.parametrize("share", [1e-3, 0.03, 0.3, 0.9])
+def test_an_interval_of_something_estimated_beside_something_known(share, dof):
+    """The tail beyond it, by quadrature over Student's density, is 2.5 %."""
+    half = stats.t.isf(0.025, dof_beside(share, dof))
+    x = np.tan(np.linspace(-0.5, 0.5, 20001)[1:-1] * np.pi)
+    known = stats.norm.sf((half - math.sqrt(share) * x) / math.sqrt(1.0 - share))
+    tail = np.trapezoid(known * stats.t.pdf(x, dof), x)
+    # Satterthwaite's formula is taken where it has fewer degrees of freedom.
+    assert tail == pytest.approx(0.025, rel=2e-3) or tail < 0.025
+    assert dof * 0.999 < dof_beside(share, dof) <= dof / share**2
+
+
+def test_what_is_known_or_estimated_alone_has_its_own_freedom():
+    assert dof_beside(1.0, 3.0) == 3.0
+    assert math.isinf(dof_beside(0.0, 3.0))
+    assert dof_beside(0.5, 100.0) == 400.0

@@ -15,6 +15,7 @@ from counterspin.inference.reading_tests import (
     TERM,
     WAVE,
     Group,
+    _tail,
     candidates,
     head_angle,
     most_followed,
@@ -115,3 +116,27 @@ def test_a_reading_that_stands_out_is_left_out_and_leads_to_no_column():
     joint, group, columns = held(test, values, 2e-6)
     (without,) = most_followed(joint, [replace(group, left_out=(0,))], [columns])
     assert without.p * without.tests > 0.01
+
+
+@pytest.mark.parametrize("columns", [1, 2, 4])
+def test_the_tail_of_a_gain_is_that_of_f(columns):
+    for dof in (3.0, 7.5, 60.0):
+        assert _tail(columns, dof, 9.0) == pytest.approx(
+            stats.f.sf(9.0 / columns, columns, dof), rel=1e-9
+        )
+    assert _tail(columns, math.inf, 9.0) == pytest.approx(stats.chi2.sf(9.0, columns), rel=1e-9)
+
+
+def test_a_wave_at_any_phase_is_found_by_both_its_parts():
+    """Five times the noise, 9 degrees of freedom: alone, each part leaves the other as noise."""
+    rng, angle = np.random.default_rng(5), np.arange(12) * math.pi / 6.0
+    truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
+    exact = simulated(tumble(), rng, 2e-6, truth=truth)
+    for wave, turns in (
+        (1e-5 * np.cos(2.0 * angle + 0.7), "2 phi"),
+        (1e-5 * (np.cos(2.0 * angle + 0.7) + np.cos(3.0 * angle - 0.4)), "2 phi and 3 phi"),
+    ):
+        joint, group, columns = held(tumble(), exact + wave, None)
+        (found,) = most_followed(joint, [group], [columns])
+        assert [other.symbol for other in found.alternatives] == [f"waves of {turns}"]
+        assert found.p * found.tests < 1e-3

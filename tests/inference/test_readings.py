@@ -116,8 +116,9 @@ def test_an_unseen_mistake_in_one_position_stands_out():
     values = simulated(tumble(), rng, SIGMA)
     values[5] += 160e-6
     fit = solve_readings([readings(tumble(), values, SIGMA)], model(("K_F", "K_I", "delta_O")))
-    assert np.argmax(np.abs(fit.standardised[0])) == 5
-    assert abs(fit.standardised[0][5]) > 50.0
+    sizes = [abs(each.standardised) for each in fit.single[0]]
+    assert np.argmax(sizes) == 5
+    assert sizes[5] > 50.0
 
 
 def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():
@@ -160,6 +161,45 @@ def test_readings_of_one_position_are_judged_together():
         z = v @ fit.residuals[0] / (SIGMA * np.sqrt(v @ left_over @ v))
         assert p.standardised == pytest.approx(z, rel=1e-6)
         assert p.residual == pytest.approx(fit.residuals[0][list(p.places)].mean(), abs=1e-18)
+
+
+def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
+    """Its distance from that prediction, over u of prediction and reading by the others' noise."""
+    values = simulated(tumble(), np.random.default_rng(13), SIGMA)
+    asked = model(("K_F", "K_I", "delta_O"))
+    every = solve_readings([readings(tumble(), values, None)], asked).single[0]
+    x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
+    for k, one in enumerate(every):
+        others = np.delete(x, k, axis=0)
+        found, (squares,), *_ = np.linalg.lstsq(others, np.delete(values, k), rcond=None)
+        variance = squares / 8.0 * (1.0 + x[k] @ np.linalg.solve(others.T @ others, x[k]))
+        t = (values[k] - x[k] @ found) / math.sqrt(variance)
+        assert one.beside_others == pytest.approx(t, rel=1e-4)
+        assert one.dof == pytest.approx(8.0, rel=1e-6)
+
+
+def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():
+    """A head of ten times the noise: what positions scatter by tells nothing of that."""
+    rng, repeats = np.random.default_rng(14), 3
+    stations, mountings, head = tumble()
+    exact = simulated(tumble(), rng, 0.0, u_head=10.0 * SIGMA)
+    read = exact[:, None] + rng.normal(0.0, SIGMA, (12, repeats))
+    group = replace(
+        readings((stations, mountings, head), read.mean(axis=1), None, u_head=10.0 * SIGMA),
+        repeats=np.full(12, float(repeats)),
+        scatter=np.sum((read - read.mean(axis=1, keepdims=True)) ** 2, axis=1),
+    )
+    fit = solve_readings([group], model(("K_F", "K_I", "delta_O")))
+    # As the definition has it: the trace of (P V)^2 of the restricted likelihood.
+    x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
+    of_noise = np.eye(12) * fit.noise[0] ** 2 / repeats
+    weight = np.linalg.inv(np.diag(fit.sigma[0] ** 2))
+    left = weight - weight @ x @ np.linalg.solve(x.T @ weight @ x, x.T @ weight)
+    exactly = np.trace(left @ of_noise @ left @ of_noise) + 12 * (repeats - 1)
+    assert fit.dof[0] == pytest.approx(exactly, rel=1e-4)
+    assert 24.0 < fit.dof[0] < 28.0
+    # Four standard deviations of a noise of as many degrees of freedom.
+    assert abs(fit.noise[0] / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.dof[0])
 
 
 def test_fewer_readings_than_unknowns_cannot_tell_their_noise():

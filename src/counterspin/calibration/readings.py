@@ -23,12 +23,19 @@ from counterspin.campaign.readings import Reading
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.distributions import chi_square_tail, student_cdf
+from counterspin.inference.distributions import chi_square_tail, dof_beside, student_cdf
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.readings import Position, Readings, ReadingsFit, judge, solve_readings
+from counterspin.inference.readings import (
+    FEWEST_FREEDOM,
+    Position,
+    Readings,
+    ReadingsFit,
+    judge,
+    solve_readings,
+)
 from counterspin.records.mean import RecordMean, mean_of_record
 
 #: Words for the motions.
@@ -37,6 +44,10 @@ _WORDS: Final = {
     "arm": "readings on the arm",
     "counter-rotating": "readings on the double turntable",
 }
+
+
+#: In so many of good campaigns a position, or a reading, is called off.
+_OF_SINGLE: Final = 0.5 * SIGNIFICANCE
 
 
 def only_at_rest(campaign: Campaign) -> bool:
@@ -55,8 +66,7 @@ class AccelerometerReadings:
     noise: float
     residuals: np.ndarray
     squares: float
-    standardised: np.ndarray
-    of_noise: np.ndarray
+    single: tuple[Position, ...]
     dof: float  #: Of an estimated noise; infinite where it was stated.
     freedom: float  #: Readings less what the fit follows of them.
     #: As of `ReadingsFit`.
@@ -81,8 +91,7 @@ class AccelerometerReadings:
             self,
             residuals=judged.residuals,
             squares=judged.squares,
-            standardised=judged.standardised,
-            of_noise=judged.of_noise,
+            single=judged.single,
             freedom=judged.freedom,
             positions=judged.positions,
         )
@@ -109,13 +118,13 @@ class AccelerometerReadings:
         # which is known: of what the residuals should be, only the noise's share is to be found.
         again = float(np.sum(self.readings.repeats - 1.0))
         scatter = float(np.sum(self.readings.scatter)) / self.noise**2
-        share = float(np.mean(self.noise**2 / self.readings.repeats / self.sigma**2))
+        share = float(np.mean(self.linear.noise_share))
         apart = within = 0.0
         for position in self.positions:
             places = list(position.places)
             apart += len(places) - 1.0
             within += float(np.sum((own[places] - own[places].mean()) ** 2))
-        left = self.dof - again - apart
+        left = self.freedom - apart
         if math.isinf(self.dof) or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
             return None
         from scipy.special import fdtrc
@@ -138,7 +147,7 @@ class AccelerometerReadings:
                 value=float(self.readings.value[i]),
                 u=float(self.sigma[i]),
                 residual=float(self.residuals[i]),
-                z=float(self.standardised[i]) if math.isfinite(self.standardised[i]) else None,
+                z=None if math.isnan(self.single[i].standardised) else self.single[i].standardised,
                 **_found_in(self.means.get(name)),
             )
             for i, (name, station) in enumerate(
@@ -151,35 +160,23 @@ class AccelerometerReadings:
 
         Each reading, and the readings of each position that was read more than once together, are
         compared with the noise of the others (externally studentised), at the level of the other
-        tests shared out among them.
+        tests shared out among them. Noise that is hardly known judges nothing.
         """
-        single = [
-            Position((place,), float(residual), float(z), float(share))
-            for place, (residual, z, share) in enumerate(
-                zip(self.residuals, self.standardised, self.of_noise, strict=True)
-            )
-        ]
-        every = [*self.positions, *single]
-        z = np.array([each.standardised for each in every])
-        # What is considered is known; of a variance only the noise's part is not (Satterthwaite).
-        with np.errstate(divide="ignore"):
-            dof = self.dof / np.array([each.of_noise for each in every]) ** 2
-        if math.isfinite(self.dof):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                outer = np.where(z**2 < dof, z * np.sqrt((dof - 1.0) / (dof - z**2)), np.inf * z)
-            z = np.where(np.isfinite(dof), outer, z)
-        others = np.maximum(dof - 1.0, 1.0)
-        p = np.array([2.0 * student_cdf(*each) for each in zip(others, -np.abs(z), strict=True)])
+        if self.dof < FEWEST_FREEDOM:
+            return []
+        every = [*self.positions, *self.single]
+        z = [each.beside_others for each in every]
+        p = [2.0 * student_cdf(each.dof, -abs(each.beside_others)) for each in every]
         far_off: list[tuple[str, float, float]] = []
         said: dict[int, float] = {}
-        for i in np.flatnonzero(p < SIGNIFICANCE / z.size):
-            places, size = every[i].places, abs(float(z[i]))
+        for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):
+            places, size = every[i].places, abs(z[i])
             # A reading is named beside its position only where it alone is the worse.
             if any(size <= said.get(place, 0.0) for place in places):
                 continue
             said |= dict.fromkeys(places, size)
             names = list(dict.fromkeys(self.readings.names[place] for place in places))
-            far_off.append((", ".join(names), every[i].residual, float(z[i])))
+            far_off.append((", ".join(names), every[i].residual, z[i]))
         return far_off
 
 
@@ -244,8 +241,7 @@ def with_groups(
             fit.noise,
             fit.residuals,
             fit.squares,
-            fit.standardised,
-            fit.of_noise,
+            fit.single,
             fit.dof,
             fit.freedom,
             fit.positions,
@@ -271,9 +267,10 @@ def _require_enough(campaign: Campaign, model: Unknowns) -> None:
 
 
 def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarray:
-    """Return Satterthwaite's degrees of freedom with the readings' estimated noise counted.
+    """Return the degrees of freedom of each unknown with the readings' estimated noise counted.
 
-    What the records' noise adds keeps the records' own degrees of freedom.
+    Satterthwaite's, or fewer where few readings tell a noise, so that the intervals cover. What the
+    records' noise adds keeps the records' own degrees of freedom.
     """
     solution = fit.solution
     total = np.diag(solution.covariance)
@@ -285,13 +282,16 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarra
         sizes = [block.factor.shape[0] for block in fit.blocks]
         ends = np.cumsum([rows.size - sum(sizes), *sizes])
         for part, freedom in zip(np.split(rows, ends[:-1])[1:], fit.dof, strict=True):
-            inverse[k] += float(part @ part) ** 2 / freedom
+            inverse[k] += 1.0 / dof_beside(_share(part, total[k]), freedom)
         of_records = rows[: ends[0]]
         if records:
-            inverse[k] += float(of_records @ of_records) ** 2 / dof[k]
-        inverse[k] /= total[k] ** 2 if total[k] > 0.0 else 1.0
+            inverse[k] += 1.0 / dof_beside(_share(of_records, total[k]), float(dof[k]))
     with np.errstate(divide="ignore"):
         return 1.0 / inverse
+
+
+def _share(rows: np.ndarray, total: float) -> float:
+    return min(float(rows @ rows) / total, 1.0) if total > 0.0 else 0.0
 
 
 def _require_values(campaign: Campaign) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import LEAST_PART_LEFT, SIGNIFICANCE
-from counterspin.inference.distributions import chi_square_tail, normal_cdf, student_cdf
+from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.readings import Readings
@@ -32,9 +33,6 @@ WAVE, TERM, DRIFT, WARM_UP, HYSTERESIS = KINDS = (
     "warm-up",
     "hysteresis",
 )
-
-#: Least degrees of freedom of residuals from which anything is judged.
-FEWEST_FREEDOM: Final = 5.0
 
 #: Waves a revolution of the head, up to this many.
 _HARMONICS: Final = 4
@@ -213,53 +211,107 @@ def most_followed(
             continue
         kept = [other for other, use in zip(own, usable.tolist(), strict=True) if use]
         unit = left[:, usable] / norms[usable]
-        gains = _own_gains(unit, alone, held.places[group.block])
         alike = np.abs(unit.T @ unit) > _ALIKE
-        tests += int(np.sum(~np.any(np.triu(alike, 1), axis=0)))
-        best = int(np.argmax(gains))
+        tried = [*((k,) for k in range(len(kept))), *_waves_at_any_phase(kept)]
+        tests += int(np.sum(~np.any(np.triu(alike, 1), axis=0))) + len(tried) - len(kept)
         squares = group.squares - float(apart @ apart)
         freedom = group.freedom - len(out)
-        share = _share(group, kept[best])
-        p, scale = _chance(float(gains[best]), squares, freedom, share, group.estimated)
+        gains, chances, rows = [], [], held.places[group.block]
+        for places in tried:
+            gains.append(_own_gain(np.linalg.qr(unit[:, places])[0], alone, rows))
+            share = max(_share(group, kept[k], unit[rows, k]) for k in places)
+            shape = squares, freedom, share, group.estimated
+            chances.append(_chance(gains[-1], len(places), *shape))
+        best = min(range(len(tried)), key=lambda k: chances[k][0])
+        p, scale = chances[best]
         as_good = [
             other
             for k, other in enumerate(kept)
-            if alike[k, best] or gains[k] > gains[best] - _DECISIVE_CHI2 * scale
+            if alike[k, tried[best]].all() or gains[k] > gains[best] - _DECISIVE_CHI2 * scale
         ]
         as_good.sort(key=lambda other: KINDS.index(other.kind))
-        found.append(Followed(place, tuple(as_good), p, 0))
+        found.append(Followed(place, tuple(as_good) or (_wave(kept, tried[best]),), p, 0))
     return [Followed(each.group, each.alternatives, each.p, tests) for each in found]
 
 
-def _own_gains(units: Array, residual: Array, rows: slice) -> Array:
-    """Return by how much each column lessens the squares of the readings themselves, shape (m,).
+def _waves_at_any_phase(columns: Sequence[Alternative]) -> Iterator[tuple[int, ...]]:
+    """Yield the places of cosine and sine of one wave, where both are there.
+
+    Those of the first two together as well: a head that errs once and twice a turn makes both.
+    """
+    waves: dict[str, tuple[int, ...]] = {}
+    for k, column in enumerate(columns):
+        if column.kind == WAVE:
+            turns = _turns(column)
+            waves[turns] = (*waves.get(turns, ()), k)
+    whole = [places for places in waves.values() if len(places) > 1]
+    yield from whole
+    if len(whole) > 1:
+        yield whole[0] + whole[1]
+
+
+def _turns(wave: Alternative) -> str:
+    return wave.symbol.partition(" ")[2]
+
+
+def _wave(columns: Sequence[Alternative], places: tuple[int, ...]) -> Alternative:
+    """Return what cosine and sine of one wave, or of two, are together."""
+    turns = dict.fromkeys(_turns(columns[k]) for k in places)
+    return replace(columns[places[0]], symbol="waves of " + " and ".join(turns))
+
+
+def _own_gain(basis: Array, residual: Array, rows: slice) -> float:
+    """Return by how much columns, in a basis of theirs, lessen the squares of readings themselves.
 
     What lessens those of priors is a conflict with a prior, and no pattern of the readings.
     """
-    after = residual[rows, None] - units[rows] * (units.T @ residual)
-    squares = float(residual[rows] @ residual[rows])
-    lessened: Array = np.maximum(squares - np.sum(after**2, axis=0), 0.0)
-    return lessened
+    before = residual[rows]
+    after = before - basis[rows] @ (basis.T @ residual)
+    return max(float(before @ before) - float(after @ after), 0.0)
 
 
-def _share(group: Group, other: Alternative) -> float:
-    """Return the part that noise has in the variance of what a column is weighed against."""
+def _share(group: Group, other: Alternative, own: Array) -> float:
+    """Return the part that noise has in the variance of what a column is weighed against.
+
+    The head has another part, and priors have what is not in the readings' `own` rows.
+    """
     column = other.beside[group.block] ** 2
-    return min(float(column @ group.of_noise) / float(column.sum()), 1.0)
+    by_noise = float(column @ group.of_noise) / float(column.sum())
+    return min(by_noise * float(own @ own), 1.0)
 
 
 def _chance(
-    gain: float, squares: float, freedom: float, share: float, estimated: bool
+    gain: float, columns: int, squares: float, freedom: float, share: float, estimated: bool
 ) -> tuple[float, float]:
-    """Return the probability of a gain in chi-square, and the scale of the residuals without it."""
-    rest, others = max(squares - gain, 0.0), max(freedom - 1.0, 0.5)
+    """Return the probability of a gain in chi-square, and the scale of the residuals without it.
+
+    columns: How many of them gain it, as of `_tail`.
+    """
+    rest, others = max(squares - gain, 0.0), max(freedom - columns, 0.5)
     scale = max(rest / others, 1e-12)
-    by_noise = 2.0 * normal_cdf(-math.sqrt(gain))
+    by_noise = _tail(columns, math.inf, gain)
     if not estimated:
-        # Where more is wrong than this column, it must be more than the others.
+        # Where more is wrong than these columns, they must be more than the others.
         if chi_square_tail(others, rest) > SIGNIFICANCE:
             return by_noise, 1.0
-        return max(by_noise, 2.0 * student_cdf(others, -math.sqrt(gain / scale))), scale
+        return max(by_noise, _tail(columns, others, gain / scale)), scale
     # The head's part of the variance is known, so that only the noise's has a scale to find.
     scale = (1.0 - share) + share * scale
-    return 2.0 * student_cdf(others / max(share, 1e-6) ** 2, -math.sqrt(gain / scale)), scale
+    return _tail(columns, others / max(share, 1e-6) ** 2, gain / scale), scale
+
+
+def _tail(columns: int, dof: float, gain: float) -> float:
+    """Return the probability of a larger gain: that of `columns` times Fisher's F.
+
+    columns: 1, 2 or 4, for which it has a closed form (NIST DLMF 8.17.2).
+    """
+    if columns == 1:
+        return 2.0 * student_cdf(dof, -math.sqrt(gain))
+    half = 0.5 * gain
+    log, more = (-half, half) if math.isinf(dof) else _of_beta(0.5 * dof, half)
+    return math.exp(log) * (1.0 if columns == 2 else 1.0 + more)
+
+
+def _of_beta(a: float, half: float) -> tuple[float, float]:
+    """Return the logarithm of x^a and a (1 - x), x being a / (a + half)."""
+    return -a * math.log1p(half / a), a * half / (a + half)

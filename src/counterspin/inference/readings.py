@@ -32,8 +32,14 @@ _ROUNDS: Final = 50
 _NOISE_ROUNDS: Final = 200
 
 #: Estimated noise is no smaller than this part of what the head's angle adds (rms), or the few
-#: positions where the head adds nothing would be taken for exact.
+#: positions where the head adds nothing would be taken for exact. Enough repeats tell it.
 _LEAST_BESIDE_HEAD: Final = 0.3
+
+#: Readings without any noise, but for one that is off, leave this chi-square of the others.
+_LEAST_REST: Final = 1e-6
+
+#: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone.
+FEWEST_FREEDOM: Final = 5.0
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
 _LARGEST_MOVE: Final = 1e-5
@@ -159,27 +165,26 @@ class ReadingsFit:
     freedom: tuple[float, ...]  #: Readings less what the fit follows of them.
     residuals: tuple[Array, ...]  #: Reading less model at the estimate, g, shape (n,).
     squares: tuple[float, ...]  #: Chi-square of the residuals, by noise and considered terms.
-    #: Residuals over their own standard deviation, with leverages and considered terms counted,
-    #: shape (n,); NaN where the fit follows a reading wholly.
-    standardised: tuple[Array, ...]
-    #: Part that the noise has in the variance of each, from 0 to 1, shape (n,).
-    of_noise: tuple[Array, ...]
-    #: The same of the readings of one position together, for each position that was read more than
-    #: once: places of the readings, their mean residual (g), and this standardised.
+    #: Each reading by itself, and for each position that was read more than once its readings.
+    single: tuple[tuple[Position, ...], ...]
     positions: tuple[tuple[Position, ...], ...]
     linear: tuple[_Part, ...]  #: The readings linearised at the estimate, for `judge`.
 
 
 @frozen
 class Position:
-    """Readings of one position."""
+    """Readings of one position, or one reading, beside the others."""
 
     #: Of the readings; their mean residual, g.
     places: tuple[int, ...]
     residual: float
-    #: As of `ReadingsFit`, of this mean.
+    #: The mean residual over its own standard deviation, with leverages and considered terms
+    #: counted; NaN where the fit follows these readings wholly.
     standardised: float
-    of_noise: float
+    #: The same with an estimated noise as the others tell it (externally studentised), and the
+    #: degrees of freedom of that; infinite where noise is stated.
+    beside_others: float
+    dof: float
 
 
 def solve_readings(
@@ -227,7 +232,8 @@ def solve_readings(
             "machine priors, or state the standard uncertainties of the readings"
         )
     judged = [
-        judge(group, part, solution, model) for group, part in zip(readings, weighted, strict=True)
+        judge(group, part, solution, model, (other, found))
+        for group, part, other in zip(readings, weighted, followed, strict=True)
     ]
     freedom = tuple(each.freedom for each in judged)
     return ReadingsFit(
@@ -236,14 +242,15 @@ def solve_readings(
         tuple(part.sigma for part in weighted),
         tuple(noise),
         tuple(
-            part.freedom(found) + _freedom_of_repeats(group) if group.u is None else math.inf
+            part.freedom_of_noise(found) + _freedom_of_repeats(group)
+            if group.u is None
+            else math.inf
             for group, part in zip(readings, followed, strict=True)
         ),
         freedom,
         tuple(each.residuals for each in judged),
         tuple(each.squares for each in judged),
-        tuple(each.standardised for each in judged),
-        tuple(each.of_noise for each in judged),
+        tuple(each.single for each in judged),
         tuple(each.positions for each in judged),
         tuple(weighted),
     )
@@ -256,21 +263,32 @@ class Judged:
     freedom: float
     residuals: Array
     squares: float
-    standardised: Array
-    of_noise: Array
+    single: tuple[Position, ...]
     positions: tuple[Position, ...]
 
 
-def judge(group: Readings, part: _Part, solution: Solution, model: Unknowns) -> Judged:
-    """Return how readings fit a solution that has followed them, perhaps with others beside."""
-    single = [part.position((place,), solution, model) for place in range(group.size)]
+def judge(
+    group: Readings,
+    part: _Part,
+    solution: Solution,
+    model: Unknowns,
+    relaxed: tuple[_Part, Solution] | None = None,
+) -> Judged:
+    """Return how readings fit a solution that has followed them, perhaps with others beside.
+
+    relaxed: The same with what is considered among the unknowns, by which noise is estimated.
+    """
+    noise = None if group.u is not None else _NoiseWithout(*(relaxed or (part, solution)), group)
+
+    def position(places: Sequence[int]) -> Position:
+        return part.position(places, solution, model, noise)
+
     return Judged(
         part.freedom(solution),
         part.left(solution, model),
         part.squares(solution, model),
-        np.array([each.standardised for each in single]),
-        np.array([each.of_noise for each in single]),
-        tuple(part.position(places, solution, model) for places in group.read_again),
+        tuple(position((place,)) for place in range(group.size)),
+        tuple(position(places) for places in group.read_again),
     )
 
 
@@ -389,7 +407,11 @@ class _Part:
     def left(self, solution: Solution, model: Unknowns) -> Array:
         """Return the residuals, the considered terms at their assumed values."""
         means = np.array([term.prior_mean for term in model.considered])
-        left: Array = self.target - self.design @ solution.estimate - self.fixed @ means
+        left: Array = self.left_at(solution.estimate) - self.fixed @ means
+        return left
+
+    def left_at(self, estimate: Array) -> Array:
+        left: Array = self.target - self.design @ estimate
         return left
 
     def squares(self, solution: Solution, model: Unknowns) -> float:
@@ -413,33 +435,94 @@ class _Part:
     def leverages(self, solution: Solution) -> Array:
         """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
         rows = self.design / self.sigma[:, None]
-        covariance = solution.covariance_noise + solution.covariance_prior
-        covariance = covariance + solution.covariance_unresolved
-        followed: Array = np.clip(np.sum((rows @ covariance) * rows, axis=1), 0.0, 1.0)
-        return followed
+        followed: Array = np.sum((rows @ solution.least_covariance) * rows, axis=1)
+        clipped: Array = np.clip(followed, 0.0, 1.0)
+        return clipped
 
     def freedom(self, solution: Solution) -> float:
         """Return the readings less what the fit follows of them."""
         return float(np.sum(1.0 - self.leverages(solution)))
 
-    def position(self, places: Sequence[int], solution: Solution, model: Unknowns) -> Position:
+    def freedom_of_noise(self, solution: Solution) -> float:
+        """Return the degrees of freedom of an estimated noise that the residuals give it.
+
+        Twice Fisher's information of the logarithm of its variance in the restricted likelihood
+        (Searle, Casella and McCulloch, Variance Components, 1992, section 6.6): the readings less
+        the unknowns where nothing is known beforehand and the head adds nothing.
+        """
+        rows, share = self.design / self.sigma[:, None], self.noise_share
+        weighed = solution.least_covariance @ (rows.T @ (share[:, None] * rows))
+        once = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
+        return once + float(np.sum(weighed * weighed.T))
+
+    @property
+    def noise_share(self) -> Array:
+        """The part that noise has in the variance of each reading, the head having the rest."""
+        share: Array = 1.0 - (self.head / self.sigma) ** 2
+        return share
+
+    def left_of(self, column: Array, solution: Solution) -> Array:
+        """Return what the fit leaves of a column over the standard uncertainties, shape (n,)."""
+        rows = self.design / self.sigma[:, None]
+        left: Array = column - rows @ (solution.least_covariance @ (rows.T @ column))
+        return left
+
+    def position(
+        self,
+        places: Sequence[int],
+        solution: Solution,
+        model: Unknowns,
+        noise: _NoiseWithout | None,
+    ) -> Position:
         """Return the weighted mean of some residuals, and it over its own standard deviation."""
         weights = np.zeros(self.target.size)
         weights[list(places)] = 1.0 / self.sigma[list(places)] ** 2
         weights /= weights.sum()
-        of_noise = float(np.sum((weights * self.sigma) ** 2))
-        followed = weights @ self.design
-        covariance = solution.covariance_noise + solution.covariance_prior
-        left = of_noise - float(followed @ (covariance + solution.covariance_unresolved) @ followed)
-        shifted = (weights @ self.fixed + followed @ solution.sensitivity_considered) * _spread(
-            model
-        )
-        left = max(left, 0.0)
+        own = weights * self.sigma
+        column = self.left_of(own, solution)
+        left = max(float(own @ column), 0.0)
+        moved = weights @ self.fixed + weights @ self.design @ solution.sensitivity_considered
+        shifted = moved * _spread(model)
         variance = left + float(shifted @ shifted)
         residual = float(weights @ self.left(solution, model))
-        if variance <= 1e-9 * of_noise:
-            return Position(tuple(places), residual, math.nan, 1.0)
-        return Position(tuple(places), residual, residual / math.sqrt(variance), left / variance)
+        if variance <= 1e-9 * float(own @ own):
+            return Position(tuple(places), residual, math.nan, math.nan, math.inf)
+        z = residual / math.sqrt(variance)
+        if noise is None:
+            return Position(tuple(places), residual, z, z, math.inf)
+        # The head, priors and what is considered have their parts of the variance too.
+        part = min(float(self.noise_share @ column**2) / variance, 1.0)
+        scale, dof = noise.beside(own)
+        shrunk = 1.0 - part + part * scale
+        dof *= (shrunk / (part * scale)) ** 2 if part * scale > 0.0 else math.inf
+        return Position(tuple(places), residual, z, z / math.sqrt(shrunk), dof)
+
+
+class _NoiseWithout:
+    """An estimated noise without some of the readings, all else being equal."""
+
+    def __init__(self, part: _Part, solution: Solution, group: Readings) -> None:
+        self._part, self._solution = part, solution
+        self._share = part.noise_share
+        self._residual = part.left_at(solution.estimate) / part.sigma
+        again = _freedom_of_repeats(group)
+        self._dof = part.freedom_of_noise(solution) + again
+        # The noise is such that the squares of residuals and repeats are what is expected.
+        self._squares = float(self._share @ (1.0 - part.leverages(solution))) + again
+
+    def beside(self, own: Array) -> tuple[float, float]:
+        """Return the variance without a combination of the readings, over it, and its dof."""
+        share, column = self._share, self._part.left_of(own, self._solution)
+        left = float(own @ column)
+        if left <= 1e-9 * float(own @ own):
+            return 1.0, self._dof
+        removed = column * float(own @ self._residual) / left
+        squares = self._squares - float(share @ (removed * (2.0 * self._residual - removed)))
+        weighed = share * column
+        crossed = float(weighed @ self._part.left_of(weighed, self._solution)) / left
+        gone = float(weighed @ column) / left
+        scale = max(squares, _LEAST_REST) / max(self._squares - gone, _LEAST_REST)
+        return scale, max(self._dof - 2.0 * crossed + gone**2, 1.0)
 
 
 def _spread(model: Unknowns) -> Array:
@@ -489,9 +572,11 @@ def _noise_again(
             "readings than there are unknowns"
         )
     # Where the head's part is known, the score of the rest: each reading by the share that it has.
-    share = (own / part.sigma) ** 2 / part.repeats
+    share = part.noise_share
     left = part.left(solution, model) / part.sigma
     squares = float(share @ left**2) + float(group.scatter.sum()) / own**2
     size = own * math.sqrt(squares / (float(share @ left_over) + again))
+    if again < FEWEST_FREEDOM:
+        size = max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))))
     # Readings without any noise, such as simulated ones, must not end in a division by zero.
-    return max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))), 1e-15)
+    return max(size, 1e-15)

@@ -22,7 +22,6 @@ from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.reading_tests import (
     DRIFT,
-    FEWEST_FREEDOM,
     HYSTERESIS,
     TERM,
     WARM_UP,
@@ -32,12 +31,16 @@ from counterspin.inference.reading_tests import (
     candidates,
     most_followed,
 )
+from counterspin.inference.readings import FEWEST_FREEDOM
 from counterspin.reports.numbers import format_number
 
 #: Up to so many positions that are off may each be a mistake. More, and more than this share of
 #: all, point to the model.
 _MAX_LONE_POSITIONS: Final = 3
 _MAX_LONE_SHARE: Final = 0.25
+
+#: More standard deviations than this say no more: the others have hardly any noise.
+_COUNTABLE: Final = 1000
 
 
 def readings_fit(view: AccelerometerView) -> list[Finding]:
@@ -108,14 +111,13 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
 
 def _group(part: AccelerometerReadings) -> Group:
     readings, estimated = part.readings, math.isfinite(part.dof)
-    noise = part.noise / np.sqrt(readings.repeats)
     names = {name for name, _, _ in part.outlying()}
     lone = tuple(k for k, name in enumerate(readings.names) if name in names)
     return Group(
         readings,
         part.block_name,
         part.sigma,
-        (noise / part.sigma) ** 2 if estimated else np.ones(readings.size),
+        part.linear.noise_share if estimated else np.ones(readings.size),
         # The noise that is estimated is such that they are what is expected.
         part.dof if estimated else part.squares,
         part.dof if estimated else part.freedom,
@@ -193,11 +195,12 @@ def _most_lone(part: AccelerometerReadings) -> float:
 def _outlying(
     part: AccelerometerReadings, name: str, reading: str, residual: float, z: float
 ) -> Finding:
+    deviations = f"{abs(z):.1f}" if abs(z) < _COUNTABLE else f"more than {_COUNTABLE}"
     return Finding(
         code="outlying-reading",
         subject=f"{name}.{reading}",
         text=f'The position "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
-        f"{abs(z):.1f} of its standard deviations: look at it, or at what the model lacks.",
+        f"{deviations} of its standard deviations: look at it, or at what the model lacks.",
         size=abs(z),
         contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )
