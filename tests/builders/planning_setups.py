@@ -13,7 +13,7 @@ from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import DEGREE_PER_HOUR, TERMS, term
+from counterspin.physics.terms import DEGREE_PER_HOUR, INPUTS, TERMS, term
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 
@@ -47,15 +47,6 @@ def unknown(symbol, owner, kind=Unknown, priors=PRIORS):
     return kind(owner, symbol, (row.nominal, priors.get(symbol, math.inf)), row.limit)
 
 
-class Even(Series):
-    """A record as a plan takes it: noise of the time stamps by its mean over a revolution."""
-
-    @property
-    def jitter_variance(self):
-        """The same for each row."""
-        return self.jitter**2
-
-
 def make_setup(
     symbols=("K_F", "K_I", "K_II", "K_III"),
     *,
@@ -67,9 +58,10 @@ def make_setup(
     mountings=None,
     priors=PRIORS,
     sampling_rate=50.0,
-    jitter=0.0,
+    timing=0.0,
+    expected=1e-3,
 ):
-    """Return a set-up; `priors` are standard uncertainties by symbol."""
+    """Return a set-up; `priors` are standard uncertainties, `expected` is a part of the limits."""
     mountings = mountings or {"Qx": QX}
 
     def owners(symbol):
@@ -83,7 +75,7 @@ def make_setup(
     )
     return Setup(
         instruments=tuple(
-            PlannedInstrument(name, mounting, observable, noise, jitter)
+            PlannedInstrument(name, mounting, observable, noise, timing)
             for name, mounting in mountings.items()
         ),
         attitudes=dict(attitudes),
@@ -91,7 +83,7 @@ def make_setup(
         site=SITE,
         sampling_rate=sampling_rate,
         model=model,
-        estimate=np.array([1e-3 * u.limit for u in model.unknowns]),
+        estimate=np.array([expected * u.limit for u in model.unknowns]),
         scale_factors=dict.fromkeys(mountings, 1.0),
     )
 
@@ -101,6 +93,13 @@ def blocks_of(samples, step, rate):
     size = block_size(step, rate)
     blocks = [np.arange(i, min(i + size, samples)) * step for i in range(0, samples, size)]
     return tuple(np.array([f(block) for block in blocks]) for f in (np.mean, np.std, np.size))
+
+
+def with_errors(part, model, estimate):
+    """Return a record as the terms, but not the inputs, make it."""
+    terms = [k for k, i in enumerate(part.unknowns) if model.unknowns[i].symbol not in INPUTS]
+    values = estimate[[part.unknowns[k] for k in terms]]
+    return replace(part.series, error=part.design[:, terms] @ values)
 
 
 def u_by_joint_fit(setup, design):
@@ -113,9 +112,8 @@ def u_by_joint_fit(setup, design):
         spindle = Spindle(kind.sense * float(design.rate[index]))
         time, spread, count = blocks_of(samples, 1.0 / setup.sampling_rate, spindle.rate)
         for one in setup.instruments:
-            slope = setup.radius * abs(spindle.rate) ** (3 - one.order) / math.sqrt(2.0)
             series.append(
-                Even(
+                Series(
                     one.name,
                     run,
                     Trajectory(spindle, setup.radius, setup.site),
@@ -127,7 +125,6 @@ def u_by_joint_fit(setup, design):
                     count,
                     1.0 / setup.sampling_rate,
                     np.zeros_like(time),
-                    jitter=one.jitter * slope,
                 )
             )
 
@@ -150,6 +147,13 @@ def u_by_joint_fit(setup, design):
         ]
     )
     prepared = prepare_columns(series, model, setup.scale_factors, estimate)
+    timing = {one.name: one.timing for one in setup.instruments}
+    prepared = [
+        replace(
+            part, series=with_errors(part, model, estimate).with_timing(timing[part.accelerometer])
+        )
+        for part in prepared
+    ]
     fit = solve_joint(prepared, model, {one.name: one.noise for one in setup.instruments})
     shared = [i for i, u in enumerate(model.unknowns) if u.owner not in owners]
     return fit.solution.u[shared]

@@ -23,6 +23,35 @@ def test_a_mixed_campaign_has_the_uncertainties_that_were_forecast(tmp_path):
         assert c.u == pytest.approx(told.u[f"A.{symbol}"], rel=5e-3)
 
 
+MODELS = {"perfect": 'assume = "all"\nterms = ["K_F", "K_I", "K_II"]\n', "nothing assumed": ""}
+
+
+@pytest.mark.parametrize("timing", ["0 s", "1 ms"])
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_a_campaign_has_the_uncertainties_that_were_forecast(model, timing, tmp_path):
+    """With noise of the time stamps too: of outputs it goes with their slope, and of angles too.
+
+    A ripple that the angles do not show does to K_II what K_III is. So K_III is in the model only
+    where K_II rests on something else.
+    """
+    noise = f'displacement = "0.01 m"\ntiming = "{timing}"\n'
+    text = changed(
+        SMALL,
+        ('[noise]\ndisplacement = "0.01 m"\n', f"[noise]\n{noise}"),
+        ('[truth.noise]\ndisplacement = "0.01 m"\n', f"[truth.noise]\n{noise}"),
+        ('assume = "all"\n', model),
+        ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 ± 1e-4 g/g"'),
+        ('scale_factor = "0.999 g/g"', 'scale_factor = "0.999 ± 1e-4 g/g"'),
+        ('K_III = "3e-6 g/g^3"\n', ""),
+    )
+    simulate(write(tmp_path, text), tmp_path / "simulated")
+    told = forecast(tmp_path / "simulated").u
+    for name, accelerometer in calibrate(tmp_path / "simulated").accelerometers.items():
+        for symbol, c in accelerometer.coefficients.items():
+            if c.estimated:
+                assert c.u == pytest.approx(told[f"{name}.{symbol}"], rel=0.01)
+
+
 def test_a_computer_with_its_own_velocity_makes_no_difference(tmp_path):
     """What it took off is put back, noise included: a forecast, or a study, need not know of it."""
     walk = 'acceleration = "1e-5 g/Hz^0.5"\n'

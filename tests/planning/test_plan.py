@@ -43,6 +43,12 @@ PLANS = {
         ('# attitude_change = "10 min"', 'attitude_change = "20 s"'),
         ("runs = 14", "runs = 6"),
     ],
+    "time stamps": [
+        SMALL,
+        ('displacement = "0.01 m"', 'displacement = "2 mm"\ntiming = "1 ms"'),
+        ('"platform.tilt" = "0 ± 0.5', '"platform.tilt" = "0 ± 0.05'),
+        ('bias = "0 ± 5e-7 g"', 'bias = "0.005 ± 5e-7 g"'),
+    ],
     "random walk": [
         SMALL,
         ('displacement = "0.01 m"', 'displacement = "0.01 m"\nacceleration = "1e-5 g/Hz^0.5"'),
@@ -221,6 +227,20 @@ def test_a_target_is_met_by_the_forecast(size, plan_of):
     # Not above it, and below by no more than one step of 0.1 s in a run of 15 s makes.
     assert 1.0 - 0.004 <= u / (float(size) * 1e-8) <= 1.0
     assert result.total_time <= 700.0 * (1.0 + 1e-9)
+
+
+def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
+    """The search weighs samples as the fit does; nothing bounds what another plan could do."""
+    changes = PLANS["time stamps"]
+    best = plan(starter(*changes)).result
+    assert best.goal.efficiency is None
+    assert "no theorem bounds it" in report_of(best, capsys)
+    u = best.accelerometers["Qx"].coefficients["K_II"].u
+    found = plan(starter(*changes, (GOAL, f'target = {{ K_II = "{1.02 * u!r} g/g^2" }}'))).result
+    assert 0.99 < found.accelerometers["Qx"].coefficients["K_II"].u / (1.02 * u) <= 1.0
+    assert found.total_time < best.total_time
+    with pytest.raises(CounterspinError, match="no plan that was found reaches"):
+        plan(starter(*changes, (GOAL, f'target = {{ K_II = "{0.9 * u!r} g/g^2" }}')))
 
 
 RECORDS = {

@@ -215,7 +215,6 @@ def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
     return {
         "u": [_line(term, float(u[term])) for term in search.plan.goal.sizes],
         "time": limits.time(optimum.design),
-        "efficiency": optimum.efficiency,
         "runs": [
             {"rate": float(rate) * kind.sense, "attitude": kind.attitude, "seconds": float(length)}
             for kind, rate, length in zip(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from counterspin.physics import observation
 
 def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
     """Return one series for each run and accelerometer, missing samples left out."""
+    timing = campaign.noise.timing if campaign.noise else 0.0
     series = []
     for run in observed:
         for name, signal in run.signals.items():
@@ -37,16 +37,8 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                 angle_error=run.rotation.error if run.rotation else None,
                 by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
             )
-            series.append(_jittered(one, campaign.noise.timing if campaign.noise else 0.0))
+            series.append(one.with_timing(timing) if isinstance(timing, float) else one)
     return tuple(series)
-
-
-def _jittered(series: Series, timing: float | str) -> Series:
-    """Return a series with what noise of its time stamps adds, if the size of that is stated, s."""
-    if not isinstance(timing, float) or timing == 0.0:
-        return series
-    moved = timing * series.slope()
-    return replace(series, moved=moved, jitter=float(np.sqrt(np.mean(moved**2))))
 
 
 def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:

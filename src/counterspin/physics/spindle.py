@@ -200,10 +200,7 @@ def fit_spindle(
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
     if harmonics is not None:
         return _fit(time, theta, root_weight, nominal_rate, range(1, harmonics + 1))[0]
-    # No more harmonics than the samples of a revolution can tell apart.
-    spacing = float(np.median(np.diff(time))) if time.size > 1 else 0.0
-    resolvable = int(math.pi / abs(nominal_rate * spacing)) - 1 if spacing else 0
-    highest = min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
+    highest = _resolvable(time, nominal_rate)
     everything, whole = _fit(time, theta, root_weight, nominal_rate, range(1, highest + 1))
     kept = [
         ripple.harmonic
@@ -214,6 +211,31 @@ def fit_spindle(
     # What the criterion has left out may be there all the same, as far as its noise allows.
     open_ = sorted({*kept, *range(1, min(HARMONICS, highest) + 1)})
     return replace(fit, error=_angle_error(time, open_, whole, part))
+
+
+def angle_error_to_come(time: Array, rate: float, noise: float, weights: Array) -> AngleError:
+    """Return what a fit of an angle will leave open, before there is one.
+
+    time: Of the samples or block means, s, shape (n,).
+    rate: rad/s.
+    noise: Standard deviation of one sample's angle, rad.
+    weights: Samples in each block, shape (n,).
+    """
+    harmonics = range(1, min(HARMONICS, _resolvable(time, rate)) + 1)
+    size, scaled = np.sqrt(weights), time / float(np.ptp(time))
+    columns = np.empty((3 + 2 * len(harmonics), time.size))
+    columns[:3] = size, size * scaled, size * scaled**2
+    _waves(rate * time, harmonics, size, columns[3:])
+    factor = np.asarray(noise * np.linalg.inv(triangle_of(in_parts(columns.T))), np.float64)
+    coefficients = _Coefficients(rate, harmonics, np.zeros(len(columns)), factor)
+    return _angle_error(time, harmonics, coefficients, coefficients)
+
+
+def _resolvable(time: Array, rate: float) -> int:
+    """Return how many harmonics the samples of a revolution can tell apart, at most."""
+    spacing = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    resolvable = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
+    return min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
 
 
 def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:

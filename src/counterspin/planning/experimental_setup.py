@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import ORDERS
+from counterspin.physics.terms import INPUTS
 
 
 @frozen
@@ -24,13 +28,25 @@ class PlannedInstrument:
     mounting: Mounting
     observable: str
     noise: NoiseModel  #: Of one sample.
-    #: Standard deviation of the time stamps, s; it counts by its mean over a revolution.
-    jitter: float = 0.0
+    timing: float = 0.0  #: Standard deviation of the time stamps, s.
 
     @property
     def order(self) -> int:
         """How often the observable integrates the specific force."""
         return ORDERS[self.observable]
+
+
+def expected_record(
+    series: Series, expected: Mapping[Unknown, float], scale_factor: float
+) -> Series:
+    """Return a record with the errors that are expected of it, but for those of inputs.
+
+    expected: Values less nominal.
+    scale_factor: K_I, with which the accelerometer sees the platform's errors.
+    """
+    own = [u for u in expected if expected[u] and u.symbol not in INPUTS and u.concerns(series)]
+    columns = series.columns([u.symbol for u in own], scale_factor)
+    return replace(series, error=columns @ [expected[u] for u in own])
 
 
 @frozen

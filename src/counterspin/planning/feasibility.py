@@ -22,6 +22,7 @@ from counterspin.planning.forecast import forecast, setup_of
 from counterspin.planning.relaxation import relax
 from counterspin.planning.run_information import RunInformation
 from counterspin.planning.search import Search
+from counterspin.reports.numbers import format_apart
 
 #: Attitudes that are tried where those allowed do not suffice.
 _ATTITUDES_TRIED: Final = ("90 deg about east", "90 deg about north", "90 deg about up")
@@ -151,14 +152,15 @@ def unreachable(search: Search) -> CounterspinError:
     )
     floor = math.exp(relaxed.value) * goal[name] if len(goal) == 1 else None
     text = (
-        f"no plan within the limits reaches u({name}) = {goal[name]:.3g} {unit}. The best has "
-        f"{u[name]:.3g} {unit} in {search.limits.time(best.design):.4g} s, of whose square: "
-        f"{sources}"
+        f"no plan {'within the limits' if search.bounded else 'that was found'} reaches "
+        f"u({name}) = {format_apart(goal[name], u[name])} {unit}. The best has "
+        f"{format_apart(u[name], goal[name])} {unit} in {search.limits.time(best.design):.4g} s, "
+        f"of whose square: {sources}"
     )
-    if floor is not None and floor > goal[name]:
-        text += f". With any amount of time it would be {floor:.3g} {unit}"
+    if floor is not None and search.bounded and floor > goal[name]:
+        text += f". With any amount of time it would be {format_apart(floor, goal[name])} {unit}"
     if all(kind.sense == 1 for kind in search.limits.types):
         both = search.smallest(search.relaxed("senses"), best.design)
         there = search.predictor.u(both.design)[search.predictor.names.index(name)]
-        text += f", with both senses of the spin {there:.3g} {unit}"
+        text += f", with both senses of the spin {format_apart(there, goal[name])} {unit}"
     return CounterspinError(text + ".")

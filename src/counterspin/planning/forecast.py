@@ -24,18 +24,18 @@ from counterspin.campaign.simulable import require_room
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.joint.encoder import with_encoder
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series, jitter_of
+from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.readings import blocks_at
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.observation import ORDERS
-from counterspin.physics.spindle import Spindle
+from counterspin.physics.spindle import Spindle, angle_error_to_come
 from counterspin.physics.terms import OWN_TERMS
-from counterspin.planning.experimental_setup import PlannedInstrument, Setup
+from counterspin.planning.experimental_setup import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
 
 
@@ -126,10 +126,14 @@ def forecast(
         for run in campaign.runs
         for name in campaign.accelerometers
     ]
-    prepared = prepare_columns(series, model, scale_factors(campaign), expected)
-    fit = solve_joint(prepared, model, noise_of_records(campaign))
+    noise = noise_of_records(campaign)
+    whole = with_encoder(model, series, noise)
+    expected = np.pad(expected, (0, len(whole.unknowns) - len(model.unknowns)))
+    prepared = prepare_columns(series, whole, scale_factors(campaign), expected)
+    fit = solve_joint(prepared, whole, noise)
     if beside:
-        solution = solve_blocks([*fit.blocks, *beside.values()], model)
+        beside = dict(zip(beside, blocks_at(groups, whole, expected), strict=True))
+        solution = solve_blocks([*fit.blocks, *beside.values()], whole)
         fit = replace(fit, solution=solution, beside=beside)
     return Forecast(campaign, fit)
 
@@ -200,9 +204,9 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     first = np.arange(0, samples, block)
     count = np.minimum(block, samples - first).astype(np.float64)
     time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
-    timing = float(_noise(campaign).get("timing", 0.0))
-    order = ORDERS[accelerometer.observable]
-    axis = accelerometer.mounting.turned(run.attitude).input_axis
+    noise = _noise(campaign)
+    timing = float(noise.get("timing", 0.0))
+    of_angle = math.hypot(float(noise.get("angle", 0.0)), run.rate * timing)
     series = Series(
         accelerometer=name,
         run=run.name,
@@ -221,15 +225,18 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         spacing=step,
         error=np.zeros_like(time),
         in_g=accelerometer.channel.in_g,
-        jitter=jitter_of(timing, campaign.radius.value, run.rate, order, axis),
+        angle_error=angle_error_to_come(time, run.rate, of_angle, count)
+        if campaign.angle is not None and of_angle > 0.0
+        else None,
     )
-    if not series.in_g:
+    if not series.in_g and timing == 0.0:
         return series
-    # Of a record in g the size depends on the gravity assumed, errors included.
-    model = model_of(campaign).without_inputs()
-    own = [u for u in model.unknowns if u.concerns(series)]
-    columns = series.columns([u.symbol for u in own], scale_factors(campaign)[name])
-    return replace(series, error=columns @ expected_values(campaign, own))
+    # Of a record in g the size depends on the gravity assumed, errors included; what noise of the
+    # time stamps does depends on its slope.
+    unknowns = model_of(campaign).unknowns
+    values = expected_values(campaign, unknowns).tolist()
+    expected = dict(zip(unknowns, values, strict=True))
+    return expected_record(series, expected, scale_factors(campaign)[name]).with_timing(timing)
 
 
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:

@@ -79,6 +79,11 @@ def _answer(result: PlanResult) -> Iterator[Block]:
 
 
 def _optimality(goal: GoalResult, timed: bool) -> str:
+    if goal.efficiency is None:
+        return (
+            "How much better another plan could be is not known: with noise of the time stamps no "
+            "theorem bounds it."
+        )
     less = 100.0 * (1.0 - goal.efficiency)
     what = "smaller u" if goal.kind == "minimise" else "shorter time"
     if goal.kind == "target" and not timed:

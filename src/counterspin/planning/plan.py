@@ -123,7 +123,7 @@ def plan(
                 kind=described.goal.kind,
                 criterion=described.goal.criterion,
                 sizes=dict(described.goal.sizes),
-                efficiency=optimum.efficiency,
+                efficiency=optimum.efficiency if search.bounded else None,
             ),
             "others": _others(search, design, prediction, total),
             "limits": _limits(search, optimum),

@@ -91,13 +91,13 @@ class GoalResult(ResultPart):
     """What was sought, and how it was met.
 
     `efficiency` is the least u (or, for a target, time) that any plan within the limits could
-    have, over this plan's.
+    have, over this plan's; None where no theorem says it.
     """
 
     kind: Literal["minimise", "target"]
     criterion: Literal["sum", "determinant"]
     sizes: dict[str, float]
-    efficiency: float
+    efficiency: float | None
 
 
 class OtherPlan(ResultPart):

@@ -10,7 +10,8 @@ information is
 R a factor of the whitened functions with the run's own start errors projected out, W the weights,
 which are polynomials in the rate and found once, from the same columns as a calibration's. With
 white noise R has a closed form (`counterspin.planning.even_samples`), exact for the very samples
-of the record; with a random walk it is interpolated (`counterspin.planning.walk_table`).
+of the record; with a random walk, or noise of the time stamps, it is interpolated
+(`counterspin.planning.information_table`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -28,15 +30,16 @@ from numpy.polynomial import chebyshev
 from counterspin.arrays import Array
 from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
-from counterspin.inference.joint.series import Series, jitter_of
+from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.planning import even_samples
 from counterspin.planning.angle_functions import functions, integration
 from counterspin.planning.even_samples import EvenSamples
-from counterspin.planning.experimental_setup import PlannedInstrument, Setup
-from counterspin.planning.walk_table import WalkTable
+from counterspin.planning.experimental_setup import PlannedInstrument, Setup, expected_record
+from counterspin.planning.information_table import InformationTable
 from counterspin.records.reduction import block_size
 
 #: Highest harmonics of the angle that are tried, until the columns are combinations of the
@@ -91,36 +94,61 @@ class RunInformation:
             known = _weights_of_priors(setup.model, setup.own(name)[0])
             self._priors[kind, : known.size] = known
         serves = like is not None and like._harmonics == self._harmonics
-        self._tables: list[WalkTable | None]
-        self._tables = like._tables if like and serves else self._walk_tables()
+        self._tables: list[list[InformationTable | None]]
+        self._tables = like._tables if like and serves else self._made_tables()
 
-    def _walk_tables(self) -> list[WalkTable | None]:
-        """Return what is interpolated for each instrument; None where there is a closed form."""
-        tables: dict[PlannedInstrument, WalkTable] = {}
-        chosen: list[WalkTable | None] = []
+    def _made_tables(self) -> list[list[InformationTable | None]]:
+        """Return what is interpolated for each instrument and kind; None: there is a closed form.
+
+        Noise of the time stamps goes with the slope of what this very kind of run records.
+        """
+        tables: dict[tuple[PlannedInstrument, object], InformationTable] = {}
+        chosen: list[list[InformationTable | None]] = []
         for instrument in self.setup.instruments:
-            if instrument.noise.random_walk == 0.0 or instrument.order == 0:
-                chosen.append(None)
-                continue
-            alike = replace(instrument, name="", mounting=self.setup.instruments[0].mounting)
-            if alike not in tables:
-                tables[alike] = WalkTable(
-                    instrument.order,
-                    instrument.noise.random_walk,
-                    lambda rate, i=instrument: self._variance(i, rate),  # type: ignore[misc]
-                    self.setup.sampling_rate,
-                    self._rates,
-                    self._revolutions,
-                    self._harmonics,
-                )
-            chosen.append(tables[alike])
+            noise = instrument.noise
+            if instrument.order == 0:  # a random walk of the velocity is white in specific force
+                walk = noise.random_walk**2 * self.setup.sampling_rate
+                noise = NoiseModel(math.sqrt(noise.sample_variance + walk))
+            of_kinds: list[InformationTable | None] = []
+            for kind in self._kinds:
+                if noise.random_walk == 0.0 and instrument.timing == 0.0:
+                    of_kinds.append(None)
+                    continue
+                key: tuple[PlannedInstrument, object] = (instrument, kind)
+                if instrument.timing == 0.0:
+                    first = self.setup.instruments[0].mounting
+                    key = (replace(instrument, name="", mounting=first), None)
+                if key not in tables:
+                    tables[key] = InformationTable(
+                        instrument.order,
+                        noise,
+                        partial(self._of_time_stamps, instrument, *kind)
+                        if instrument.timing > 0.0
+                        else None,
+                        self.setup.sampling_rate,
+                        self._rates,
+                        self._revolutions,
+                        self._harmonics,
+                    )
+                of_kinds.append(tables[key])
+            chosen.append(of_kinds)
         return chosen
+
+    def _of_time_stamps(
+        self, instrument: PlannedInstrument, attitude: str, sense: int, rate: float, angle: Array
+    ) -> Array:
+        """Return the variance that noise of its time stamp adds to a sample, at angles, (n,)."""
+        setup = self.setup
+        series = self._series(instrument, attitude, sense * rate, angle / rate)
+        expected = dict(zip(setup.model.unknowns, setup.estimate.tolist(), strict=True))
+        expecting = expected_record(series, expected, setup.scale_factors[instrument.name])
+        return expecting.with_timing(instrument.timing).jitter_variance
 
     def sampled_at(self, sampling_rate: float) -> RunInformation:
         """Return the same for another sampling rate, Hz."""
         other = copy.copy(self)
         other.setup = replace(self.setup, sampling_rate=sampling_rate)
-        other._tables = other._walk_tables()
+        other._tables = other._made_tables()
         return other
 
     def blocks(
@@ -148,11 +176,17 @@ class RunInformation:
         samples = revolutions * (2.0 * math.pi * self.setup.sampling_rate) / rate
         samples = np.floor(samples * (1.0 + 1e-12)) + 1.0 if whole_samples else samples + 1.0
         parts = []
-        for instrument, table, weight in zip(
+        for instrument, tables, weight in zip(
             self.setup.instruments, self._tables, self._weights, strict=True
         ):
             weights = self._in_rate(weight, kinds, rate, instrument.order)
-            parts.append(self._root(instrument, table, weights, rate, samples, whole_samples))
+            part = np.empty((rate.size, weights.shape[1] - instrument.order, weights.shape[2]))
+            for table in dict.fromkeys(tables[kind] for kind in np.unique(kinds)):
+                here = np.array([tables[kind] is table for kind in kinds])
+                part[here] = self._root(
+                    instrument, table, weights[here], rate[here], samples[here], whole_samples
+                )
+            parts.append(part)
         rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         for prior in self._priors[kinds].T:
             rows = _without_first(rows, prior[:, None, None])
@@ -167,7 +201,7 @@ class RunInformation:
     def _root(
         self,
         instrument: PlannedInstrument,
-        table: WalkTable | None,
+        table: InformationTable | None,
         weights: Array,
         rate: Array,
         samples: Array,
@@ -187,16 +221,11 @@ class RunInformation:
             count=samples / block,
             spread=spread,
         )
-        variance = self._variance(instrument, rate)
+        variance = instrument.noise.sample_variance
         if instrument.order == 0:  # a random walk of the velocity is white in specific force
             variance = variance + instrument.noise.random_walk**2 / step
         size: Array = np.sqrt(block / variance)[:, None, None]
         return np.asarray(size * even_samples.root(records, weights, instrument.order))
-
-    def _variance(self, instrument: PlannedInstrument, rate: Any) -> Any:
-        """Return the white variance of one sample, that of jitter included."""
-        jitter = jitter_of(instrument.jitter, self.setup.radius, rate, instrument.order)
-        return instrument.noise.sample_variance + jitter**2
 
     # The weights
 
@@ -264,20 +293,8 @@ class RunInformation:
     ) -> Prepared:
         """Return the columns of the specific force, before any integration."""
         setup = self.setup
-        trajectory = Trajectory(Spindle(rate), setup.radius, setup.site)
-        series = Series(
-            accelerometer=instrument.name,
-            run=attitude,
-            trajectory=trajectory,
-            mounting=instrument.mounting,
-            observable="specific_force",
-            attitude=setup.attitudes[attitude],
-            time=times,
-            spread=np.zeros_like(times),
-            count=np.ones_like(times),
-            spacing=float(times[1] - times[0]),
-            error=np.zeros_like(times),
-        )
+        forced = replace(instrument, observable="specific_force")
+        series = self._series(forced, attitude, rate, times)
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
         (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
         symbols = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
@@ -285,6 +302,25 @@ class RunInformation:
             column = prepared.design[:, symbols.index(CLOCK)]
             column[:] = self._by_clock(prepared, column, instrument.order)
         return prepared
+
+    def _series(
+        self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
+    ) -> Series:
+        """Return a record without errors."""
+        setup = self.setup
+        return Series(
+            accelerometer=instrument.name,
+            run=attitude,
+            trajectory=Trajectory(Spindle(rate), setup.radius, setup.site),
+            mounting=instrument.mounting,
+            observable=instrument.observable,
+            attitude=setup.attitudes[attitude],
+            time=times,
+            spread=np.zeros_like(times),
+            count=np.ones_like(times),
+            spacing=float(times[1] - times[0]),
+            error=np.zeros_like(times),
+        )
 
     def _by_clock(self, prepared: Prepared, column: Array, order: int) -> Array:
         """Return what a fast clock does to a record, differentiated so often, from the force's.

@@ -64,6 +64,15 @@ class Search:
             return None
         return self._predictor(considering=False)
 
+    @property
+    def bounded(self) -> bool:
+        """Whether the relaxation bounds every plan: what samples tell must not depend on chance.
+
+        With noise of the time stamps those at an extremum of the output tell most, and whether
+        there are any depends on the rate to many digits.
+        """
+        return not any(one.timing for one in self.predictor.information.setup.instruments)
+
     def best(self, limits: Limits | None = None, start: Design | None = None) -> Optimum | None:
         """Return the best plan, within other limits if these are given; None: target missed."""
         limits = limits or self.limits

@@ -149,6 +149,12 @@ def format_number(value: float, digits: int = 3) -> str:
     return f"{mantissa}e{int(exponent)}" if mark else text
 
 
+def format_apart(value: float, other: float) -> str:
+    """Return a number with three digits, or with as many as tell it from another one."""
+    texts = ((f"{value:.{digits}g}", f"{other:.{digits}g}") for digits in range(3, 18))
+    return next((text for text, there in texts if text != there), f"{value:.3g}")
+
+
 def format_count(value: float) -> str:
     """Write a count, or what is compared with one: from a thousand on whole, else four digits."""
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e9 else format_number(value, 4)

@@ -13,7 +13,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import sample_count
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import Series, jitter_of
+from counterspin.inference.joint.series import Series
 from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
@@ -57,9 +57,7 @@ class World:
     def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
         """Return a record, without errors where none are given."""
         times = self.times(run)
-        rate = self.spindles[run].rate
-        axis = self.mountings[name].turned(self.attitudes[run]).input_axis
-        return Series(
+        series = Series(
             accelerometer=name,
             run=self.runs[run],
             trajectory=self.trajectory(run, spindle),
@@ -71,8 +69,8 @@ class World:
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
-            jitter=jitter_of(self.noise.timing, self.radius, rate, 2, axis),
         )
+        return series.with_timing(self.noise.timing)
 
     def strobed(self, run: int, name: str) -> StrobedMotion:
         """Return a run as the strobes of an accelerometer see it."""

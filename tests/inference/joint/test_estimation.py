@@ -25,7 +25,6 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
-from counterspin.inference.joint.series import jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.motion import Trajectory
@@ -171,10 +170,12 @@ def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, 
 
 
 def test_noise_of_the_time_stamps_counts_once(clean):
-    jitter = {one.run: 2e-3 * (2 * rank) for rank, one in enumerate(clean)}
-    series = [replace(one, jitter=jitter[one.run]) for one in clean]
     rng = np.random.default_rng(16)
-    drawn = [noisy(one, NoiseModel(math.hypot(0.01, one.jitter)), rng) for one in series]
+    drawn = []
+    for rank, one in enumerate(clean):
+        series = one.with_timing(5e-4 * rank)
+        late = np.sqrt(series.jitter_variance) * rng.standard_normal(one.time.size)
+        drawn.append(noisy(replace(series, error=one.error + late), WHITE, rng))
     rows = sum(one.time.size for one in drawn)
     for request in (NoiseRequest(None, 0.0), NoiseRequest(None, None), NoiseRequest(0.01, 0.0)):
         found = estimate(drawn, MODEL, {"Qx": request})
@@ -375,7 +376,7 @@ def test_noise_of_the_time_stamps_goes_with_the_slope(white):
         slope = (one.reference(later=1e-4) - one.reference(later=-1e-4)) / 2e-4
         late = timing * rng.standard_normal(one.time.size)
         moved = noisy(replace(one, error=one.error + slope * late), NoiseModel(0.02), rng)
-        drawn.append(replace(moved, jitter=jitter_of(timing, one.trajectory.radius, rate, 0)))
+        drawn.append(moved.with_timing(timing))
     found = estimate(drawn, MODEL, {"Qx": NoiseRequest(white, 0.0)})
     solution = found.fit.solution
     assert found.fit.noise["Qx"].white == pytest.approx(0.02, rel=0.2)

@@ -435,9 +435,7 @@ def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
         unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
     )
     # Of time stamps' noise the runs have differently much.
-    series = [
-        replace(one, jitter=0.01 * (index + 1)) for index, one in enumerate(three_rates(TRUTH))
-    ]
+    series = [one.with_timing(1e-3 * i) for i, one in enumerate(three_rates(TRUTH))]
     prepared = redrawn(prepare_columns(series, model, SCALES), WHITE, np.random.default_rng(8))
     changed = solve_joint(prepared, model, {"Qx": WHITE}).with_noise({"Qx": level})
     direct = solve_joint(prepared, model, {"Qx": level})

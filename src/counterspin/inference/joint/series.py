@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import ArrayLike
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -19,13 +18,12 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.angle_error import AngleError
 from counterspin.physics.motion import Trajectory
 
-Rate = TypeVar("Rate", float, Array)
-
 #: Step of the reference's slope, rad.
 _STEP_OF_TURN: Final = 1e-4
 
-#: Least variance of a row's jitter, over its mean: no row is without noise where the slope is zero.
-_LEAST_SHARE: Final = 0.02
+#: Least variance of a row's jitter, over the mean of what an ideal output has: no row is without
+#: noise where the slope is zero.
+LEAST_SHARE: Final = 0.02
 
 
 @frozen
@@ -59,7 +57,7 @@ class Series:
     #: shape (n,); None where it does not depend on it.
     by_latitude: Array | None = None
     #: How much a standard deviation of a time stamp moves each row, in the error's unit, shape
-    #: (n,); None: as the wave of an ideal output does, with `jitter` its rms over a revolution.
+    #: (n,); None: not at all.
     moved: Array | None = None
 
     @property
@@ -136,23 +134,6 @@ class Series:
             moved=None if self.moved is None else self.moved[keep],
         )
 
-    def slope(self) -> Array:
-        """Return d(output)/dt of what was recorded, in the error's unit and 1/s, shape (n,).
-
-        That of the reference, and of a cubic with a wave through the error: a bias of 5 mg has
-        moved the platform at 20 m/s after 400 s, five times as fast as the arm does.
-        """
-        step = _STEP_OF_TURN / abs(self.trajectory.spindle.rate)
-        along = (self.reference(later=step) - self.reference(later=-step)) / (2.0 * step)
-        t = self.time / max(float(self.time[-1]), step)
-        angle = self.trajectory.spindle.angle(self.time)
-        turning = self.trajectory.spindle.angular_rate(self.time)
-        wave = [np.cos(angle), np.sin(angle)]
-        shape = np.column_stack([np.vander(t, 4), *wave])
-        found = np.linalg.lstsq(shape, self.error, rcond=None)[0]
-        grown = np.polyval(np.polyder(found[:4]), t) / max(float(self.time[-1]), step)
-        return np.asarray(along + grown + turning * (found[5] * wave[0] - found[4] * wave[1]))
-
     @property
     def order(self) -> int:
         """How often the observable integrates the specific force."""
@@ -166,20 +147,44 @@ class Series:
         """Return the noise of an accelerometer with what the time stamps' noise adds here."""
         return replace(noise, white=math.hypot(noise.white, self.jitter))
 
+    def with_timing(self, timing: float) -> Series:
+        """Return the series with what noise of its time stamps adds: it goes with the slope.
+
+        timing: Standard deviation of a time stamp, s.
+        """
+        if timing == 0.0:
+            return self
+        ideal, of_error = self.slopes()
+        slope = ideal + of_error
+        least = math.sqrt(LEAST_SHARE * float(np.mean(ideal**2)))
+        return replace(
+            self,
+            moved=timing * np.maximum(np.abs(slope), least),
+            jitter=timing * math.sqrt(float(np.mean(slope**2))),
+        )
+
+    def slopes(self) -> tuple[Array, Array]:
+        """Return d/dt of the reference and of the error, in the error's unit and 1/s, (n,) each.
+
+        The error's is that of a cubic with a wave through it: a bias of 5 mg has moved the platform
+        at 20 m/s after 400 s, five times as fast as the arm does.
+        """
+        step = _STEP_OF_TURN / abs(self.trajectory.spindle.rate)
+        ideal = (self.reference(later=step) - self.reference(later=-step)) / (2.0 * step)
+        length = max(float(self.time[-1]), self.spacing)
+        t = self.time / length
+        angle = self.trajectory.spindle.angle(self.time)
+        turning = self.trajectory.spindle.angular_rate(self.time)
+        wave = [np.cos(angle), np.sin(angle)]
+        shape = np.column_stack([np.vander(t, 4), *wave])
+        found = np.linalg.lstsq(shape, self.error, rcond=None)[0]
+        grown = np.polyval(np.polyder(found[:4]), t) / length
+        return ideal, grown + turning * (found[5] * wave[0] - found[4] * wave[1])
+
     @property
     def jitter_variance(self) -> Array:
-        """Variance of a sample's jitter in each row, (n,): it goes with the slope; () without any.
-
-        The output goes with the cosine of the angle from the input axis, or with its derivatives.
-        """
-        if self.jitter == 0.0:
-            return np.zeros(())
-        if self.moved is not None:
-            return np.maximum(self.moved**2, _LEAST_SHARE * self.jitter**2)
-        east, north = self.mounting.turned(self.attitude).input_axis[:2]
-        phase = self.trajectory.spindle.angle(self.time) - math.atan2(north, east)
-        share = 1.0 - (-1.0) ** self.order * np.cos(2.0 * phase)
-        return self.jitter**2 * np.maximum(share, _LEAST_SHARE)
+        """Variance of a sample's jitter in each row, (n,); () without any."""
+        return np.zeros(()) if self.moved is None else self.moved**2
 
     def whitener(self, noise: NoiseModel) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""
@@ -192,16 +197,3 @@ class Series:
             self.trajectory.conditions.start,
             self.jitter_variance,
         )
-
-
-def jitter_of(
-    timing: float, radius: float, rate: Rate, order: int, axis: ArrayLike | None = None
-) -> Rate:
-    """Return what noise of the time stamps adds to each sample: its slope's rms times the noise.
-
-    timing: Standard deviation of a time stamp, s.
-    radius: Of the centrifuge, m.
-    rate: Of the spindle, rad/s: a number or an array.
-    """
-    level = 1.0 if axis is None else float(np.linalg.norm(np.asarray(axis)[:2]))
-    return timing * level * radius * abs(rate) ** (3 - order) / math.sqrt(2.0)

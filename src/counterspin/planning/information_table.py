@@ -1,7 +1,8 @@
-"""What a run tells about functions of the angle where the noise has a random walk: interpolated.
+"""What a run tells about functions of the angle where there is no closed form: interpolated.
 
-The whitened functions have no closed form then. Their triangular factor is tabulated over the
-rate and the number of revolutions, with rows about as dense as the records' own.
+There is none where the noise has a random walk, or is another from row to row, as that of time
+stamps is. The triangular factor of the whitened functions is tabulated over the rate and the number
+of revolutions, with rows about as dense as the records' own.
 """
 
 from __future__ import annotations
@@ -29,34 +30,41 @@ _REVOLUTION_RATIO: Final = 1.13
 _RATE_RATIO: Final = 1.22
 
 
-class WalkTable:
+#: Variance that a sample has besides, at a rate (rad/s) and angles (rad, shape (n,)): shape (n,).
+Added = Callable[[float, Array], Array]
+
+
+class InformationTable:
     """Factors of the whitened functions of the angle.
 
-    order: How often the observable integrates the specific force, 1 or 2.
-    random_walk: N, (m/s^2)/Hz^0.5.
+    order: How often the observable integrates the specific force.
+    noise: Of one sample.
+    added: None: nothing.
     sampling_rate: Hz.
     """
 
     def __init__(
         self,
         order: int,
-        random_walk: float,
-        variance: Callable[[float], float],
+        noise: NoiseModel,
+        added: Added | None,
         sampling_rate: float,
         rates: tuple[float, float],
         revolutions: tuple[float, float],
         harmonics: int,
     ) -> None:
         self._order = order
-        self._random_walk = random_walk
-        self._variance = variance
+        self._noise = noise
+        self._added = added
+        #: The differences of rows whose noise walks have lost the first functions, 1 and th.
+        self._lost = order if noise.random_walk > 0.0 else 0
         self._sampling_rate = sampling_rate
         self._harmonics = harmonics
         if revolutions[1] > (most := MOST_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
-                f"limits: a run may have {revolutions[1]:.3g} revolutions; with noise that walks "
-                f"there is room to search among runs of at most {most:.3g}: state a shorter "
-                "longest_run or total_time, or a lower highest_rate"
+                f"limits: a run may have {revolutions[1]:.3g} revolutions; where noise walks, or "
+                f"time stamps have some, there is room to search among runs of at most {most:.3g}: "
+                "state a shorter longest_run or total_time, or a lower highest_rate"
             )
         self._counts = _whole_numbers(revolutions)
         self._nodes = _log_nodes(*rates)
@@ -75,20 +83,23 @@ class WalkTable:
         """Return a spline over log rate and log revolutions of factors, (phases, b, b)."""
         from scipy.interpolate import NdBSpline, make_interp_spline
 
-        counts, order = self._counts, self._order
+        counts, order, lost = self._counts, self._order, self._lost
         to_whole = _to_whole_numbers(counts, phases)
-        densest = 1 if phases == 1 else 4
+        densest = 1 if phases == 1 and self._added is None else 4
         tables = []
         for rate in np.exp(self._nodes):
             samples = 2.0 * math.pi * self._sampling_rate / rate  # to a revolution
             points = _PHASES * int(np.clip(round(samples / _PHASES), 1, densest))
             angle = (np.arange(points * (counts[-1] + 1)) + 0.5) * (2.0 * math.pi / points)
-            white = math.sqrt(self._variance(rate) * points / samples)
-            whiten = make_whitener(angle / rate, order, NoiseModel(white, self._random_walk))
-            rows = whiten.apply(functions(angle, self._harmonics)[:, order:])
+            each = points / samples  # of a row, of the variance of a sample
+            white = math.sqrt(self._noise.sample_variance * each)
+            added = 0.0 if self._added is None else each * self._added(float(rate), angle)
+            noise = NoiseModel(white, self._noise.random_walk)
+            whiten = make_whitener(angle / rate, order, noise, added=added)
+            rows = whiten.apply(functions(angle, self._harmonics)[:, lost:])
             parts = np.arange(phases) * (points // phases)
-            ends = (counts[:, None] * points + parts).ravel() - order
-            factors = prefix_factors(rows, ends, 0).reshape(len(counts), phases, -1)
+            ends = (counts[:, None] * points + parts).ravel() - lost
+            factors = prefix_factors(rows, ends, order - lost).reshape(len(counts), phases, -1)
             tables.append(to_whole @ factors.swapaxes(0, 1))
         # Interpolation is linear in the values: the splines' coefficients are matrix products.
         by_rate = make_interp_spline(self._nodes, np.eye(len(self._nodes)))
@@ -113,7 +124,9 @@ class WalkTable:
         # The samples stand for an angle that begins half a step before the first.
         moved = shifted(weights, -0.5 * turn)[:, self._order :]
         place = np.column_stack([np.log(rate), np.log(revolutions)])
-        if not with_ripple:
+        # What samples near an extremum of the output tell, where time stamps do no harm, depends on
+        # where they happen to be: more than the ripple does.
+        if not with_ripple or self._added is not None:
             return np.asarray(self._smooth(place)[:, 0] @ moved)
         kernel = _trigonometric(revolutions)[:, :, None, None]
         return np.asarray(np.sum(kernel * self._by_phase(place), axis=1) @ moved)
