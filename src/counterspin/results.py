@@ -206,7 +206,7 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
     if isinstance(value, dict):
         for name, item in value.items():
             yield from _odd_numbers(item, f"{path}.{name}" if path else name, name)
-    elif isinstance(value, list):
+    elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
             yield from _odd_numbers(item, f"{path}[{index}]", key)
     elif isinstance(value, int | float):

@@ -19,7 +19,6 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result, described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
-    BudgetLine,
     Coefficient,
     Correlation,
     Inputs,
@@ -32,6 +31,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.correction.apply import ApplyOptions, apply, instrument_of
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
 from counterspin.physics.terms import TERMS
 

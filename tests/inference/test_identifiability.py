@@ -112,8 +112,8 @@ class TestLevelCampaign:
         sets = found(assessment)
         assert list(sets) == ["K_F + K_PP", "K_I - K_IP"]
         for text, terms, correlation, truth, twin in (
-            ("K_F + K_PP", ("K_F", "K_PP"), -1.0, 5e-3, 0),
-            ("K_I - K_IP", ("K_I", "K_IP"), 1.0, 2e-3 - 1e-5, 1),
+            ("K_F + K_PP", ["K_F", "K_PP"], -1.0, 5e-3, 0),
+            ("K_I - K_IP", ["K_I", "K_IP"], 1.0, 2e-3 - 1e-5, 1),
         ):
             item = sets[text]
             assert item.terms == terms
@@ -231,9 +231,9 @@ class TestLevelCampaign:
         factor = RADIUS**2 * rate**4 / (2 * GRAVITY**2)
         assert not assessment.determined["K_II"]
         item = next(item for item in assessment.confounded if "K_II" in item.terms)
-        assert item.terms == ("K_F", "K_II")
+        assert item.terms == ["K_F", "K_II"]
         assert item.determined == f"K_F + {factor:.4g} K_II"
-        np.testing.assert_allclose(item.weights, [1.0, 0.0, factor, 0.0], rtol=1e-4)
+        assert item.weights == pytest.approx([1.0, factor], rel=1e-4)
         assert item.u < 1e-7 < solution.u[0]
 
     @pytest.mark.parametrize("sigma", [0.01, 1e-5, 1e-9])
@@ -244,11 +244,9 @@ class TestLevelCampaign:
         known = assess(solution, symbols, nominal=nominal)
         item = next(item for item in known.confounded if "K_II" in item.terms)
         printed = evaluated(item.determined, dict.fromkeys(symbols, 1.0))
-        assert [printed[s] for s in item.terms] == pytest.approx(item.named_weights, rel=5e-4)
+        assert [printed[s] for s in item.terms] == pytest.approx(item.weights, rel=5e-4)
         # Whatever the terms are within their credible sizes:
-        rounding = [
-            abs(printed[s] - w) for s, w in zip(item.terms, item.named_weights, strict=True)
-        ]
+        rounding = [abs(printed[s] - w) for s, w in zip(item.terms, item.weights, strict=True)]
         for symbol, error in zip(item.terms, rounding, strict=True):
             largest = LIMITS.get(symbol, 1e-4) + nominal[symbols.index(symbol)]
             assert error * largest <= 0.1 * item.u
@@ -319,8 +317,8 @@ class TestEarthRate:
         priors = {"K_F": 2e-6, "K_I": 5e-6, "K_OO": 2e-6, "K_PP": 2e-6, tilt: 2.4e-6}
         assessment = self.campaign(QX, symbols, priors)
         assert [item.terms for item in assessment.confounded] == [
-            ("K_F", "K_PP"),
-            ("K_II", "K_OO"),
+            ["K_F", "K_PP"],
+            ["K_II", "K_OO"],
         ]
         assert assessment.determined["K_II"]
         assert not assessment.determined["K_OO"]
@@ -360,12 +358,14 @@ class TestRules:
         solution = solve([reduce_block(rows, [0.0, 0.0])], limits=[0.5, 1e-4, 1e-4])
         assessment = assess(solution, ["x", "twin", "third"])
         assert not assessment.determined["x"]
-        assert found(assessment)["x + twin"].terms == ("x", "twin")
+        assert found(assessment)["x + twin"].terms == ["x", "twin"]
 
     def test_value_and_u_are_those_of_the_weights(self):
-        solution, assessment = campaign(["K_F", "K_II", "K_OO", "K_PP"], {"K_OO": 2e-6})
+        symbols = ["K_F", "K_II", "K_OO", "K_PP"]
+        solution, assessment = campaign(symbols, {"K_OO": 2e-6})
         for item in assessment.confounded:
-            part = solution.combine(item.weights)
+            weights = dict(zip(item.terms, item.weights, strict=True))
+            part = solution.combine(np.array([weights.get(symbol, 0.0) for symbol in symbols]))
             assert (item.value, item.u) == (part.value, part.u)
 
     def test_wrong_use(self):
@@ -391,7 +391,7 @@ class TestRules:
         np.testing.assert_allclose(seen.u, alone.u, rtol=1e-9)
         assert seen.determined == alone.determined
         (one,), (other,) = seen.confounded, alone.confounded
-        assert one.terms == other.terms == ("a", "b")
+        assert one.terms == other.terms == ["a", "b"]
         assert one.correlation == pytest.approx(other.correlation, rel=1e-9)
         assert (one.value, one.u) == pytest.approx((other.value, other.u), rel=1e-9)
 

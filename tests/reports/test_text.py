@@ -14,10 +14,8 @@ from counterspin.calibration.pages.terminal import print_result, render
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
-    BudgetLine,
     Coefficient,
     Comparison,
-    ConfoundedTerms,
     Correlation,
     Inputs,
     Jackknife,
@@ -28,6 +26,8 @@ from counterspin.calibration.result_parts import (
     RippleResult,
     RunResult,
 )
+from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Column, Heading, Paragraph, Table
 from counterspin.reports.characters import Lines

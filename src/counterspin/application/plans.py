@@ -16,11 +16,11 @@ from counterspin.application.desk import Desk
 from counterspin.application.editing import changed
 from counterspin.application.jobs import Job
 from counterspin.application.processes import Progress, tell_of
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import MOST_ROWS
 from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.output import make_folder
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Limits

@@ -23,7 +23,6 @@ from counterspin.calibration.joint_checks import (
     unseen_ripple,
 )
 from counterspin.calibration.joint_parts import (
-    budget_lines,
     coefficient,
     confounded,
     confounded_platform,
@@ -50,14 +49,14 @@ from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
-    ConfoundedTerms,
     Correlation,
     Finding,
     Knowledge,
 )
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
-from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.identifiability import Assessment, ConfoundedTerms, assess
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.physics.terms import TERMS
@@ -184,7 +183,7 @@ def _accelerometer(
         residual=residual(kinds.judged),
         noise=noise_lines(view),
         budget={
-            symbol: budget_lines(estimated, index, name)
+            symbol: budget(estimated.fit, index, name)
             for symbol, index in view.places.items()
             if own[symbol].estimated
         },

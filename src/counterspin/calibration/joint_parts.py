@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.readings import readings_noise, residual_of
 from counterspin.calibration.result_parts import (
-    BudgetLine,
     Coefficient,
-    ConfoundedTerms,
     Correlation,
     Knowledge,
     NoiseLine,
@@ -22,30 +19,20 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.inference.identifiability import Assessment, Confounded
+from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import NOISE, Kind, Line, budget, by_kind
+from counterspin.inference.joint.budget import by_kind, kind_of
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.unknowns import ROTATION, Considered
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.inference.noise.model import WALK_UNIT, NoiseModel
 from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
-from counterspin.inference.two_stage.request import RIPPLE
-from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, term
-
-_UNITS: Final = dict(zip((*ROTATION, RIPPLE), ("rad", "rad/s", "1/s", "rad/s"), strict=True))
-WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
-_ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
-
-
-def unit_of(symbol: str) -> str:
-    """Return the unit of a term, of an unknown of the rotation or of an uncertain input."""
-    return _UNITS.get(symbol) or term(symbol).unit
+from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 
 
 def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
     """Return one unknown as the result shows it: estimated, or its prior, or nothing."""
     unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
-    unit = unit_of(unknown.symbol)
+    unit = unknown.unit
     if not assessment.determined[unknown.name]:
         known = math.isfinite(unknown.prior[1])
         return Coefficient(
@@ -68,39 +55,6 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
     )
 
 
-def budget_lines(estimate: Estimate, index: int, name: str) -> list[BudgetLine]:
-    """Return the budget of one unknown, in the words of the accelerometer that it belongs to."""
-    return [
-        BudgetLine(
-            source=_words(line, name),
-            kind=line.kind,
-            u=line.u,
-            unit=_unit_of_line(line),
-            sensitivity=line.sensitivity,
-            contribution=line.contribution,
-            share=line.share,
-        )
-        for line in budget(estimate.fit, index)
-    ]
-
-
-def _words(line: Line, name: str) -> str:
-    if line.hidden:
-        return f"noise of {line.source} that does not show"
-    if line.kind == NOISE and line.u is None:
-        return f"noise of {line.source}"
-    return line.source.removeprefix(name + ".")
-
-
-def _unit_of_line(line: Line) -> str:
-    if line.hidden:
-        return WALK_UNIT
-    if line.kind == NOISE:
-        part = line.source.split(".")[-1]
-        return "" if line.u is None else _ENCODER_UNITS.get(part, "rad/s")
-    return unit_of(symbol_of(line.source))
-
-
 def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
     """Return what an estimate rests on beside its data, in the order of the fit."""
     model, solution = estimate.fit.model, estimate.fit.solution
@@ -114,12 +68,11 @@ def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list
         if place < len(model.unknowns):
             found = base + other.nominal + float(solution.estimate[place])
             u_found = float(solution.u[place])
-        kind: Kind = "unstated" if other.unstated else "stated"
         rows.append(
             Knowledge(
                 name=other.name,
-                kind="held" if isinstance(other, Considered) else kind,
-                unit=unit_of(other.symbol),
+                kind=kind_of(other),
+                unit=other.unit,
                 value=base + other.prior[0],
                 u=other.prior[1],
                 found=found,
@@ -165,32 +118,20 @@ def _correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlation | 
 
 def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
     """Return the sets with terms of an accelerometer's own, its name left out."""
-    own = f"{view.name}."
     return [
-        _written(item, own)
+        item.of(view.name)
         for item in view.assessment.confounded
-        if any(symbol.startswith(own) for symbol in item.terms)
+        if any(name.startswith(f"{view.name}.") for name in item.terms)
     ]
 
 
 def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
     """Return the sets of shared terms alone, those of a run's own rotation left out."""
     return [
-        _written(item, "")
+        item
         for item in assessment.confounded
         if all(symbol_of(name) in SHARED_TERMS for name in item.terms)
     ]
-
-
-def _written(item: Confounded, own: str) -> ConfoundedTerms:
-    return ConfoundedTerms(
-        terms=[symbol.removeprefix(own) for symbol in item.terms],
-        correlation=item.correlation,
-        determined=item.determined.replace(own, "") if own else item.determined,
-        weights=list(item.named_weights),
-        value=item.value,
-        u=item.u,
-    )
 
 
 def residual(view: AccelerometerView) -> Residual:

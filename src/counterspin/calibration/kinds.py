@@ -15,7 +15,6 @@ from counterspin.calibration.findings import (
     equivalent_deviations,
     level_of_kinds,
 )
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import SQUARES
 from counterspin.calibration.readings import AccelerometerReadings, residual_of
@@ -26,6 +25,7 @@ from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.kinds import OfOneKind, agreements
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.least_squares import Solution
 from counterspin.reports.numbers import field_unit, format_number
 

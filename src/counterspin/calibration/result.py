@@ -20,7 +20,6 @@ from counterspin.calibration.notebook.si_estimate import StatedGravity
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
-    ConfoundedTerms,
     Correlation,
     Finding,
     Inputs,
@@ -33,6 +32,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.calibration.schema_1 import upgraded
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
+from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
 from counterspin.reports.publication import Publication

@@ -16,7 +16,8 @@ from counterspin.calibration.notebook.labelled import Labelled
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
 from counterspin.inference.conformity import expanded_uncertainty
-from counterspin.inference.joint.budget import Kind
+from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.inference.joint.budget import BudgetLine, Kind
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 
@@ -26,9 +27,6 @@ State = Literal["good", "reservations", "contradicted"]
 
 #: From so many degrees of freedom on, Student's factor is the normal one to nine digits.
 _INFINITE_DOF: Final = 1e9
-
-#: Above this correlation two terms are called inseparable.
-_INSEPARABLE_CORRELATION: Final = 0.999
 
 
 class Coefficient(ResultPart):
@@ -126,26 +124,6 @@ class Correlation(ResultPart, Labelled):
     __str__ = Labelled.__repr__
 
 
-class ConfoundedTerms(ResultPart):
-    """Terms that the data cannot tell apart, or hardly, and the combination they do determine.
-
-    `correlation` is that of the data alone, priors left aside. `determined` has the combination's
-    `weights` rounded as far as its u allows; they themselves are exact, in the order of `terms`.
-    """
-
-    terms: list[str]
-    correlation: float
-    determined: str
-    weights: list[float] = []
-    value: float | None = None
-    u: float | None = None
-
-    @property
-    def inseparable(self) -> bool:
-        """Whether the records cannot tell the terms apart at all; else they hardly can."""
-        return abs(self.correlation) > _INSEPARABLE_CORRELATION
-
-
 class Residual(ResultPart):
     """Size of the residuals and how well the model fits.
 
@@ -158,21 +136,6 @@ class Residual(ResultPart):
     dof: float
     chi2: float | None = None
     lack_of_fit_p: float | None = None
-
-
-class BudgetLine(ResultPart):
-    """One source of uncertainty: contribution = abs(sensitivity) x u; share of u^2.
-
-    For noise the sensitivity is None: it is a different one for every sample.
-    """
-
-    source: str
-    kind: Kind
-    u: float | None
-    unit: str
-    sensitivity: float | None
-    contribution: float
-    share: float
 
 
 class Knowledge(ResultPart):

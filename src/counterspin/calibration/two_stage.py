@@ -11,12 +11,10 @@ import numpy as np
 
 from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.joint_parts import (
-    budget_lines,
     coefficient,
     confounded,
     correlation,
     record_noise,
-    unit_of,
 )
 from counterspin.calibration.joint_problem import series_of
 from counterspin.calibration.joint_view import AccelerometerView
@@ -38,14 +36,15 @@ from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE
+from counterspin.inference.two_stage.request import DRIFT
 from counterspin.inference.two_stage.second_stage import SecondStage, resolve
 from counterspin.physics.terms import OWN_TERMS
 
@@ -92,7 +91,7 @@ def two_stage(
         residual=_residual(second.parabolas, view.estimate.components.get(name)),
         noise=_noise_lines(second.parabolas, view),
         budget={
-            unknown.symbol: budget_lines(view.estimate, index, name)
+            unknown.symbol: budget(second.fit, index, name)
             for index, unknown in enumerate(model.unknowns)
             if coefficients[unknown.symbol].estimated
         },

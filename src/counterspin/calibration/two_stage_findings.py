@@ -15,11 +15,11 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.result_parts import Coefficient, ConfoundedTerms, Finding
+from counterspin.calibration.result_parts import Coefficient, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import agreement_of, normal_equivalent
 from counterspin.inference.distributions import chi_square_tail
-from counterspin.inference.identifiability import write_combination
+from counterspin.inference.identifiability import ConfoundedTerms, write_combination
 from counterspin.inference.joint.alternatives import of_priors, scores
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.two_stage.second_stage import SecondStage

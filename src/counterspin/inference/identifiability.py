@@ -14,6 +14,7 @@ the combination that they do determine.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import field, replace
 from itertools import combinations
 from typing import Final
 
@@ -41,11 +42,15 @@ TWIN_AGREEMENT: Final = 1.0 - 1e-6
 NEAR_COLLINEAR: Final = 0.95
 
 
-@frozen
-class Confounded:
-    """Terms that the data alone hardly tell apart, and a combination of them that is determined."""
+#: Above this correlation two terms are called inseparable.
+_INSEPARABLE_CORRELATION: Final = 0.999
 
-    terms: tuple[str, ...]  #: Their symbols, in the order of the unknowns.
+
+@frozen
+class ConfoundedTerms:
+    """Terms that the data cannot tell apart, or hardly, and the combination they do determine."""
+
+    terms: list[str]  #: Their names, in the order of the unknowns.
     #: Of the two estimates from the data, before the terms' own priors; of more than two terms the
     #: largest in size among the pairs, the other terms of the set held fixed.
     correlation: float
@@ -53,12 +58,22 @@ class Confounded:
     #: their largest credible size are left out, and weights have the digits that they need:
     #: evaluated as it stands, no term is off by more than a tenth of `u`.
     determined: str
-    #: The exact combination, over all unknowns, shape (p,); 1 for the first of the terms.
-    weights: Array
-    named_weights: tuple[float, ...]  #: Those of `terms`, in their order.
-    #: Its estimate and combined standard uncertainty.
-    value: float
-    u: float
+    #: The exact ones, in the order of `terms`; 1 for the first.
+    weights: list[float] = field(default_factory=list)
+    #: The combination's estimate and combined standard uncertainty.
+    value: float | None = None
+    u: float | None = None
+
+    @property
+    def inseparable(self) -> bool:
+        """Whether the records cannot tell the terms apart at all; else they hardly can."""
+        return abs(self.correlation) > _INSEPARABLE_CORRELATION
+
+    def of(self, owner: str) -> ConfoundedTerms:
+        """Return the same with an owner's terms named without it."""
+        own = f"{owner}."
+        terms = [name.removeprefix(own) for name in self.terms]
+        return replace(self, terms=terms, determined=self.determined.replace(own, ""))
 
 
 @frozen
@@ -73,7 +88,7 @@ class Assessment:
     #: (p,); huge where nothing bounds the unknown.
     u: Array
     #: One entry for each combination that stands for terms which cannot be told apart.
-    confounded: tuple[Confounded, ...]
+    confounded: tuple[ConfoundedTerms, ...]
 
 
 def assess(
@@ -112,8 +127,8 @@ def assess(
     # A coefficient such as K_I = 1.002 is as large as what its unknown leaves out, and more.
     sizes = problem.limits + np.abs(offset[free])
 
-    def describe(weights: Array) -> Confounded:
-        """Put a combination of the free unknowns into words."""
+    def describe(weights: Array) -> tuple[ConfoundedTerms, float]:
+        """Return a combination of the free unknowns, and its u over the largest of its parts'."""
         full = np.zeros(solution.estimate.size)
         full[free] = weights
         part = np.abs(weights) * sizes
@@ -122,21 +137,21 @@ def assess(
         terms = np.flatnonzero(part >= named_from)
         full /= weights[terms[0]]
         combined = solution.combine(full)
-        names = tuple(symbols[k] for k in free[terms].tolist())
+        names = [symbols[k] for k in free[terms].tolist()]
         named = full[free[terms]]
-        return Confounded(
+        described = ConfoundedTerms(
             terms=names,
             correlation=problem.correlation(terms),
             determined=write_combination(names, named, _NEGLIGIBLE * combined.u / sizes[terms]),
-            weights=full[:p],
-            named_weights=tuple(named.tolist()),
+            weights=named.tolist(),
             value=combined.value + float(full[:p] @ offset),
             u=combined.u,
         )
+        return described, combined.u / float(np.max(np.abs(full[:p]) * np.sqrt(variance)))
 
     loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
     behind = _separate(root, problem.limits, loose, range(free.size))
-    confounded = [describe(weights) for weights in behind]
+    confounded = [describe(weights)[0] for weights in behind]
     place = {symbols[k]: i for i, k in enumerate(free.tolist())}
     named = _connected([[place[name] for name in item.terms] for item in confounded])
 
@@ -147,9 +162,9 @@ def assess(
             continue
         own = problem.root(without_priors=group)
         for weights in _separate(own, problem.limits, group, group):
-            item = describe(weights)
+            item, ratio = describe(weights)
             # Where priors decide more than the pair's combination, it says nothing.
-            if group in twins or item.u < 0.5 * np.max(np.abs(item.weights) * np.sqrt(variance)):
+            if group in twins or ratio < 0.5:
                 confounded.append(item)
                 named.append(group)
     return Assessment(

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from counterspin.calibration.joint import estimate_campaign
-from counterspin.calibration.joint_parts import coefficient, unit_of
+from counterspin.calibration.joint_parts import coefficient
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
@@ -17,6 +17,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.monitoring.result import GoalState, ReachedCoefficient
 from counterspin.planning.plan_file import read_plan, resolve_goal
 from counterspin.planning.plan_sections import GoalSettings

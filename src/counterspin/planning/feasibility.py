@@ -137,8 +137,7 @@ def unreachable(search: Search) -> CounterspinError:
         # The tilts of all runs are one source in words.
         owner, _, symbol = line.source.partition(".")
         of_run = owner in {run.name for run in prediction.campaign.runs}
-        words = {"noise": f"noise of {line.source}"}.get(line.kind, line.source)
-        words = f"{symbol} of the runs" if of_run else words
+        words = f"{symbol} of the runs" if of_run else line.source
         shares[words] = shares.get(words, 0.0) + line.share
     named = sorted(shares.items(), key=lambda pair: -pair[1])[:_SOURCES_NAMED]
     sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)

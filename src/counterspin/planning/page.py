@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.pages.accelerometer import not_apart
 from counterspin.calibration.pages.uncertainty import assumption, dominance
-from counterspin.calibration.result_parts import BudgetLine
+from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 from counterspin.planning.result import (
     GoalResult,
@@ -198,7 +198,7 @@ def _accelerometer(
     yield from _faults(result, name, accelerometer)
 
 
-def _advice(result: PlanResult, terms: list[str]) -> str:
+def _advice(result: PlanResult, terms: Sequence[str]) -> str:
     """Return what would separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
@@ -21,7 +20,7 @@ from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.unknowns import Unknown
+from counterspin.inference.joint.unknowns import Unknown, unit_of
 from counterspin.physics.terms import CONDITION_TERMS, term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument

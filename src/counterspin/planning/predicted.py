@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_parts import budget_lines, coefficient
-from counterspin.calibration.result_parts import ConfoundedTerms
+from counterspin.calibration.joint_parts import coefficient
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.joint.budget import budget
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.faults import faults_of, mean_square, square
@@ -49,18 +50,12 @@ def _accelerometer(prediction: Forecast, name: str, own: Mapping[str, int]) -> P
     return PlannedAccelerometer(
         coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
         budget={
-            symbol: budget_lines(prediction.estimate, index, name)
+            symbol: budget(prediction.fit, index, name)
             for symbol, index in own.items()
             if coefficients[symbol].estimated
         },
         confounded=[
-            ConfoundedTerms(
-                terms=[t.removeprefix(f"{name}.") for t in item.terms],
-                correlation=item.correlation,
-                determined=item.determined.replace(f"{name}.", ""),
-                weights=list(item.named_weights),
-                u=item.u,
-            )
+            replace(item.of(name), value=None)
             for item in prediction.assessment.confounded
             if not any(t.startswith(other) for t in item.terms for other in others)
         ],

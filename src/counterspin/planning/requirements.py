@@ -9,13 +9,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import sample_count
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns, prepared_for
-from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns, unit_of
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
 from counterspin.planning.result import Requirement

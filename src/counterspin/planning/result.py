@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from counterspin.calibration.result_parts import BudgetLine, ConfoundedTerms, Provenance
+from counterspin.calibration.result_parts import Provenance
+from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.reports.shown import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference import plain_fit
-from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
+from counterspin.inference.joint.unknowns import RIPPLE
+from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import QX

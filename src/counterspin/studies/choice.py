@@ -10,8 +10,8 @@ import numpy as np
 
 from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
+from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
+from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
 from counterspin.studies.bound import cramer_rao, fit_of_truth
 from counterspin.studies.description import StudyDescription

@@ -16,7 +16,6 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
@@ -36,6 +35,7 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from counterspin._version import __version__
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying

@@ -15,8 +15,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import TERMS, Term, term
 from counterspin.studies.draws import Draws, of_run

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
+from counterspin.inference.joint.unknowns import RIPPLE
+from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics import observation
 from counterspin.physics.terms import PLATFORM_TERMS
 from counterspin.studies.analyses import JointRequest

@@ -10,7 +10,8 @@ from counterspin.calibration.pages.uncertainty import (
     knowledge_blocks,
     telling,
 )
-from counterspin.calibration.result_parts import BudgetLine, Knowledge
+from counterspin.calibration.result_parts import Knowledge
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.reports.blocks import Paragraph, Table
 
 

@@ -264,7 +264,7 @@ def test_the_budget_names_the_parts_of_the_rotation():
     assert max(x.share for x in ripples) > 1e-3
     # Two quadratures are one line, and the noise keeps its own.
     assert len([s for s in lines if s.startswith("run3.ripple")]) <= 4
-    assert lines["Qx"].kind == "noise"
+    assert lines["noise of Qx"].kind == "noise"
 
 
 def test_a_ripple_that_the_encoder_hides_leaves_fewer_digits_not_wrong_ones():

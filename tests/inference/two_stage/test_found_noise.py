@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from counterspin.inference.joint.budget import budget
+from counterspin.inference.noise.model import WALK_UNIT
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
 from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof_of
 from counterspin.inference.two_stage.found_noise import with_found_noise
@@ -89,7 +90,7 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
     np.testing.assert_allclose(after, before + level * np.diag(slope), rtol=1e-3)
     assert (after > 1.2 * before).any()
     # The budget says so in a line of its own.
-    (line,) = [line for line in budget(wider.fit, 0) if line.hidden]
+    (line,) = [line for line in budget(wider.fit, 0) if line.unit == WALK_UNIT]
     assert line.contribution == pytest.approx(math.sqrt(level * slope[0, 0]), rel=1e-3)
     assert np.isfinite(wider.dof).all()
 

@@ -12,8 +12,9 @@ from scipy.special import stdtrit
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint import series as joint_series
+from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun
 from counterspin.inference.two_stage.second_stage import second_stage as resolved
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle

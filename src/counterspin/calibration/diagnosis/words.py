@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import inputs_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import OBSERVABLES
@@ -13,6 +12,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 

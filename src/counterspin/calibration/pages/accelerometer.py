@@ -14,14 +14,14 @@ from counterspin.calibration.pages.records import count_blocks, note_blocks
 from counterspin.calibration.pages.uncertainty import dominance, telling
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
-    BudgetLine,
     Coefficient,
     Comparison,
-    ConfoundedTerms,
     Jackknife,
     NoiseLine,
     ReadingResult,
 )
+from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.terms import is_term, mounting_of, term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (

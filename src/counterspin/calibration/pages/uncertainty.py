@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Protocol
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import BudgetLine, Knowledge
+from counterspin.calibration.result_parts import Knowledge
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.terms import is_term, symbol_of, term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (

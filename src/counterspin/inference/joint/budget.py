@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, Literal
 
@@ -12,8 +13,8 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.unknowns import Unknown
-from counterspin.inference.least_squares import Combination
+from counterspin.inference.joint.unknowns import Considered, Unknown
+from counterspin.inference.noise.model import WALK_UNIT
 
 #: Lines below this share of u^2 say nothing.
 _NEGLIGIBLE: Final = 1e-12
@@ -27,85 +28,85 @@ UNSTATED: Final = "unstated"
 HELD: Final = "held"
 
 
+#: Units of the parts of a rotation; that of a ripple is rad/s.
+_ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}
+
+
 @frozen
-class Line:
+class BudgetLine:
     """One source of uncertainty (GUM table 1)."""
 
-    #: Name of the unknown or held term; for noise the accelerometer's; for the encoder the run's
+    #: Name of the unknown or held term; ``noise of`` an accelerometer; for the encoder the run's
     #: and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
     source: str
     kind: Kind  #: `NOISE` (an encoder's too), `STATED`, `UNSTATED` or `HELD`.
-    u: float | None  #: Standard uncertainty of the source, in its own unit; None for noise.
+    #: Standard uncertainty of the source, in `unit`; None for noise. Of noise that does not show in
+    #: the records, its level.
+    u: float | None
+    unit: str
     #: d(coefficient)/d(source); None for noise, which has one for every sample. Of a ripple, whose
     #: sine and cosine are one line, its size.
     sensitivity: float | None
     contribution: float  #: |sensitivity| x u, in the coefficient's unit.
     share: float  #: Part of u^2.
-    #: Of noise: whether it does not show in the records. `u` is its level, (m/s^2)/Hz^0.5.
-    hidden: bool = False
-    #: Whether u is a typical size that the description does not state; of a held term, too.
-    unstated: bool = False
 
 
-def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
-    """Return the budget of one unknown, largest contribution first."""
+def budget(fit: JointFit, index: int, name: str = "") -> list[BudgetLine]:
+    """Return the budget of one unknown, largest contribution first.
+
+    name: An accelerometer, whose own terms are named without it.
+    """
     solution, model = fit.solution, fit.model
     weights = np.zeros(len(model.unknowns))
     weights[index] = 1.0
     parts = solution.combine(weights)
     lines = [
-        Line(name, NOISE, None, None, share, 0.0)
-        for name, share in _noise_by_accelerometer(fit, parts.noise_rows).items()
+        BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
+        for source, share in _noise_by_accelerometer(fit, parts.noise_rows).items()
     ]
-    for name, (level, covariance) in fit.unseen.items():
+    for source, (level, covariance) in fit.unseen.items():
+        words = f"noise of {source} that does not show"
         size = math.sqrt(float(covariance[index, index]))
         slope = size / level if level else 0.0
-        lines.append(Line(name, NOISE, level, slope, size, 0.0, hidden=True))
-    for j, unknown in enumerate(model.unknowns):
-        if math.isfinite(unknown.prior[1]) and unknown.symbol not in encoder.SYMBOLS:
-            kind: Kind = UNSTATED if unknown.unstated else STATED
-            sensitivity = float(solution.sensitivity_prior[index, j])
-            size = abs(float(parts.prior[j]))
-            lines.append(_of(unknown, kind, sensitivity, size))
-    for k, held in enumerate(model.considered):
-        if held.symbol not in encoder.SYMBOLS:
-            sensitivity = float(solution.sensitivity_considered[index, k])
-            lines.append(_of(held, HELD, sensitivity, abs(float(parts.considered[k]))))
-    lines += _encoder_lines(fit, parts)
+        lines.append(BudgetLine(words, NOISE, level, WALK_UNIT, slope, size, 0.0))
+    terms = (*model.unknowns, *model.considered)
+    slopes = (*solution.sensitivity_prior[index], *solution.sensitivity_considered[index])
+    sizes = (*parts.prior, *parts.considered)
+    rotation: dict[tuple[str, str], list[float]] = {}
+    for term, slope, size in zip(terms, map(float, slopes), map(float, sizes), strict=True):
+        if term.symbol in encoder.SYMBOLS:
+            place = term.owner, encoder.part_of(term.symbol)
+            rotation.setdefault(place, []).append(size)
+        elif math.isfinite(u := term.prior[1]):
+            source = term.name.removeprefix(f"{name}.")
+            lines.append(BudgetLine(source, kind_of(term), u, term.unit, slope, abs(size), 0.0))
+    lines += _encoder_lines(fit, rotation)
     total = sum(line.contribution**2 for line in lines)
     if total == 0.0:
-        return ()
+        return []
     lines = [replace(line, share=line.contribution**2 / total) for line in lines]
     kept = [line for line in lines if line.share > _NEGLIGIBLE]
-    return tuple(sorted(kept, key=lambda line: -line.contribution))
+    return sorted(kept, key=lambda line: -line.contribution)
 
 
-def _of(unknown: Unknown, kind: Kind, sensitivity: float, size: float) -> Line:
-    return Line(
-        unknown.name, kind, unknown.prior[1], sensitivity, size, 0.0, unstated=unknown.unstated
-    )
+def kind_of(term: Unknown) -> Kind:
+    """Return how something is known of a term of a fit."""
+    if isinstance(term, Considered):
+        return HELD
+    return UNSTATED if term.unstated else STATED
 
 
-def _encoder_lines(fit: JointFit, parts: Combination) -> list[Line]:
-    """Join the terms of each part of each run's rotation, estimated or considered."""
-    signed: dict[tuple[str, str], list[float]] = {}
-    terms: list[tuple[Unknown, float]] = [
-        *zip(fit.model.unknowns, parts.prior, strict=True),
-        *zip(fit.model.considered, parts.considered, strict=True),
-    ]
-    for other, contribution in terms:
-        if other.symbol in encoder.SYMBOLS:
-            place = other.owner, encoder.part_of(other.symbol)
-            signed.setdefault(place, []).append(float(contribution))
+def _encoder_lines(
+    fit: JointFit, rotation: Mapping[tuple[str, str], Sequence[float]]
+) -> Iterator[BudgetLine]:
+    """Yield each part of each run's rotation, whose terms, estimated or held, are one line."""
     errors = {prepared.run: prepared.series.angle_error for prepared in fit.prepared}
-    lines = []
-    for (run, part), contributions in signed.items():
+    for (run, part), contributions in rotation.items():
         error = errors[run]
         u = error.u[part] if error else 0.0
         size = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
-        sensitivity = size / u if u else 0.0
-        lines.append(Line(f"{run}.{part}", NOISE, u, sensitivity, abs(size), 0.0))
-    return lines
+        slope, unit = size / u if u else 0.0, _ENCODER_UNITS.get(part, "rad/s")
+        yield BudgetLine(f"{run}.{part}", NOISE, u, unit, slope, abs(size), 0.0)
 
 
 def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:

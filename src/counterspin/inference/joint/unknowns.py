@@ -9,10 +9,27 @@ from typing import Final
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, TERMS, shown_by_readings
+from counterspin.physics.terms import (
+    INPUTS,
+    OWN_TERMS,
+    SHARED_TERMS,
+    TERMS,
+    shown_by_readings,
+    term,
+)
 
-#: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
+#: Rotation of a run as unknowns, where no angle is recorded.
 ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
+
+#: As printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi).
+RIPPLE: Final = "spindle.ripple"
+
+_UNITS: Final = dict(zip((*ROTATION, RIPPLE), ("rad", "rad/s", "1/s", "rad/s"), strict=True))
+
+
+def unit_of(symbol: str) -> str:
+    """Return the unit of a term, of an unknown of the rotation or of an uncertain input."""
+    return _UNITS.get(symbol) or term(symbol).unit
 
 
 @frozen
@@ -31,6 +48,11 @@ class Unknown:
     #: Whether the description does not state the prior's uncertainty, which then is the typical one
     #: of the table of terms.
     unstated: bool = False
+
+    @property
+    def unit(self) -> str:
+        """The coefficient's unit: g-units, or SI for what is no accelerometer's."""
+        return unit_of(self.symbol)
 
     @property
     def nominal(self) -> float:

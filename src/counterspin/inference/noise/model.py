@@ -24,6 +24,7 @@ Without a random walk a row is divided by its standard deviation, and nothing is
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +42,8 @@ from counterspin.inference.noise.wander import (
 )
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
+
+WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of `NoiseModel.random_walk`
 
 
 @frozen

@@ -21,10 +21,10 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.inputs import rotation_column
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
+from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import TERMS
 

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Final, Literal
 
 from counterspin.frozen import frozen
+from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
@@ -18,7 +19,6 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.terms import TERMS, term
 
 DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
-RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)
 
 #: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
 _SPINDLE_LIMIT: Final = 1e-2

@@ -26,7 +26,7 @@ from counterspin.inference.identifiability import NEAR_COLLINEAR, TWIN_AGREEMENT
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Considered, Unknowns
+from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.curvatures import (
     LEAST_SIGMA,
@@ -36,7 +36,7 @@ from counterspin.inference.two_stage.curvatures import (
     two_stage_model,
 )
 from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Trajectory

@@ -11,7 +11,6 @@ import numpy as np
 
 from counterspin._version import __version__
 from counterspin.arrays import Array
-from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.model import assumed, model_of
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.conditions import groups_of
@@ -19,7 +18,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Unknowns, unit_of
 from counterspin.inference.readings import rows_at
 from counterspin.planning.design import Criterion
 from counterspin.planning.forecast import Forecast, expected_values, forecast
