@@ -16,14 +16,19 @@ import counterspin as cs
 from counterspin.calibration import (
     assembly,
     findings,
-    result_parts,
     two_stage_findings,
 )
 from counterspin.calibration.diagnosis import attitude_findings, credible, record_counts, search
 from counterspin.campaign import conditions, resolved
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
-from counterspin.inference import conformity, diagnostics, identifiability, reading_tests
+from counterspin.inference import (
+    conformity,
+    diagnostics,
+    distributions,
+    identifiability,
+    reading_tests,
+)
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint import condensed, encoder, mistakes, outliers
 from counterspin.inference.noise import unseen_noise, variance_components, wander
@@ -155,7 +160,7 @@ NUMBERS = [
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
     ("result", "more than {} % of a run were outliers", [100 * record_counts.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_PART]),
-    ("result", "is infinite, or more than {}", [result_parts._INFINITE_DOF]),
+    ("result", "is infinite, or more than {}", [distributions._INFINITE_DOF]),
     (
         "result",
         "with the model | from {} times the stated noise; two-stage: beyond {} standard",

@@ -13,7 +13,7 @@ from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.simulation import simulate
 from counterspin.campaign.specification import resolve_specifications
-from counterspin.inference.conformity import DecisionRule, judge
+from counterspin.inference.conformity import DecisionRule, Specification, judge
 
 # K_II of Qx is 27 and of Qy -32 ug/g^2, u below 0.4 by either method; K_PO is not in the model.
 SPECIFIED = (
@@ -60,12 +60,8 @@ def test_verdicts_are_in_the_result(found, tmp_path):
 def test_verdict_is_that_of_the_estimate(found):
     k_ii = found.accelerometers["Qx"].coefficients["K_II"]
     verdict = found.accelerometers["Qx"].conformity["K_II"]
-    judged = judge(k_ii.value, k_ii.u, k_ii.dof, -50e-6, 50e-6, DecisionRule("guarded"))
-    assert (verdict.guard_band, verdict.probability, verdict.risk) == (
-        judged.guard_band,
-        judged.probability,
-        judged.risk,
-    )
+    limits = Specification(verdict.specification, verdict.low, verdict.high, "g/g^2")
+    assert verdict == judge(k_ii.value, k_ii.u, k_ii.dof, limits, DecisionRule("guarded"))
     assert (verdict.low, verdict.high) == (pytest.approx(-50e-6), pytest.approx(50e-6))
     assert (verdict.rule, verdict.unit, verdict.reason) == ("guarded", "g/g^2", None)
 

@@ -1,13 +1,11 @@
 """A result file read back: what is damaged is refused, and not applied."""
 
 import json
-import math
 from pathlib import Path
 
 import pytest
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import countable
 from counterspin.calibration.schema_1 import upgraded
 from counterspin.errors import RecordError
 
@@ -77,13 +75,6 @@ def test_damage_is_told(tmp_path, old, new, words):
         Result.read(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert words in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("dof", "stated"), [(3.0, 3.0), (2e8, 2e8), (9.12e16, None), (math.inf, None)]
-)
-def test_degrees_of_freedom_that_nobody_can_count_are_infinite(dof, stated):
-    assert countable(dof) == stated
 
 
 # Results of earlier versions

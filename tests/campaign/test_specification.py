@@ -6,13 +6,9 @@ from hypothesis import strategies as st
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.specification import (
-    Specification,
-    parse_specification,
-    resolve_specifications,
-)
+from counterspin.campaign.specification import parse_specification, resolve_specifications
 from counterspin.errors import CampaignError
-from counterspin.inference.conformity import DecisionRule
+from counterspin.inference.conformity import DecisionRule, Specification
 from counterspin.physics.terms import TERMS
 
 G = 9.8

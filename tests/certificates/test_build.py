@@ -10,13 +10,14 @@ from results import coefficient, result, two_accelerometers
 
 from certificates import ISSUE, LAB, document, find
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, Conformity
+from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
 from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.elements import NAMESPACES, clean, factor, number
 from counterspin.certificates.reading import read_certificate
 from counterspin.certificates.statements import Issue
 from counterspin.errors import RecordError
+from counterspin.inference.conformity import Conformity
 from counterspin.physics.si_units import from_si, si_unit, to_si
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.units import unit_factor

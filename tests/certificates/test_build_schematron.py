@@ -4,7 +4,7 @@ import pytest
 from results import CONFORMITY, coefficient, result, two_accelerometers
 
 from certificates import LAB, document
-from counterspin.calibration.result_parts import Conformity
+from counterspin.inference.conformity import Conformity
 
 dcclib = pytest.importorskip("dcclib.validation", reason="PTB's dcclib is not installed")
 
@@ -58,7 +58,7 @@ def full():
 def test_ptb_s_rules_find_no_error(tmp_path, rules, language):
     text = LAB.replace('language = "de"', f'language = "{language}"{MORE}')
     text = text.replace('"0815"', '"0815"\nstate = "after adjustment"')
-    verdicts = {"Qx": {"K_II": Conformity.model_validate(CONFORMITY)}}
+    verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
     made = document(tmp_path, full(), text=text + '[cmc]\nK_F = "1 ug"\n', verdicts=verdicts)
     found = faults(rules, made)
     # Of two languages each text has one: such text states none, which is allowed and remarked on.

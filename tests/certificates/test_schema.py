@@ -4,9 +4,9 @@ import pytest
 from results import CONFORMITY, coefficient, result
 
 from certificates import SCHEMA, document, needs_schema
-from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates.schema import check_schema
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.inference.conformity import Conformity
 
 #: Files as PTB publishes them: each names the next by an address.
 DCC = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"
@@ -44,7 +44,7 @@ def test_a_certificate_with_everything_is_valid(tmp_path):
         "K_II": coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
     }
     given = result(coefficients=many, warnings=["Qx: hm"])
-    verdicts = {"Qx": {"K_II": Conformity.model_validate(CONFORMITY)}}
+    verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
     made = document(tmp_path, given, verdicts=verdicts)
     check_schema(made, SCHEMA, "x.xml")
 

@@ -22,7 +22,6 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     Correlation,
     Inputs,
-    Jackknife,
     Knowledge,
     Provenance,
     Residual,
@@ -32,6 +31,7 @@ from counterspin.correction.apply import ApplyOptions, apply, instrument_of
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
 from counterspin.physics.terms import TERMS
 

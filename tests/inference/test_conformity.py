@@ -1,6 +1,7 @@
 """Conformance probability, acceptance limits and the three decision rules."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy import integrate, stats
 
 from counterspin.inference.conformity import (
     DecisionRule,
+    Specification,
     acceptance_limits,
     conformance_probability,
     expanded_uncertainty,
@@ -29,6 +31,10 @@ freedoms = st.one_of(st.none(), st.floats(1.0, 1e4))
 def limits(draw):
     low, width = draw(values), draw(st.floats(0.01, 50.0))
     return draw(st.sampled_from([(low, None), (None, low), (low, low + width)]))
+
+
+def between_limits(low, high):
+    return Specification("", low, high, "g")
 
 
 # The probability
@@ -137,7 +143,7 @@ def test_guard_band_bounds_the_risk(u, dof, between, factor):
         return
     value = high if high is not None else low
     assert value is not None
-    judged = judge(value, u, dof, *between, DecisionRule("guarded", factor))
+    judged = judge(value, u, dof, between_limits(*between), DecisionRule("guarded", factor))
     assert judged.verdict == "pass"
     tail = float(stats.norm.sf(w / u) if dof is None else stats.t.sf(w / u, dof))
     assert judged.risk is not None
@@ -148,7 +154,7 @@ def test_guard_band_bounds_the_risk(u, dof, between, factor):
 def test_w_equal_to_u_gives_two_and_a_half_per_cent():
     for dof in (None, 4.0):
         w = expanded_uncertainty(1.0, dof)
-        judged = judge(10.0 - w, 1.0, dof, None, 10.0, DecisionRule("guarded"))
+        judged = judge(10.0 - w, 1.0, dof, between_limits(None, 10.0), DecisionRule("guarded"))
         assert judged.guard_band == w
         assert judged.risk == pytest.approx(0.025, rel=1e-9)
 
@@ -175,18 +181,20 @@ def test_w_equal_to_u_gives_two_and_a_half_per_cent():
 def test_verdicts_across_a_limit(value, simple, guarded, probability):
     wanted = dict(zip(RULES, (simple, guarded, probability), strict=True))
     rules = map(DecisionRule, RULES)
-    judged = {rule.name: judge(value, 1.0, None, -10.0, 10.0, rule).verdict for rule in rules}
+    limits = between_limits(-10.0, 10.0)
+    judged = {rule.name: judge(value, 1.0, None, limits, rule).verdict for rule in rules}
     assert judged == wanted
 
 
 def test_guard_bands_may_leave_nothing_to_accept():
+    limits, rule = between_limits(-1.0, 1.0), DecisionRule("guarded")
     for value in np.linspace(-3.0, 3.0, 61):
-        assert judge(value, 1.0, None, -1.0, 1.0, DecisionRule("guarded")).verdict != "pass"
+        assert judge(value, 1.0, None, limits, rule).verdict != "pass"
 
 
 @given(values, spreads, freedoms, limits(), st.sampled_from(RULES), st.floats(0.51, 0.999))
 def test_risk_is_the_probability_of_the_contrary(value, u, dof, between, rule, needed):
-    judged = judge(value, u, dof, *between, DecisionRule(rule, needed=needed))
+    judged = judge(value, u, dof, between_limits(*between), DecisionRule(rule, needed=needed))
     contrary = {"pass": 1.0 - judged.probability, "fail": judged.probability}
     if judged.verdict == "undecided":
         assert judged.risk is None
@@ -201,7 +209,7 @@ def test_risk_is_the_probability_of_the_contrary(value, u, dof, between, rule, n
 @given(values, spreads, freedoms, limits(), st.floats(0.0, 2.0))
 def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, between, factor):
     narrow, wide = (
-        judge(value, u, dof, *between, DecisionRule("guarded", f)).verdict
+        judge(value, u, dof, between_limits(*between), DecisionRule("guarded", f)).verdict
         for f in (factor, factor + 0.5)
     )
     assert (narrow, wide) in {
@@ -215,8 +223,9 @@ def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, betwee
 
 def test_no_guard_band_is_simple_acceptance():
     for value in (-1.1, -1.0, 0.0, 1.0, 1.1):
-        bare = judge(value, 0.3, 5.0, -1.0, 1.0, DecisionRule("guarded", 0.0))
-        assert bare == judge(value, 0.3, 5.0, -1.0, 1.0, DecisionRule("simple"))
+        bare = judge(value, 0.3, 5.0, between_limits(-1.0, 1.0), DecisionRule("guarded", 0.0))
+        simple = judge(value, 0.3, 5.0, between_limits(-1.0, 1.0), DecisionRule("simple"))
+        assert replace(bare, rule="simple") == simple
 
 
 def test_risk_is_how_often_the_verdict_is_wrong():
@@ -226,7 +235,7 @@ def test_risk_is_how_often_the_verdict_is_wrong():
     for dof in (None, 3.0):
         noise = rng.standard_normal(n) if dof is None else rng.standard_t(dof, n)
         for value in (0.4, 1.8, 2.5):
-            judged = judge(value, 1.0, dof, 0.0, 2.0, DecisionRule("simple"))
+            judged = judge(value, 1.0, dof, between_limits(0.0, 2.0), DecisionRule("simple"))
             truth = value + noise
             conforms = (truth >= 0.0) & (truth <= 2.0)
             wrong = float(np.mean(~conforms if judged.verdict == "pass" else conforms))

@@ -9,6 +9,7 @@ from scipy import special, stats
 
 from counterspin.inference.distributions import (
     chi_square_tail,
+    countable,
     dof_beside,
     log_binomial,
     normal_cdf,
@@ -95,3 +96,10 @@ def test_what_is_known_or_estimated_alone_has_its_own_freedom():
     assert dof_beside(1.0, 3.0) == 3.0
     assert math.isinf(dof_beside(0.0, 3.0))
     assert dof_beside(0.5, 100.0) == 400.0
+
+
+@pytest.mark.parametrize(
+    ("dof", "stated"), [(3.0, 3.0), (2e8, 2e8), (9.12e16, None), (math.inf, None)]
+)
+def test_degrees_of_freedom_that_nobody_can_count_are_infinite(dof, stated):
+    assert countable(dof) == stated

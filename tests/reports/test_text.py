@@ -18,7 +18,6 @@ from counterspin.calibration.result_parts import (
     Comparison,
     Correlation,
     Inputs,
-    Jackknife,
     NoiseLine,
     ParabolaResult,
     Provenance,
@@ -28,6 +27,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Column, Heading, Paragraph, Table
 from counterspin.reports.characters import Lines

@@ -6,9 +6,15 @@ from collections.abc import Mapping
 from typing import Final
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Conformity
-from counterspin.campaign.specification import Specification, Specifications
-from counterspin.inference.conformity import DecisionRule, Judgement, judge
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.campaign.specification import Specifications
+from counterspin.inference.conformity import (
+    Conformity,
+    DecisionRule,
+    Specification,
+    judge,
+    undecided,
+)
 
 _AS_PRINTED: Final = (
     "the equations as printed return half the true K_II, and no verdict rests on them"
@@ -76,39 +82,5 @@ def _verdict(
     elif general is not None:
         reason = general
     else:
-        judged = judge(
-            coefficient.value,
-            coefficient.u,
-            coefficient.dof,
-            specification.low,
-            specification.high,
-            rule,
-        )
-        return _written(
-            specification, rule, judged, _reason(rule) if judged.verdict == "undecided" else None
-        )
-    return _written(specification, rule, None, reason)
-
-
-def _written(
-    specification: Specification, rule: DecisionRule, judged: Judgement | None, reason: str | None
-) -> Conformity:
-    return Conformity(
-        specification=specification.text,
-        low=specification.low,
-        high=specification.high,
-        unit=specification.unit,
-        rule=rule.name,
-        guard_band=judged.guard_band if judged else None,
-        needed=rule.needed if rule.name == "probability" else None,
-        verdict=judged.verdict if judged else "undecided",
-        probability=judged.probability if judged else None,
-        risk=judged.risk if judged else None,
-        reason=reason,
-    )
-
-
-def _reason(rule: DecisionRule) -> str:
-    if rule.name == "guarded":
-        return "the estimate is nearer to a tolerance limit than the guard band"
-    return f"neither conformity nor its contrary is as probable as {rule.needed:g}"
+        return judge(coefficient.value, coefficient.u, coefficient.dof, specification, rule)
+    return undecided(specification, rule, reason)

@@ -17,7 +17,6 @@ from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
     compare,
     hidden_walk,
-    jackknife,
     residual_findings,
     run_fits,
     unseen_ripple,
@@ -187,7 +186,7 @@ def _accelerometer(
             for symbol, index in view.places.items()
             if own[symbol].estimated
         },
-        jackknife=jackknife(view),
+        jackknife=view.jackknife(),
         two_stage=compare(view, observed) if observed else None,
         traces=traces(view, observed),
         readings=[line for part in view.readings for line in part.results()],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
@@ -16,7 +15,7 @@ from counterspin.calibration.joint_parts import coefficient, residual
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, countable
+from counterspin.calibration.result_parts import Comparison, Finding
 from counterspin.calibration.two_stage import two_stage_view
 from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
@@ -24,44 +23,9 @@ from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.relaxed import relax
-from counterspin.inference.joint.runs_left_out import RunLeftOut, leave_out
 from counterspin.inference.joint.slow_parts import slow_parts
 from counterspin.physics.terms import INPUTS, OWN_TERMS, shown_by_readings
 from counterspin.reports.numbers import format_number
-
-#: Part of u(K_II) below which a shift's own uncertainty is rounding.
-_LEAST_SHARE: Final = 1e-6
-
-
-def jackknife(view: AccelerometerView) -> list[Jackknife]:
-    """Leave each run out in turn and compare K_II's shift with the shift's own uncertainty."""
-    index, fit = view.k_ii, view.fit
-    runs = list(dict.fromkeys(prepared.run for prepared in fit.prepared))
-    if index is None or len(runs) < 2:
-        return []
-    limit = fit.model.unknowns[index].limit
-    enough = [
-        run
-        for run in runs
-        if (without := fit.without_run(run)) is not None and float(without.u[index]) < limit
-    ]
-    shifts = {shift.run: shift for shift in leave_out(view.estimate, enough, index, view.name)}
-    u = float(fit.solution.u[index])
-    return [_jackknife(run, shifts.get(run), u) for run in runs]
-
-
-def _jackknife(run: str, without: RunLeftOut | None, u: float) -> Jackknife:
-    if without is None:
-        return Jackknife(run=run, value=None, shift=None, z=None)
-    # Where the run says next to nothing of K_II, both are what rounding leaves of them.
-    compared = without.variance > (_LEAST_SHARE * u) ** 2
-    return Jackknife(
-        run=run,
-        value=without.value,
-        shift=without.shift,
-        z=without.shift / math.sqrt(without.variance) if compared else None,
-        dof=countable(without.dof) if compared else None,
-    )
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:

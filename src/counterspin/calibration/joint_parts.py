@@ -15,10 +15,10 @@ from counterspin.calibration.result_parts import (
     Knowledge,
     NoiseLine,
     Residual,
-    countable,
 )
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.inference.distributions import countable
 from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import by_kind, kind_of

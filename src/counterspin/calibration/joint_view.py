@@ -15,6 +15,7 @@ from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
 from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.runs_left_out import Jackknife, leave_out
 
 #: Degrees of freedom of a very short record, whose every row the fit may follow.
 _FEWEST_DOF: Final = 0.5
@@ -53,6 +54,10 @@ class AccelerometerView:
     def k_ii(self) -> int | None:
         """Place of its K_II; None where the model has none."""
         return self.places.get("K_II")
+
+    def jackknife(self) -> list[Jackknife]:
+        """Return what becomes of its K_II without each run."""
+        return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
 
     @property
     def has_records(self) -> bool:

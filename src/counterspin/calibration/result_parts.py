@@ -6,7 +6,7 @@ beside it.
 
 from __future__ import annotations
 
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -15,18 +15,16 @@ from counterspin.arrays import Array
 from counterspin.calibration.notebook.labelled import Labelled
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
-from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, Kind
+from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
 #: not, for its records contradict it.
 State = Literal["good", "reservations", "contradicted"]
-
-#: From so many degrees of freedom on, Student's factor is the normal one to nine digits.
-_INFINITE_DOF: Final = 1e9
 
 
 class Coefficient(ResultPart):
@@ -93,14 +91,6 @@ class Coefficient(ResultPart):
         return self.value, self.u
 
 
-def countable(dof: float) -> float | None:
-    """Return degrees of freedom as a result states them: None where they are as good as infinite.
-
-    Satterthwaite's formula gives numbers such as 9e16 where next to nothing of u was estimated.
-    """
-    return dof if dof < _INFINITE_DOF else None
-
-
 class Correlation(ResultPart, Labelled):
     """Correlation matrix of the estimated coefficients, rows in the order of `terms`.
 
@@ -162,19 +152,6 @@ class NoiseLine(ResultPart):
     estimated: bool
 
 
-class Jackknife(ResultPart):
-    """K_II with one run left out.
-
-    `z` is its shift over the shift's standard uncertainty, `dof` the degrees of freedom of that.
-    """
-
-    run: str
-    value: float | None
-    shift: float | None
-    z: float | None
-    dof: float | None = None
-
-
 class Comparison(ResultPart):
     """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
 
@@ -183,27 +160,6 @@ class Comparison(ResultPart):
     difference: float
     u_difference: float
     z: float
-
-
-class Conformity(ResultPart):
-    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106)."""
-
-    specification: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
-    #: Tolerance limits in `unit`; None where there is no such limit.
-    low: float | None
-    high: float | None
-    unit: str  #: Of the limits: that of the coefficient.
-    #: Decision rule: ``simple``, ``guarded`` or ``probability``.
-    rule: Literal["simple", "guarded", "probability"]
-    #: Width in `unit` by which the acceptance limits lie inside the tolerance limits; None without
-    #: an estimate.
-    guard_band: float | None
-    needed: float | None = None  #: Probability that the rule asks for; None where it asks for none.
-    verdict: Literal["pass", "fail", "undecided"]  #: What the rule says.
-    #: That the coefficient conforms, given the estimate and its uncertainty.
-    probability: float | None
-    risk: float | None  #: Probability that the verdict is wrong; None if it is undecided.
-    reason: str | None = None  #: Why it is undecided; None if it is not.
 
 
 class Finding(ResultPart):

@@ -16,7 +16,7 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.frozen import frozen
-from counterspin.inference.conformity import DecisionRule, RuleName
+from counterspin.inference.conformity import DecisionRule, RuleName, Specification
 from counterspin.physics.terms import TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
@@ -28,17 +28,6 @@ _PLATFORM_TERM_REFUSAL: Final = (
 _RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s*(\S.*)")
 _BOUND = re.compile(r"(abs\s*)?(<=|>=)\s*(.*)")
 _TOLERANCE = re.compile(PLUS_MINUS)
-
-
-@frozen
-class Specification:
-    """Tolerance limits of a coefficient."""
-
-    text: str  #: As it was written.
-    #: In `unit`, low < high; None where there is no such limit, never both.
-    low: float | None
-    high: float | None
-    unit: str  #: That of the coefficient.
 
 
 @frozen

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import Amended, amendment_lines
 from counterspin.certificates.capability import capability_lines
@@ -16,6 +15,7 @@ from counterspin.certificates.elements import ENGLISH
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
 from counterspin.frozen import frozen
+from counterspin.inference.conformity import Conformity
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
 

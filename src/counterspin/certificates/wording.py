@@ -10,11 +10,11 @@ from counterspin.calibration.pages.accelerometer import rests_on
 from counterspin.calibration.pages.basis import model_blocks
 from counterspin.calibration.pages.motions import lines_of_tests, readings_of
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Conformity
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import CertificateSettings
-from counterspin.inference.conformity import COVERAGE
+from counterspin.inference.conformity import COVERAGE, Conformity
 from counterspin.physics.si_units import SiUnit, si_unit
 from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Paragraph

@@ -12,11 +12,11 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Conformity
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
 from counterspin.histories.shared import shared_sources
+from counterspin.inference.conformity import Conformity
 from counterspin.input import read_file
 
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.

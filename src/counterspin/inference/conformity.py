@@ -7,6 +7,7 @@ uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of o
 from __future__ import annotations
 
 import math
+from dataclasses import KW_ONLY, replace
 from typing import Final, Literal
 
 from counterspin.frozen import frozen
@@ -42,16 +43,38 @@ class DecisionRule:
 
 
 @frozen
-class Judgement:
-    """What a decision rule says of one item."""
+class Specification:
+    """Tolerance limits of a coefficient."""
 
-    verdict: Verdict  #: Pass, fail or undecided.
-    #: How far the acceptance limits lie inside the tolerance limits; 0 without guard bands.
-    guard_band: float
-    probability: float  #: That the item conforms.
-    #: That the verdict is wrong: the specific consumer's risk of a pass, the specific producer's
-    #: risk of a fail; None if undecided.
+    text: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
+    #: In `unit`, low < high; None where there is no such limit, never both.
+    low: float | None
+    high: float | None
+    unit: str  #: That of the coefficient.
+
+
+@frozen
+class Conformity:
+    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106)."""
+
+    _: KW_ONLY
+    specification: str  #: As it was written.
+    #: Tolerance limits in `unit`; None where there is no such limit.
+    low: float | None
+    high: float | None
+    unit: str  #: Of the limits: that of the coefficient.
+    rule: RuleName  #: Decision rule: ``simple``, ``guarded`` or ``probability``.
+    #: Width in `unit` by which the acceptance limits lie inside the tolerance limits, 0 without
+    #: guard bands; None without an estimate.
+    guard_band: float | None
+    needed: float | None = None  #: Probability that the rule asks for; None where it asks for none.
+    verdict: Verdict  #: What the rule says.
+    #: That the coefficient conforms, given the estimate and its uncertainty.
+    probability: float | None
+    #: Probability that the verdict is wrong: the specific consumer's risk of a pass, the specific
+    #: producer's risk of a fail; None if it is undecided.
     risk: float | None
+    reason: str | None = None  #: Why it is undecided; None if it is not.
 
 
 def conformance_probability(
@@ -102,32 +125,51 @@ def acceptance_limits(
 
 
 def judge(
-    value: float,
-    u: float,
-    dof: float | None,
-    low: float | None,
-    high: float | None,
-    rule: DecisionRule,
-) -> Judgement:
-    """Judge one item by a decision rule."""
+    value: float, u: float, dof: float | None, specification: Specification, rule: DecisionRule
+) -> Conformity:
+    """Judge one item by a decision rule; `value`, `u` and `dof` as for the probability."""
+    low, high = specification.low, specification.high
     inside = conformance_probability(value, u, dof, low, high)
     outside = nonconformance_probability(value, u, dof, low, high)
     guard_band = 0.0
     if rule.name == "guarded":
         guard_band = rule.guard_factor * expanded_uncertainty(u, dof)
-    verdict: Verdict
+    verdict: Verdict = "undecided"
     if rule.name == "probability":
-        verdict = (
-            "pass" if inside >= rule.needed else "fail" if outside >= rule.needed else "undecided"
-        )
-    elif _between(value, *acceptance_limits(low, high, guard_band)):
-        verdict = "pass"
-    elif not _between(value, *acceptance_limits(low, high, -guard_band)):
-        verdict = "fail"
+        if max(inside, outside) >= rule.needed:
+            verdict = "pass" if inside >= rule.needed else "fail"
+        reason = f"neither conformity nor its contrary is as probable as {rule.needed:g}"
     else:
-        verdict = "undecided"
-    risk = {"pass": outside, "fail": inside, "undecided": None}[verdict]
-    return Judgement(verdict, guard_band, inside, risk)
+        if _between(value, *acceptance_limits(low, high, guard_band)):
+            verdict = "pass"
+        elif not _between(value, *acceptance_limits(low, high, -guard_band)):
+            verdict = "fail"
+        reason = "the estimate is nearer to a tolerance limit than the guard band"
+    return replace(
+        undecided(specification, rule, reason),
+        guard_band=guard_band,
+        verdict=verdict,
+        probability=inside,
+        risk={"pass": outside, "fail": inside, "undecided": None}[verdict],
+        reason=reason if verdict == "undecided" else None,
+    )
+
+
+def undecided(specification: Specification, rule: DecisionRule, reason: str) -> Conformity:
+    """Return what is said of an item without an estimate on which a verdict can rest."""
+    return Conformity(
+        specification=specification.text,
+        low=specification.low,
+        high=specification.high,
+        unit=specification.unit,
+        rule=rule.name,
+        guard_band=None,
+        needed=rule.needed if rule.name == "probability" else None,
+        verdict="undecided",
+        probability=None,
+        risk=None,
+        reason=reason,
+    )
 
 
 def _between(value: float, low: float | None, high: float | None) -> bool:

@@ -22,6 +22,9 @@ _STIRLING_FROM: Final = 100.0
 #: More degrees of freedom make Student's distribution all but the normal one.
 _NORMAL_DOF: Final = 1e6
 
+#: From so many degrees of freedom on, Student's factor is the normal one to nine digits.
+_INFINITE_DOF: Final = 1e9
+
 _NORMAL: Final = NormalDist()
 
 #: `dof_beside` matches the tail beyond an interval of 95 %; up to so many degrees of freedom and
@@ -221,3 +224,11 @@ def _fraction_of_beta(a: float, b: float, x: float) -> float:
             value *= c * d
         change = abs(c * d - 1.0)
     return value
+
+
+def countable(dof: float) -> float | None:
+    """Return degrees of freedom as a result states them: None where they are as good as infinite.
+
+    Satterthwaite's formula gives numbers such as 9e16 where next to nothing of u was estimated.
+    """
+    return dof if dof < _INFINITE_DOF else None

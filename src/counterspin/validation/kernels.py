@@ -191,8 +191,9 @@ def _acceptance_limits(module: Any, given: Given) -> Found:
 
 def _judge(module: Any, given: Given) -> Found:
     """Verdict as a number: 1 pass, 0 undecided, -1 fail."""
-    item = (given[key] for key in ("value", "u", "dof", "low", "high"))
-    answer = module.judge(*item, module.DecisionRule(**given["rule"]))
+    limits = module.Specification("", given["low"], given["high"], "")
+    item = (given[key] for key in ("value", "u", "dof"))
+    answer = module.judge(*item, limits, module.DecisionRule(**given["rule"]))
     verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[answer.verdict]
     rest = {} if answer.risk is None else {"risk": answer.risk}
     return {"verdict": verdict, "guard_band": answer.guard_band, **rest}

@@ -10,7 +10,7 @@ from campaigns import changed
 from mistaken_campaigns import NOISE, SOUND, Mistake, make_records, mistaken
 
 from counterspin.calibration.diagnosis import search
-from counterspin.calibration.joint_checks import jackknife, residual_findings
+from counterspin.calibration.joint_checks import residual_findings
 from counterspin.calibration.joint_parts import noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_view import AccelerometerView
@@ -70,7 +70,7 @@ def result_of(view):
         correlation=None,
         residual=residual(view),
         noise=noise_lines(view),
-        jackknife=jackknife(view),
+        jackknife=view.jackknife(),
         findings=residual_findings(view),
     )
 

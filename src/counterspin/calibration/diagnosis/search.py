@@ -19,7 +19,7 @@ from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
 from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
-from counterspin.calibration.joint_checks import jackknife, residual_findings
+from counterspin.calibration.joint_checks import residual_findings
 from counterspin.calibration.joint_parts import coefficient, noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
@@ -511,7 +511,7 @@ def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Ite
         correlation=None,
         residual=residual(view),
         noise=noise_lines(view),
-        jackknife=jackknife(view),
+        jackknife=view.jackknife(),
     )
     campaign = view.campaign
     yield from from_numbers(view.name, seen, campaign.gravity.value, len(campaign.accelerometers))

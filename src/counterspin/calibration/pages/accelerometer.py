@@ -16,12 +16,12 @@ from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Comparison,
-    Jackknife,
     NoiseLine,
     ReadingResult,
 )
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.physics.terms import is_term, mounting_of, term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, Conformity
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.inference.conformity import Conformity
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     field_unit,

@@ -10,43 +10,75 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.distributions import countable
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
-from counterspin.inference.noise.variance_components import effective_dof_of
+from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof_of
+
+#: Part of an unknown's u below which a shift's own uncertainty is rounding.
+_LEAST_SHARE: Final = 1e-6
 
 
 @frozen
-class RunLeftOut:
+class Jackknife:
     """What becomes of one unknown without a run."""
 
     run: str  #: The run left out.
-    value: float  #: The estimate without it.
-    shift: float  #: By how much that is more than the estimate of all runs.
-    variance: float  #: Of the shift; zero where the run says nothing of the unknown.
-    #: Effective degrees of freedom of that variance; infinite where the noise was given.
-    dof: float
+    #: The estimate without it, and by how much that is more than the estimate of all runs; None
+    #: where the others do not determine the unknown.
+    value: float | None = None
+    shift: float | None = None
+    #: The shift over its own standard uncertainty; None where the run says next to nothing of the
+    #: unknown, so that both are what rounding leaves of them.
+    z: float | None = None
+    dof: float | None = None  #: Effective degrees of freedom of that uncertainty; None is infinite.
 
 
-def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) -> list[RunLeftOut]:
-    """Leave each of some runs out in turn."""
-    if not runs:
-        return []
-    # What nobody asks for need not be apart for this.
+def leave_out(estimated: Estimate, index: int) -> list[Jackknife]:
+    """Leave each run out in turn, where there are several, for one accelerometer's unknown."""
+    unknown, u = estimated.fit.model.unknowns[index], float(estimated.fit.solution.u[index])
+    every = list(dict.fromkeys(prepared.run for prepared in estimated.fit.prepared))
+    found = {run: Jackknife(run) for run in every}
+    runs = [
+        run
+        for run in every
+        if (without := estimated.fit.without_run(run)) is not None
+        and float(without.u[index]) < unknown.limit
+    ]
+    # What nobody asks for need not be apart for the rest.
     fit = estimated.core or estimated.fit
-    whole = fit.solution
-    without = [_solution_without(fit, run) for run in runs]
+    variance, dof = _spread(fit, runs, index, estimated.components.get(unknown.owner))
+    for run, square, freedom in zip(runs, variance.tolist(), dof.tolist(), strict=True):
+        value = float(_solution_without(fit, run).estimate[index])
+        shift = value - float(fit.solution.estimate[index])
+        compared = square > (_LEAST_SHARE * u) ** 2
+        found[run] = Jackknife(
+            run,
+            value,
+            shift,
+            shift / math.sqrt(square) if compared else None,
+            countable(freedom) if compared else None,
+        )
+    return list(found.values()) if len(every) > 1 else []
+
+
+def _spread(
+    fit: JointFit, runs: Sequence[str], index: int, component: VarianceComponents | None
+) -> tuple[Array, Array]:
+    """Return the variance of each run's shift and its degrees of freedom, shapes (runs,)."""
     variance = _variances(fit, runs, index)
     inverse = np.zeros(len(runs))
-    component = estimated.components.get(owner)
-    if component is not None:
+    if component is not None and runs:
+        owner = fit.model.unknowns[index].owner
 
         def variances(noise: NoiseModel) -> Array:
             return _variances(fit.with_noise({owner: noise}), runs, index)
@@ -58,17 +90,7 @@ def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) 
             slope = growth(fit, fit.with_noise({owner: walking}), runs, index) / step
             variance, inverse = _with_unseen(component.unseen, variance, slope, inverse)
     with np.errstate(divide="ignore"):
-        dof = 1.0 / inverse
-    return [
-        RunLeftOut(
-            run,
-            float(other.estimate[index]),
-            float(other.estimate[index] - whole.estimate[index]),
-            float(variance[k]),
-            float(dof[k]),
-        )
-        for k, (run, other) in enumerate(zip(runs, without, strict=True))
-    ]
+        return variance, 1.0 / inverse
 
 
 def _solution_without(fit: JointFit, run: str) -> Solution:
