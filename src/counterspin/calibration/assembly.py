@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
-from counterspin.calibration.diagnosis.record_counts import counts_of, many_outliers, rejected_of
+from counterspin.calibration.diagnosis.record_counts import many_outliers
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
 from counterspin.calibration.model import assumed
-from counterspin.calibration.notebook.residuals import residuals_of
 from counterspin.calibration.observed import ObservedRun, removed_of
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import (
-    Coefficient,
-    Finding,
-    Inputs,
-    ParabolaResult,
-    Provenance,
-    RippleResult,
-    RunResult,
-)
-from counterspin.calibration.two_stage import two_stage
-from counterspin.calibration.two_stage_request import noise_found
+from counterspin.calibration.result_parts import Finding, Inputs, Provenance
+from counterspin.calibration.two_stage import in_two_stages
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
-from counterspin.campaign.settings import OBSERVABLES
-from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.records.removed import WORDS as REMOVED
 from counterspin.results import environment
 
@@ -56,27 +44,33 @@ def calibration(
 
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
-    estimated = (
-        _jointly(campaign, observed)
+    found = (
+        joint(campaign, observed)
         if method == "joint"
-        else _in_two_stages(campaign, observed, options)
+        else in_two_stages(campaign, observed, options)
     )
-    causes = estimated.pop("causes")
-    estimated["findings"] += [
+    findings = [
+        *found.findings,
         *_asked_about(campaign),
         *_other_rates(observed),
         *(
             finding
-            for name, run in estimated["runs"].items()
+            for name, run in found.runs.items()
             for finding in many_outliers(name, run.counts, len(campaign.accelerometers))
         ),
         *_odd_ends(observed),
     ]
     checksums, in_memory = inputs()
-    residuals = estimated.pop("residuals", ())
     result = Result(
         method=method,
+        model=found.model,
+        findings=findings,
         title=campaign.title,
+        accelerometers=found.accelerometers,
+        platform=found.platform,
+        confounded=found.confounded,
+        correlation=found.correlation,
+        runs=found.runs,
         inputs=Inputs(
             gravity=campaign.gravity.value,
             u_gravity=campaign.gravity.u,
@@ -85,9 +79,10 @@ def calibration(
             radius=campaign.radius.value,
             u_radius=campaign.radius.u,
         ),
+        rests_on=found.rests_on,
         assumed=list(assumed(campaign)),
         details=dict(campaign.details),
-        warnings=[*_remarks(campaign), *_removed(campaign, observed)],
+        warnings=_remarks(campaign),
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums),
@@ -95,110 +90,12 @@ def calibration(
             options=command_words(method, options),
             environment=environment(),
         ),
-        **estimated,
     )
-    result._residuals = residuals
-    result = judge_result(result, accepted_misfit, causes)
+    result._residuals = found.residuals
+    result = judge_result(result, accepted_misfit, found.causes)
     if campaign.specifications is None:
         return result
     return with_conformity(result, campaign.specifications)
-
-
-def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, Any]:
-    outcome = joint(campaign, observed)
-    return {
-        "model": "exact",
-        "accelerometers": outcome.accelerometers,
-        "platform": outcome.platform,
-        "confounded": outcome.confounded,
-        "correlation": outcome.correlation,
-        "rests_on": list(outcome.rests_on),
-        "residuals": residuals_of(
-            outcome.estimate.fit,
-            {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()},
-        ),
-        "runs": {
-            run.run.name: run_result(
-                run,
-                terms=outcome.runs[run.run.name],
-                fit=outcome.fits[run.run.name],
-                outliers=outcome.outliers[run.run.name],
-            )
-            for run in observed
-        },
-        "findings": [*outcome.findings],
-        "causes": outcome.causes,
-    }
-
-
-def _in_two_stages(
-    campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
-) -> dict[str, Any]:
-    campaign.require_records("the two-stage method")
-    noise = noise_found(campaign, observed)
-    outcomes = {
-        name: two_stage(campaign, observed, accelerometer, options, noise)
-        for name, accelerometer in campaign.accelerometers.items()
-    }
-    return {
-        "model": options.model,
-        "accelerometers": {name: outcome.result for name, outcome in outcomes.items()},
-        "runs": {
-            run.run.name: run_result(
-                run,
-                parabolas={
-                    name: outcome.parabolas[run.run.name] for name, outcome in outcomes.items()
-                },
-            )
-            for run in observed
-        },
-        "findings": [],
-        "causes": (),
-    }
-
-
-def run_result(
-    run: ObservedRun,
-    *,
-    parabolas: Mapping[str, ParabolaResult] | None = None,
-    terms: Mapping[str, Coefficient] | None = None,
-    fit: Mapping[str, dict[str, float | str | None]] | None = None,
-    outliers: int = 0,
-) -> RunResult:
-    """Return what one run showed of its rotation and its samples."""
-    rotation, report = run.rotation, run.record.report
-    spindle, own = run.trajectory.spindle, dict(terms or {})
-    # Where no angle was recorded the joint fit has found the rotation.
-    rotation_terms = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
-    _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
-    counts = counts_of(report, outliers)
-    ripples = [
-        RippleResult(
-            harmonic=ripple.harmonic,
-            amplitude=ripple.amplitude,
-            u_amplitude=u_amplitude,
-            phase=ripple.phase,
-            u_phase=u_phase,
-        )
-        for ripple, (u_amplitude, u_phase) in zip(
-            spindle.ripples, rotation.u_ripples if rotation else (), strict=True
-        )
-    ]
-    return RunResult(
-        rate=rate.value if rate and rate.value is not None else spindle.rate,
-        u_rate=rotation.u_rate if rotation else rate.u if rate else None,
-        drift=drift.value if drift and drift.value is not None else spindle.drift,
-        u_drift=rotation.u_drift if rotation else drift.u if drift else None,
-        ripples=ripples,
-        angle_rms=rotation.rms if rotation else None,
-        samples=report.used,
-        rejected=rejected_of(counts),
-        counts=counts,
-        notes=report.notes(),
-        parabolas=dict(parabolas or {}),
-        terms=own,
-        fit=dict(fit or {}),
-    )
 
 
 def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:

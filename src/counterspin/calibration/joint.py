@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from counterspin.calibration.diagnosis.attitude_findings import large_tilts, shared_findings
-from counterspin.calibration.diagnosis.causes import Cause
 from counterspin.calibration.diagnosis.credible import (
     beyond_typical,
     incredible,
@@ -36,7 +35,9 @@ from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.kinds import Kinds, compare_kinds
 from counterspin.calibration.model import SQUARES, inputs_of, model_of
+from counterspin.calibration.notebook.residuals import residuals_of
 from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.readings import (
     AccelerometerReadings,
     in_output_units,
@@ -45,40 +46,17 @@ from counterspin.calibration.readings import (
     with_readings,
 )
 from counterspin.calibration.result import described
-from counterspin.calibration.result_parts import (
-    AccelerometerResult,
-    Coefficient,
-    Correlation,
-    Finding,
-    Knowledge,
-)
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
 from counterspin.campaign.description import Campaign
-from counterspin.frozen import frozen
-from counterspin.inference.identifiability import Assessment, ConfoundedTerms, assess
+from counterspin.campaign.settings import OBSERVABLES
+from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.physics.terms import TERMS
 
 
-@frozen
-class JointOutcome:
-    """What the joint fit says: the result's parts, and what they come from."""
-
-    accelerometers: Mapping[str, AccelerometerResult]
-    platform: Mapping[str, Coefficient]
-    runs: Mapping[str, Mapping[str, Coefficient]]
-    fits: Mapping[str, Mapping[str, dict[str, float | str | None]]]
-    outliers: Mapping[str, int]
-    confounded: tuple[ConfoundedTerms, ...]
-    correlation: Correlation | None
-    rests_on: tuple[Knowledge, ...]
-    findings: tuple[Finding, ...]
-    causes: tuple[Cause, ...]
-    estimate: Estimate
-
-
-def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
+def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
     """Fit all records of a campaign together."""
     model = model_of(campaign)
     estimated, read = estimate_campaign(campaign, observed, model)
@@ -110,29 +88,34 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
     accelerometers = {view.name: _accelerometer(view, observed, kinds[view.name]) for view in views}
-    runs = {
+    terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
     }
     rests_on = knowledge(estimated, inputs_of(campaign))
-    found = [
-        *shared_findings(shared, longest),
-        *large_tilts(campaign, runs, accelerometers),
-        *beyond,
-        *beyond_typical(rests_on),
-    ]
-    return JointOutcome(
+    units = {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()}
+    return Outcome(
+        model="exact",
         accelerometers=accelerometers,
+        runs={
+            name: run_result(
+                run, terms=terms[name], fit=run_fits(views, name), outliers=outliers[name]
+            )
+            for run in observed
+            for name in [run.run.name]
+        },
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
-        runs=runs,
-        fits={run.run.name: run_fits(views, run.run.name) for run in observed},
-        outliers=outliers,
-        confounded=tuple(confounded_platform(assessment)),
+        confounded=confounded_platform(assessment),
         correlation=whole_correlation(estimated, assessment),
-        rests_on=tuple(rests_on),
-        findings=tuple(found),
+        rests_on=rests_on,
+        findings=[
+            *shared_findings(shared, longest),
+            *large_tilts(campaign, terms, accelerometers),
+            *beyond,
+            *beyond_typical(rests_on),
+        ],
         causes=causes_of(views, accelerometers),
-        estimate=estimated,
+        residuals=residuals_of(estimated.fit, units),
     )
 
 

@@ -21,6 +21,7 @@ from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import assumed_of, model_of, prior_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -30,7 +31,7 @@ from counterspin.calibration.result_parts import (
     Residual,
 )
 from counterspin.calibration.two_stage_findings import findings, nothing_known, sums_of_alike
-from counterspin.calibration.two_stage_request import request_of
+from counterspin.calibration.two_stage_request import noise_found, request_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
@@ -106,6 +107,29 @@ def two_stage(
         for part, parabola in zip(second.fit.prepared, second.parabolas, strict=True)
     }
     return TwoStageOutcome(result, parabolas, second)
+
+
+def in_two_stages(
+    campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
+) -> Outcome:
+    """Apply the two-stage method to each accelerometer of a campaign."""
+    campaign.require_records("the two-stage method")
+    noise = noise_found(campaign, observed)
+    found = {
+        name: two_stage(campaign, observed, accelerometer, options, noise)
+        for name, accelerometer in campaign.accelerometers.items()
+    }
+    return Outcome(
+        model=options.model,
+        accelerometers={name: outcome.result for name, outcome in found.items()},
+        runs={
+            run.run.name: run_result(
+                run,
+                parabolas={name: one.parabolas[run.run.name] for name, one in found.items()},
+            )
+            for run in observed
+        },
+    )
 
 
 def two_stage_view(

@@ -16,9 +16,9 @@ def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):
     slow, *others = observe(campaign)
     place = 500
     assert slow.record.count[place] > 1
-    before = joint(campaign, (slow, *others)).outliers["slow"]
+    before = joint(campaign, (slow, *others)).runs["slow"].counts["outliers"]
     error = slow.signals["Qx"].error.copy()
     error[place] += 1.0
     spoilt = replace(slow, signals={**slow.signals, "Qx": replace(slow.signals["Qx"], error=error)})
-    after = joint(campaign, (spoilt, *others)).outliers
-    assert after["slow"] - before == slow.record.count[place]
+    after = joint(campaign, (spoilt, *others)).runs["slow"].counts["outliers"]
+    assert after - before == slow.record.count[place]
