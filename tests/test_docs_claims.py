@@ -28,6 +28,7 @@ from counterspin.inference import (
     distributions,
     identifiability,
     reading_tests,
+    readings,
 )
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint import condensed, encoder, mistakes, outliers
@@ -147,7 +148,7 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
-    ("diagnosis", "as long as {} degrees of freedom are left", [reading_tests.FEWEST_FREEDOM]),
+    ("diagnosis", "as long as {} degrees of freedom are left", [readings.FEWEST_FREEDOM]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [reading_tests._HARMONICS]),
     ("diagnosis", "constant of {} and of {} of the series", [*reading_tests._WARM_UPS]),
     ("diagnosis", "within {} of its chi-square, is named with it", [reading_tests._DECISIVE_CHI2]),

@@ -408,7 +408,7 @@ def test_toml_mistakes_come_with_their_line(tmp_path):
         read_campaign(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("name", [r"C:\data\run1.csv", r"C:\Users\x.csv", r"D:\x.csv"])
+@pytest.mark.parametrize("name", [r"C:\data\run1.csv", r"C:\Units\x.csv", r"D:\x.csv"])
 def test_a_windows_path_in_double_quotation_marks_is_explained(tmp_path, name):
     (problem,) = problems_of(tmp_path, edited(("run1.csv", name)))
     assert problem.startswith("line ")

@@ -4,11 +4,11 @@
 - `options`: how a calibration is made
 - `observed`: records brought together with the rotation they were taken on
 - `assembly`: from observed runs to a `Result`, by either method
+- `outcome`: what a method has found, as the result states it
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
 - `joint_problem`, `joint`: the joint fit's data and noise; its outcome
 - `joint_view`: what the fit holds of one accelerometer
-- `joint_parts`, `joint_checks`, `joint_traces`: its values and budgets; its checks; its residuals,
-  thinned for pictures
+- `joint_parts`, `joint_checks`: its values and noise; its checks
 - `two_stage_request`, `two_stage`, `two_stage_findings`: what is asked of the paper's method; its
   outcome; what its result must say beside
 - `conformity`: whether coefficients meet their specifications

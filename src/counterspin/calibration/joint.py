@@ -31,11 +31,11 @@ from counterspin.calibration.joint_parts import (
     whole_correlation,
 )
 from counterspin.calibration.joint_problem import noise_of, series_of
-from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.kinds import Kinds, compare_kinds
 from counterspin.calibration.model import SQUARES, inputs_of, model_of
 from counterspin.calibration.notebook.residuals import residuals_of
+from counterspin.calibration.notebook.traces import traces
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.readings import (

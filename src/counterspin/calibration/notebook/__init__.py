@@ -4,5 +4,5 @@
 - `si_estimate`: a coefficient in SI units
 - `latex`: symbols, numbers and units as LaTeX; `tables`: coefficients as a frame and as LaTeX
 - `packages`: values for GTC and uncertainties, with their correlations
-- `residuals`: whole residuals as arrays and as pictures
+- `residuals`: whole residuals as arrays and as pictures; `traces`: residuals thinned for pictures
 """

@@ -6,7 +6,7 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint_traces import _rounded
+from counterspin.calibration.notebook.traces import _rounded
 from counterspin.calibration.result import Result
 from counterspin.campaign.simulation import simulate
 
