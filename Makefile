@@ -32,7 +32,7 @@ BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-call
   --disable-error-code import-untyped --disable-error-code import-not-found
 
 .PHONY: help setup demo test quick slow lint format bench fuzz docs pictures violations coverage alarms \
-  lock clean
+  mutants lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-10s %s\n", $$1, $$2 }'
@@ -77,6 +77,9 @@ violations: $(READY) ## Make the table of what violations of the model do again
 fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md
 	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \
 	  --seed $(SEED) --only "$(ONLY)"
+
+mutants: $(READY) ## Plant single errors into a copy, and count those that validate names
+	$(BIN)/python -m mutants --tests
 
 alarms: $(READY) ## Make the table of how often good campaigns are blamed again (ten minutes)
 	$(BIN)/python docs/false_alarms.py

@@ -167,7 +167,7 @@ TESTS = [path.relative_to(ROOT / "tests") for path in sorted((ROOT / "tests").rg
 
 #: Tests of what is no module: benchmarks, documentation, house, interface, published sources.
 OF_NO_MODULE = re.compile(
-    r"test_(benchmarks|docs\w*|fuzz|house|notebook_tasks|python)\.py|published/test_\w+\.py"
+    r"test_(benchmarks|docs\w*|fuzz|house|mutants|notebook_tasks|python)\.py|published/test_\w+\.py"
 )
 
 

@@ -176,12 +176,13 @@ def fitted(runs):
     for j, symbol in enumerate(TERMS):
         parts = [of_noise[j, j], of_prior[j, j] + by_k_pp[j] ** 2]
         numbers = [estimate[j], sqrt(whole[j, j]), *map(sqrt, parts)]
-        expected[symbol] = [nstr(number, DIGITS) for number in numbers]
+        expected[f"Qx.{symbol}"] = [*(nstr(number, DIGITS) for number in numbers), "0"]
     correlation = [
-        [nstr(whole[i, j] / sqrt(whole[i, i] * whole[j, j]), DIGITS) for j in range(len(TERMS))]
+        nstr(whole[i, j] / sqrt(whole[i, i] * whole[j, j]), DIGITS)
         for i in range(len(TERMS))
+        for j in range(len(TERMS))
     ]
-    return {"coefficients": expected, "correlation": correlation}
+    return {**expected, "correlation of Qx": correlation}
 
 
 def main():
@@ -201,10 +202,11 @@ def main():
         (folder / f"{name}.csv").write_text(text, encoding="utf-8")
     document = {
         "about": (
-            "Estimate, u, u_noise and u_stated of each term of the campaign in the folder "
-            "campaign, and their correlations; made by make_joint_fit.py in 40-digit arithmetic"
+            "Estimate, u, u_noise, u_stated and u_unstated of each term of the campaign in the "
+            "folder campaign, and their correlations, row by row; made by make_joint_fit.py in "
+            "40-digit arithmetic"
         ),
-        **fitted(runs),
+        "joint_fit": {"expected": fitted(runs)},
     }
     (data / "joint_fit.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 

@@ -18,18 +18,22 @@ from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
 from counterspin.validation.validate import DOSSIER_FILES, check, validate
 
-#: What says yes or no, and is tried on its own.
+#: What says yes or no, or makes a document, and is tried on its own.
 CHECKS = (
     "counterspin.certificates.schema:check_schema",
     "counterspin.certificates.signature:verify",
 )
-KERNELS = sorted({one.kernel for one in cases()} - {*CHECKS})
+CERTIFICATE = "counterspin.certificates.issuing:certificate"
+KERNELS = sorted({one.kernel for one in cases()} - {*CHECKS, CERTIFICATE})
 SCHEMA_CASE = "a certificate and the schema of DCC"
 REQUIREMENTS = {
     "physics",
     "spindle",
     "least squares",
     "joint fit",
+    "readings",
+    "correction",
+    "units",
     "priors and considered terms",
     "noise",
     "intervals and coverage",
@@ -63,6 +67,27 @@ def test_a_check_that_lets_all_pass_or_none_is_named(kernel, monkeypatch):
     for wrong in (lambda *_: None, raises):
         monkeypatch.setattr(import_module(module), name, wrong)
         assert validate(schema=schema(), chosen=chosen).failed == [chosen[0].name]
+
+
+@pytest.mark.parametrize("of", ["coverage.expanded_uncertainty", "build.region_factor"])
+def test_a_certificate_with_another_coverage_factor_is_named(of, monkeypatch):
+    module, name = of.split(".")
+    owner = import_module(f"counterspin.certificates.{module}")
+    right = getattr(owner, name)
+    monkeypatch.setattr(owner, name, lambda *given: 1.001 * right(*given))
+    chosen = [one for one in cases() if one.kernel == CERTIFICATE]
+    assert validate(chosen=chosen).failed == [one.name for one in chosen]
+
+
+def test_what_a_fit_may_be_off_by_is_small_beside_u():
+    """Nothing that matters hides in a limit: at most 0.5 % of u, and 0.0003 u of a stated noise."""
+    fits = [one for one in cases() if one.absolute is None]
+    assert len(fits) >= 6
+    for one in fits:
+        for name, line in one.expected.items():
+            if line.size == 5:
+                part = one.allowed(name) / line[1]
+                assert np.all(part <= (0.0051 if one.requirement == "noise" else 0.00031)), name
 
 
 def schema():

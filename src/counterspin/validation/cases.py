@@ -33,9 +33,9 @@ class Case:
     #: What is expected, name -> values; None: `given` names the file where that stands.
     stated: Mapping[str, Any] | None
     #: Largest difference, as a part of the expected value and in its unit; both together where both
-    #: are stated. `absolute` may be one number, or by name.
+    #: are stated. `absolute` may be one number, or by name; None: it stands where `stated` does.
     relative: float
-    absolute: float | Mapping[str, Any]
+    absolute: float | Mapping[str, Any] | None
 
     @cached_property
     def expected(self) -> Mapping[str, Array]:
@@ -46,8 +46,9 @@ class Case:
 
     def allowed(self, name: str) -> Array:
         """Return the largest difference of each number of a name, in the shape of `expected`."""
-        bound = self.absolute if isinstance(self.absolute, float | int) else self.absolute[name]
-        return np.asarray(bound) + self.relative * np.abs(self.expected[name])
+        bound = _fit(self.given)["limits"] if self.absolute is None else self.absolute
+        size = bound if isinstance(bound, float | int) else bound[name]
+        return np.asarray(size) + self.relative * np.abs(self.expected[name])
 
 
 @cache
@@ -133,13 +134,21 @@ def _certified(given: Mapping[str, Any]) -> dict[str, Any]:
     return {s: [c["value"], c["u"]] for s, c in stated["coefficients"].items()}
 
 
-def _joint_fit(given: Mapping[str, Any]) -> dict[str, Any]:
-    stated = document(given["reference"])
-    return {**stated["coefficients"], "correlation": stated["correlation"]}
+def _fit(given: Mapping[str, Any]) -> Any:
+    """Return what the file of fits has of a campaign."""
+    return document(given["file"])[given["fit"]]
+
+
+def _fitted(given: Mapping[str, Any]) -> Any:
+    return _fit(given)["expected"]
 
 
 def _noise(given: Mapping[str, Any]) -> dict[str, Any]:
     return {key: document(given["file"])[key] for key in ("white", "random_walk", "gain")}
+
+
+def _stated(given: Mapping[str, Any]) -> Any:
+    return document(given["expected"])[given["part"]]
 
 
 _REFERENCES: Final = {
@@ -147,6 +156,8 @@ _REFERENCES: Final = {
     "Spindle.angle": _angles,
     "Station.force": _forces,
     "read_certificate": _certified,
-    "calibrate": _joint_fit,
+    "calibrate": _fitted,
+    "certificate": _stated,
+    "apply": _stated,
     "estimate": _noise,
 }

@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from datetime import date
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.calibration.result import Result
-from counterspin.certificates.issuing import certificate
+import numpy as np
+
+from counterspin.calibration.result_parts import Coefficient
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.physics.terms import OWN_TERMS
 from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
-from counterspin.validation.cases import DATA, document
+from counterspin.validation.cases import DATA
+from counterspin.validation.stated import xml_of
 
 #: Ending -> the package without which it is not read.
 _NEEDED: Final = {".xlsx": "fastexcel", ".tdms": "nptdms"}
@@ -55,13 +57,34 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def joint_fit(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return estimate and uncertainties of each term of a campaign's accelerometer."""
-    found = module.calibrate(DATA / given["folder"]).accelerometers[given["accelerometer"]]
-    parts = {
-        symbol: [c.value, c.u, c.u_noise, c.u_stated] for symbol, c in found.coefficients.items()
-    }
-    return {**parts, "correlation": found.correlation.matrix}
+def fitted(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a campaign's result says of everything, by name."""
+    found = module.calibrate(DATA / given["folder"])
+    answer: dict[str, Any] = {symbol: _line(c) for symbol, c in found.platform.items()}
+    for row in found.rests_on:
+        if row.found is not None:
+            answer[f"what {row.name} is"] = [row.found - row.value, row.u_found]
+    for name, own in found.accelerometers.items():
+        asked = {f"{name}.{symbol}": c for symbol, c in own.coefficients.items()}
+        answer |= {symbol: _line(c) for symbol, c in asked.items()}
+        answer |= {f"degrees of freedom of {symbol}": [c.dof] for symbol, c in asked.items()}
+        answer |= {f"{key} of {name}": [c.value, c.u] for key, c in own.output.items()}
+        answer |= {f"{part} noise of {name}": [line.value] for part, line in own.noise.items()}
+        left = own.residual
+        answer[f"misfit of {name}"] = [left.chi2, left.dof, left.lack_of_fit_p]
+        for symbol, lines in own.budget.items():
+            for line in lines:
+                source = f"{name}.{line.source}" if line.source in OWN_TERMS else line.source
+                answer[f"{name}.{symbol} by {source}"] = [line.contribution]
+        if own.correlation is not None:
+            places = [own.correlation.terms.index(s) for s in sorted(own.coefficients)]
+            matrix = np.array(own.correlation.matrix)[np.ix_(places, places)]
+            answer[f"correlation of {name}"] = matrix.ravel()
+    return {name: np.array(values, np.float64) for name, values in answer.items()}
+
+
+def _line(c: Coefficient) -> list[float | None]:
+    return [c.value, c.u, c.u_noise, c.u_stated, c.u_unstated]
 
 
 def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,7 +93,7 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         raise NotAvailableError(
             "the schema of DCC is not part of the package; name its folder (`schema`)"
         )
-    made = _certificate(given["file"])
+    made = xml_of(given["file"])
 
     def conforms(document: bytes) -> float:
         try:
@@ -107,14 +130,6 @@ def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def read_back(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return estimate and u of each term that a result's certificate states."""
-    read = module.read_certificate(_certificate(given["file"]), "the certificate of the case")
+    read = module.read_certificate(xml_of(given["file"]), "the certificate of the case")
     found = read.accelerometers[given["accelerometer"]].coefficients
     return {symbol: [c.value, c.u] for symbol, c in found.items()}
-
-
-def _certificate(file: str) -> bytes:
-    """Return the certificate of a result and a laboratory, as XML."""
-    both = document(file)
-    dates = {key: date.fromisoformat(both["lab"]["certificate"][key]) for key in ("begin", "end")}
-    lab = both["lab"] | {"certificate": both["lab"]["certificate"] | dates}
-    return certificate(Result.model_validate(both["result"]), lab).xml

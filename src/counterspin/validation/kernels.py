@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.validation import files
+from counterspin.validation import files, stated
 from counterspin.validation.cases import (
     Case,
     document,
@@ -317,6 +317,13 @@ def _en_score(module: Any, given: Given) -> Found:
     return {"E_n": module.en_score(tuple(given["first"]), tuple(given["second"]))}
 
 
+def _factors(module: Any, given: Given) -> Found:
+    g = given["gravity"]
+    return {
+        unit: module.unit_factor(unit, wanted, gravity=g) for unit, wanted in given["units"].items()
+    }
+
+
 def _number(name: str, key: str) -> Callable[[Any, Given], Found]:
     """Return how a function is asked that takes what is given by name and returns a number."""
     return lambda module, given: {key: getattr(module, name)(**given)}
@@ -348,8 +355,11 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "nonconformance_probability": _number("nonconformance_probability", "p"),
     "acceptance_limits": _acceptance_limits,
     "judge": _judge,
-    "calibrate": files.joint_fit,
+    "calibrate": files.fitted,
     "forecast": _forecast,
+    "certificate": stated.numbers,
+    "apply": stated.corrected,
+    "unit_factor": _factors,
     "read_certificate": files.read_back,
     "check_schema": files.check_schema,
     "verify": files.verify,
