@@ -251,8 +251,21 @@ def test_noise_of_the_accelerometer_that_is_not_stated_is_that_of_the_joint_fit(
         assert c.u == pytest.approx(sure.u, rel=0.3)
         assert sure.dof is None
         assert 3 < c.dof < 1000
-    # What the joint result has beside it is the same estimate.
+    # What the joint result has beside it is the same estimate, but for the K_III that it found.
     comparison, c = jointly.two_stage, found.coefficients["K_II"]
+    assert comparison.value == pytest.approx(c.value, abs=0.01 * c.u)
+    assert comparison.u == pytest.approx(c.u, rel=1e-4)
+
+
+def test_beside_the_joint_result_stands_the_estimate_that_is_told_what_it_found(tmp_path):
+    folder = made(tmp_path)
+    jointly = qx(calibrate(folder))
+    k_iii = jointly.coefficients["K_III"]
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    told = f'{PRIORS[0]}\nK_III = "{k_iii.value!r} ± {k_iii.u!r} g/g^3"'
+    write(folder, changed(text, (PRIORS[0], told)))
+    c = qx(calibrate(folder, method="two-stage")).coefficients["K_II"]
+    comparison = jointly.two_stage
     assert (comparison.value, comparison.u) == pytest.approx((c.value, c.u), rel=1e-9)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
     equivalent_deviations,
@@ -90,14 +92,24 @@ def run_fits(
 
 
 def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Comparison | None:
-    """Return the two-stage K_II beside the joint one; None where that method does not apply."""
+    """Return the two-stage K_II beside the joint one; None where that method does not apply.
+
+    Of what two stages do not estimate they are given what the joint fit found: else a drift, say,
+    that was asked for and is there would make them disagree.
+    """
     index = view.k_ii
     if index is None:
         return None
     components = {} if walk_is_stated(view.campaign) else view.estimate.components
+    found = _found(view.fit)
     try:
         beside, _ = two_stage_view(
-            view.campaign, observed, view.accelerometer, TwoStageOptions(), components
+            view.campaign,
+            observed,
+            view.accelerometer,
+            TwoStageOptions(),
+            components,
+            found,
         )
     except (NotIdentifiableError, RecordError):
         return None
@@ -106,19 +118,31 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     if not other.estimated or other.value is None or other.u is None:
         return None
     solution, second = view.fit.solution, beside.fit.solution
-    own = (solution.covariance_noise + solution.covariance_prior)[index, index]
+    covariance = solution.covariance_noise + solution.covariance_prior
     theirs = (second.covariance_noise + second.covariance_prior)[place, place]
+    # What the joint fit found moves each estimate by its own sensitivity: that of the joint one is
+    # its regression on it, and the rest of its variance would remain if all of it were known.
+    held = {(other.owner, other.symbol): k for k, other in enumerate(beside.fit.model.considered)}
+    unknowns = view.fit.model.unknowns
+    there = [k for k, o in enumerate(unknowns) if (o.owner, o.symbol) in {*held} & {*found}]
+    here = [held[unknowns[k].owner, unknowns[k].symbol] for k in there]
+    sd = np.sqrt(np.diag(covariance)[there])
+    scaled = covariance[np.ix_(there, there)] / np.outer(sd, sd)
+    regression = np.linalg.lstsq(scaled, covariance[there, index] / sd, rcond=None)[0]
+    own = covariance[index, index] - float(regression @ scaled @ regression)
+    apart = second.sensitivity_considered[place, here] * sd - regression
+    both = float(apart @ scaled @ apart)
     # A term that only the two-stage method holds counts in its own variance; one that both hold
     # moves each estimate by its own sensitivity.
-    both = 0.0
     considered = _considered(view.fit, index)
-    for name, (effect, sd) in _considered(beside.fit, place).items():
+    known = {unknowns[k].name for k in there}
+    for name, (effect, sd_of) in _considered(beside.fit, place).items():
         if name in considered:
             joint_effect, _ = considered.pop(name)
-            both += ((effect - joint_effect) * sd) ** 2
-        else:
-            theirs += (effect * sd) ** 2
-    both += sum((effect * sd) ** 2 for effect, sd in considered.values())
+            both += ((effect - joint_effect) * sd_of) ** 2
+        elif name not in known:
+            theirs += (effect * sd_of) ** 2
+    both += sum((effect * sd_of) ** 2 for effect, sd_of in considered.values())
     # Both rest on the same records, and the joint estimate is the better one: variances subtract
     # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
     spread = math.sqrt((theirs - own if theirs > own else theirs + own) + both)
@@ -130,6 +154,17 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
         u_difference=spread,
         z=difference / spread,
     )
+
+
+def _found(fit: JointFit) -> dict[tuple[str, str], tuple[float, float]]:
+    """Return value and u of what was asked for, not stated, and determined."""
+    return {
+        (other.owner, other.symbol): (float(value) + other.nominal, float(u))
+        for other, value, u in zip(
+            fit.model.unknowns, fit.solution.estimate, fit.solution.u, strict=True
+        )
+        if other.asked and math.isinf(other.prior[1]) and u < other.limit
+    }
 
 
 def _considered(fit: JointFit, index: int) -> dict[str, tuple[float, float]]:

@@ -138,10 +138,14 @@ def two_stage_view(
     accelerometer: Accelerometer,
     options: TwoStageOptions,
     found: Mapping[str, VarianceComponents],
+    known: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> tuple[AccelerometerView, SecondStage]:
     """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
 
     Arguments and errors as of `two_stage`.
+
+    known: Owner and symbol -> value and u, of what is asked for and not stated: as another fit of
+        the records has it. Without, it has its typical size.
     """
     name, components = accelerometer.name, found.get(accelerometer.name)
     request = request_of(campaign, accelerometer, options, components)
@@ -151,7 +155,7 @@ def two_stage_view(
         request.first_stage(at, record.trajectory)
         for at, record in zip(strobes, series, strict=True)
     ]
-    model = two_stage_model(_known_model(campaign, name), request, series)
+    model = two_stage_model(_known_model(campaign, name, known or {}), request, series)
     second = resolve(series, parabolas, model, request)
     if components is not None:
         second = with_found_noise(second, components)
@@ -170,17 +174,20 @@ def two_stage_view(
     return AccelerometerView(campaign, estimated, assessment, name), second
 
 
-def _known_model(campaign: Campaign, name: str) -> Unknowns:
+def _known_model(
+    campaign: Campaign, name: str, known: Mapping[tuple[str, str], tuple[float, float]]
+) -> Unknowns:
     """Return the joint model with something known of all that two stages do not estimate.
 
-    What is asked for and not stated has its typical size; what is assumed to be perfect is held as
-    exactly that, for what it may be like.
+    What is asked for and not stated has its typical size, if nothing is known of it; what is
+    assumed to be perfect is held as exactly that, for what it may be like.
     """
     model = model_of(campaign)
     unknowns = []
     for other in model.unknowns:
         if not math.isfinite(other.prior[1]) and other.symbol not in (*_ESTIMATED, *ROTATION):
             prior, unstated = prior_of(campaign, other.owner, other.symbol, None)
+            prior = known.get((other.owner, other.symbol), prior)
             unknowns.append(replace(other, prior=prior, unstated=unstated))
         else:
             unknowns.append(other)
