@@ -114,7 +114,7 @@ NUMBERS = [
     ("methods", "a sum of up to {} cosines", [wander._FUNCTION_RANGE[1]]),
     ("methods", "the other noise is a {} times as much", [1 / wander._LEAST_WANDER_PART]),
     ("methods", "flicker above {} half-waves", [wander._FUNCTION_RANGE[1]]),
-    ("methods", "false alarm in one of a {} good", [1 / diagnostics.SIGNIFICANCE]),
+    ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
     ("methods", "at least {} of its prior's variance", [1 - identifiability._PRIOR_LEFT]),
     ("methods", "off their neighbours by more than {} standard", [spikes.LIMIT_SDS]),
     ("methods", "reaches in one of a {} whole records", [1 / outliers.FALSE_ALARMS]),

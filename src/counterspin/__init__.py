@@ -23,7 +23,7 @@ The commands, as functions:
 - `rerun`: a result's calibration made again (`Repeated`)
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
-- `reproduce`: the paper's figures beside what they should be (`Reproduction`)
+- `reproduce`: the paper's numbers compared with recomputed ones (`Reproduction`)
 - `validate`: reference cases, run on what is installed (`Dossier`); `write_dossier`: as files
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `report`, `write_report`: the report of any of these results as HTML, PDF or Markdown

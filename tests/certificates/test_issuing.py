@@ -164,7 +164,7 @@ def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     signing = ("--key", key, "--cert", cert)
     status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
-    assert "it still has text of the example, and nobody signs with that" in err
+    assert "it still contains text of the example; replace that before signing" in err
 
 
 CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}

@@ -218,7 +218,7 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
         assert run(*words, "-o", "out.csv") == 0
         assert run(*words, "-o", "out.parquet") == 0
         report = " ".join(capsys.readouterr().out.split())
-        assert "read with names in line 2, a row of units, cells parted by semi" in report
+        assert "read with names in line 2, a row of units, semicolon-separated" in report
         lines = Path("out.csv").read_text(encoding="utf-8").splitlines()
         assert lines[0] == "Qx;t;Qx_corrected;Qx_corrected_u"
         assert [line.split(";")[0] for line in lines[1:]] == ["1,250", "-2,500", "3,000"]

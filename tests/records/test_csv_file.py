@@ -65,7 +65,7 @@ def test_decimal_comma_and_too_many_cells(tmp_path):
     record = read(path)
     np.testing.assert_allclose(record.signals["Qx"], table()[SIGNAL], rtol=1e-15)
     assert record.report.notes() == [
-        "The file was read as follows: cells parted by semicolons, decimal commas."
+        "The file was read as follows: semicolon-separated, decimal commas."
     ]
     text = lines(table())
     text[5] += ",7"

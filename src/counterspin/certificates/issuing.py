@@ -43,7 +43,7 @@ from counterspin.reports.publication import issue_date
 FORMATS: Final = (".xml", ".pdf")
 
 #: Why a draft is not signed.
-_EXAMPLE: Final = "it still has text of the example, and nobody signs with that"
+_EXAMPLE: Final = "it still contains text of the example; replace that before signing"
 
 
 @frozen(eq=False)

@@ -19,7 +19,7 @@ def check(
     run: str | None = None,
     saved: Saved = NOT_SAVED,
 ) -> None:
-    """Judge the record of one run: clock, angle, rate, residuals, and the u that it will bring.
+    """Judge the record of one run: clock, angle, rate, residuals, resulting uncertainty.
 
     Parameters
     ----------

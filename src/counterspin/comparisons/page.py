@@ -113,7 +113,7 @@ def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
         return f"{whose} determine no coefficient both ({records})."
     if agreement.p is None:
         return f"{whose} cannot differ by chance ({records}): a difference is what was changed."
-    agree = "agree" if agreement.agrees else "do not agree"
+    agree = "agree" if agreement.agrees else "differ significantly"
     words = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
         f"{'degree' if agreement.dof == 1 else 'degrees'} of freedom, "

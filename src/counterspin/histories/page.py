@@ -125,7 +125,7 @@ def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]
         elif instrument.specification is not None:
             yield f"No due date at {reliability}: {due.reason}."
     for pair in instrument.laboratories:
-        agree = "agree" if pair.agrees else "do not agree"
+        agree = "agree" if pair.agrees else "differ significantly"
         difference = format_number(pair.difference * factor, 2)
         yield (
             f"{pair.second} less {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: they "

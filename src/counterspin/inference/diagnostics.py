@@ -39,7 +39,7 @@ AGREEMENT: Final = 3.0
 FALSE_ALARMS: Final = 0.002
 
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
-SIGNIFICANCE: Final = 0.01
+SIGNIFICANCE: Final = 0.005
 
 #: Part of a column, squared, that the fit must leave of it for anything to be tested.
 LEAST_PART_LEFT: Final = 1e-9

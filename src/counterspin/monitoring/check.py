@@ -27,7 +27,7 @@ def check(
     *,
     run: str | None = None,
 ) -> CheckedRun:
-    """Judge the record of one run: clock, angle, rate, residuals, and what it will bring.
+    """Judge the record of one run: clock, angle, rate, residuals, resulting uncertainty.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ class Layout:
         if self.units_row:
             said.append("a row of units")
         if self.delimiter != ",":
-            said.append(f"cells parted by {'tabs' if self.delimiter == chr(9) else 'semicolons'}")
+            said.append("tab-separated" if self.delimiter == "\t" else "semicolon-separated")
         if self.decimal == ",":
             said.append("decimal commas")
         if encoding != "utf-8":

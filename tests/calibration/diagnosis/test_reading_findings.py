@@ -135,7 +135,7 @@ def shown(kind, rng):
     values = simulated(tumble(), rng, SIGMA, truth=LEVEL)
     values += SIGMA * {
         "2 phi and 3 phi": 15.0 * np.cos(2.0 * angle + 0.7) + 15.0 * np.cos(3.0 * angle - 0.4),
-        "K_III": 16.0 * np.cos(angle) ** 3,
+        "K_III": 20.0 * np.cos(angle) ** 3,
     }.get(kind, 0.0 * angle)
     in_time = {"drift": 15.0 * at / 11.0, "settle": 20.0 * np.exp(-at / 1.5)}
     values = values[order] + SIGMA * in_time.get(kind, 0.0 * at)

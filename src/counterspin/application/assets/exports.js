@@ -48,7 +48,7 @@ export function exportsPart() {
   const take = async (some) => {
     if (!some.length) return;
     if (!folder.value.trim()) {
-      place.replaceChildren(warning("Say first into which folder they go."));
+      place.replaceChildren(warning("Enter a folder name first."));
       folder.focus();
       return;
     }

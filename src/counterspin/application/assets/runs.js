@@ -91,7 +91,8 @@ class RecordPlots {
     });
     this.words.textContent = told.whole
       ? "Every row is drawn."
-      : `Of ${this.about.rows.toLocaleString("en")} rows the least and the greatest are drawn.`;
+      : "Each column of pixels shows the minimum and the maximum of its rows " +
+        `(${this.about.rows.toLocaleString("en")} in all).`;
   }
 
   make() {

@@ -234,7 +234,7 @@ def _residual(accelerometer: AccelerometerResult) -> str:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
     if residual.lack_of_fit_p is not None:
         # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
-        what = "a worse fit" if residual.chi2 is not None else "a stranger pattern in them"
+        what = "a worse fit" if residual.chi2 is not None else "a pattern at least this unusual"
         text += f", probability of {what} {format_number(residual.lack_of_fit_p, 2)}"
     return text + "."
 
