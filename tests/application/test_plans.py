@@ -4,6 +4,7 @@ import tomllib
 
 import pytest
 from campaigns import changed
+from planning_setups import PERFECT
 from served import wait
 
 from counterspin.application.plans import PLAN_KEYS
@@ -17,7 +18,7 @@ from counterspin.planning.plan_sections import LimitsSettings
 def planned(page, folder):
     file = write_example(folder / "PLAN.toml")
     # The fewer, the sooner; and u is that of the runs, which a plan can change.
-    file.write_text(changed(file.read_text(), ("runs = 14", "runs = 4")))
+    file.write_text(changed(file.read_text(), ("runs = 14", "runs = 4"), *PERFECT))
     return page
 
 

@@ -9,6 +9,7 @@ import pypdf
 import pytest
 from campaigns import changed
 from chromium import chromium, needs_chromium
+from planning_setups import PERFECT
 from served import InlineJobs, serving, token_of
 
 from counterspin.application.server import _leading
@@ -138,7 +139,7 @@ def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
 
 def test_a_plan_answers_while_its_slider_moves(opened, folder):
     example = write_example(folder / "PLAN.toml")
-    example.write_text(changed(example.read_text(), ("runs = 14", "runs = 3")))
+    example.write_text(changed(example.read_text(), ("runs = 14", "runs = 3"), *PERFECT))
     tab = opened("/plans")
     tab.get_by_role("link", name="PLAN.toml").click()
     answer = tab.locator(".answer")
@@ -154,7 +155,7 @@ def test_a_plan_answers_while_its_slider_moves(opened, folder):
 
 def test_a_plan_is_made_by_a_job_and_its_search_can_be_stopped(opened, desk, folder):
     example = write_example(folder / "PLAN.toml")
-    example.write_text(changed(example.read_text(), ("runs = 14", "runs = 2")))
+    example.write_text(changed(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     ask, desk.live.ask = desk.live.ask, lambda *_: time.sleep(0.2)
     tab = opened("/plan/PLAN.toml")
     tab.get_by_text("Searching the best plan,").wait_for()

@@ -26,6 +26,8 @@ ATTITUDES = LEVEL | {
     "about east": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
 WHITE = NoiseModel(0.01)
+#: What makes the example plan that of the paper: what is not stated is perfect, one rate will do.
+PERFECT = [(f"# {key}", key) for key in ('assume = "all"', "fewest_rates = 1")]
 PLATFORM = (
     "platform.tilt.north",
     "platform.drift.north",

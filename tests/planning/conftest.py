@@ -5,6 +5,7 @@ from functools import cache, partial
 
 import pytest
 from campaigns import changed, write
+from planning_setups import PERFECT
 
 from counterspin.planning.plan import plan, write_example
 
@@ -17,9 +18,12 @@ def written(tmp_path):
 
 @pytest.fixture
 def starter(tmp_path, written):
-    """Return what changes the example plan: pairs of text, found and put in its place."""
+    """Return what changes the example plan: pairs of text, found and put in its place.
+
+    What is not stated is perfect and one rate will do, as for the paper's plan.
+    """
     original = write_example(tmp_path / "starter.toml").read_text(encoding="utf-8")
-    return partial(written, original)
+    return partial(written, changed(original, *PERFECT))
 
 
 @cache

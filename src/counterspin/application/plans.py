@@ -206,8 +206,10 @@ def search_into(there: Connection, file: Path) -> None:
 
 def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
     limits = _moved(search.plan, moved)
-    if limits.total_time < limits.shortest:
-        raise CounterspinError("No run fits into these limits: it would take longer than there is.")
+    if not limits.possible:
+        raise CounterspinError(
+            "No campaign fits into these limits: its runs would take longer than there is."
+        )
     optimum = search.best(limits)
     if optimum is None:
         raise CounterspinError("No plan within these limits reaches the target.")
@@ -253,7 +255,8 @@ def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
         total_time=total,
         rate=(limits.rate[0], max(values["highest_rate"], limits.rate[0])),
         settling=values["settling"],
-        runs=max(1, round(values["runs"])),
+        runs=(runs := max(1, round(values["runs"]))),
+        fewest_rates=min(limits.fewest_rates, runs),
         revolutions=values["fewest_revolutions"],
         longest_run=min(longest, total),
     )

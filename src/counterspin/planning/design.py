@@ -9,6 +9,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from counterspin.arrays import Array, triangle_of
+from counterspin.campaign.conditions import UNKNOWN_WARMING
 from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.planning.run_information import RunInformation
@@ -50,6 +51,11 @@ class Design:
         """Return the design with one run left out."""
         types = self.types[:index] + self.types[index + 1 :]
         return Design(types, np.delete(self.rate, index), np.delete(self.revolutions, index))
+
+    def taken(self, places: Sequence[int]) -> Design:
+        """Return the design with the runs at some places, in their order."""
+        types, chosen = tuple(self.types[i] for i in places), list(places)
+        return Design(types, self.rate[chosen], self.revolutions[chosen])
 
     def with_type(self, index: int, new: RunType) -> Design:
         """Return the design with one run in another attitude or sense."""
@@ -125,6 +131,15 @@ class Limits:
         return float(np.sum(times[: self.fewest_rates]))
 
     @property
+    def possible(self) -> bool:
+        """Whether there is any campaign within them."""
+        return (
+            self.runs >= self.fewest_rates
+            and len(self.different_rates(self.rate[1])) >= self.fewest_rates
+            and self.total_time >= self.shortest
+        )
+
+    @property
     def apart(self) -> float:
         """How many times the next lower one each of the different rates must be."""
         return 1.0 if self.settings else _DIFFERENT_RATE_RATIO
@@ -194,6 +209,37 @@ class Criterion:
         return np.asarray(part / np.outer(scale, scale))
 
 
+def order_of(types: Sequence[RunType]) -> list[int]:
+    """Return the places of runs in the order in which to make them.
+
+    Attitude after attitude, and inside it the senses in turn, so that what changes slowly
+    with time is not taken for what changes with the sense.
+    """
+    order: list[int] = []
+    for attitude in dict.fromkeys(kind.attitude for kind in types):
+        by_sense = [
+            [i for i, kind in enumerate(types) if kind == (attitude, sense)] for sense in (1, -1)
+        ]
+        longer, shorter = sorted(by_sense, key=len, reverse=True)
+        for i, index in enumerate(longer):
+            order.append(index)
+            order += shorter[i : i + 1]
+    return order
+
+
+def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array]:
+    """Return when runs begin and how warm they are then, as `conditions_of` takes it, (..., n).
+
+    duration: s, shape (..., n).
+    """
+    order = order_of(types)
+    start, warmth = np.empty_like(duration), np.zeros(len(order))
+    start[..., order] = np.cumsum(duration[..., order], axis=-1) - duration[..., order]
+    if len(order) > 1:
+        warmth[order] = UNKNOWN_WARMING * np.linspace(-0.5, 0.5, len(order))
+    return start, warmth
+
+
 class Predictor:
     """Uncertainties that designs would have, by the same solve as a calibration's."""
 
@@ -228,7 +274,13 @@ class Predictor:
         rate, revolutions: Shape (..., n).
         Returns: shape (..., p, p).
         """
-        blocks = self.information.blocks(types, rate, revolutions, whole_samples=whole_samples)
+        blocks = self.information.blocks(
+            types,
+            rate,
+            revolutions,
+            whole_samples=whole_samples,
+            conditions=_conditions(types, 2.0 * math.pi * revolutions / rate),
+        )
         return self._covariance(types, blocks)[0]
 
     def u(self, design: Design) -> Array:
@@ -286,7 +338,9 @@ class Predictor:
         up, down = 1.0 + _RELATIVE_STEP, 1.0 - _RELATIVE_STEP
         rate = np.array([[1.0], [up], [down], [1.0], [1.0]]) * design.rate
         turns = np.array([[1.0], [1.0], [1.0], [up], [down]]) * design.revolutions
-        blocks = self.information.blocks(design.types, rate, turns)
+        # When a run begins depends on those before it: so little that no derivative has it.
+        when = _conditions(design.types, design.duration)
+        blocks = self.information.blocks(design.types, rate, turns, conditions=when)
         covariance, inner, spread = self._covariance(design.types, blocks[0])
         value = float(criterion.value(covariance))
         c = criterion.directions(covariance)

@@ -54,7 +54,7 @@ def curves_of(
             total_time=total,
             longest_run=total if free else min(plan.limits.longest_run, total),
         )
-        if total > limits.shortest:
+        if limits.possible:
             best = search.smallest(limits, start)
             times.append(total)
             by_time.append(float(search.predictor.u(best.design)[place]))
@@ -64,7 +64,7 @@ def curves_of(
         if plan.limits.settings or high < plan.limits.rate[0]:
             continue
         limits = replace(plan.limits, rate=(plan.limits.rate[0], high))
-        if limits.total_time > limits.shortest:
+        if limits.possible:
             best = search.smallest(limits)
             rates.append(high)
             by_rate.append(float(search.predictor.u(best.design)[place]))

@@ -34,7 +34,7 @@ from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.readings import blocks_at
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, angle_error_to_come
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
 
@@ -271,15 +271,18 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
 
     sampling_rate: Hz.
     considering: Whether considered terms stay considered; False: they are estimated with their
-        priors, which is a bound for any estimator.
+        priors, and nothing changes from run to run, which is a bound for any estimator.
     """
-    model = model_of(campaign)
+    reference = campaign.reference_temperature or 0.0
+    warm = tuple(replace(run, temperature=reference + 1.0) for run in campaign.runs)
+    model = model_of(replace(campaign, reference_temperature=reference, runs=warm))
     if not considering:
         estimated = tuple(
             Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.unstated)
             for c in model.considered
         )
-        model = Unknowns(model.unknowns + estimated)
+        dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]
+        model = Unknowns(model.unknowns + estimated).without(dated)
     timing = float(_noise(campaign).get("timing", 0.0))
     noise = noise_of_records(campaign)
     return Setup(

@@ -62,7 +62,7 @@ def optimise(
 
     relaxing: A predictor in which considered terms are estimated; None: there are none.
     """
-    if limits.total_time < limits.shortest:
+    if not limits.possible:
         raise NotIdentifiableError(
             f"not one run fits into {limits.total_time:.6g} s: the shortest takes "
             f"{limits.shortest:.6g} s with spin-up and settling"
@@ -86,7 +86,8 @@ def optimise(
             best = exchanged
     assert best is not None  # the choices hold one attitude alone, into which a run fits
     relaxed = choices[0][0]
-    return Optimum(_ordered(best[1]), best[0], min(relaxed.bound, best[0]), relaxed)
+    value, design = _in_order(predictor, criterion, *best)
+    return Optimum(design, value, min(relaxed.bound, value), relaxed)
 
 
 def _subsets(limits: Limits) -> Iterator[Limits]:
@@ -244,6 +245,22 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
                 yield design.joined(Design((kind,), np.array([rate]), np.array([turns])))
 
 
+def _in_order(
+    predictor: Predictor, criterion: Criterion, value: float, design: Design
+) -> tuple[float, Design]:
+    """Return the design with its runs in order of rate, or in what order tells more, if one does.
+
+    Up with every other run and down with the rest, a steady warming looks like no rate.
+    """
+    ordered = _ordered(design)
+    if not predictor.information.dated:
+        return value, ordered
+    n = len(design.types)
+    mirrored = ordered.taken([*range(0, n, 2), *reversed(range(1, n, 2))])
+    tried = (ordered, mirrored, design)
+    return min(((predictor.value(criterion, one), one) for one in tried), key=lambda pair: pair[0])
+
+
 def _ordered(design: Design) -> Design:
     """Return the runs by kind as they were met, then by rate and length."""
     kinds = list(dict.fromkeys(design.types))
@@ -255,9 +272,7 @@ def _ordered(design: Design) -> Design:
             design.duration[i],
         ),
     )
-    return Design(
-        tuple(design.types[i] for i in order), design.rate[order], design.revolutions[order]
-    )
+    return design.taken(order)
 
 
 def least_time(
@@ -306,7 +321,8 @@ def least_time(
         if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _GAIN):
             best = shorter
         time = 0.5 * (time + limits.time(best))
-    return Optimum(_ordered(best), math.log(limits.time(best)), math.log(bound), longest.relaxed)
+    _, best = _in_order(predictor, targets, predictor.value(targets, best), best)
+    return Optimum(best, math.log(limits.time(best)), math.log(bound), longest.relaxed)
 
 
 def _relaxed_time(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:

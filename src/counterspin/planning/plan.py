@@ -266,9 +266,22 @@ def _result(
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
         assumed=list(assumed(campaign)),
-        warnings=[question.text for question in questions(campaign)],
+        warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
         provenance=Provenance(version=__version__, inputs={}),
     )
+
+
+def _one_rate(campaign: Campaign) -> list[str]:
+    """Return what runs that all have one rate cannot tell; nothing of other campaigns."""
+    rates = [abs(run.rate) for run in campaign.runs]
+    if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
+        return []
+    return [
+        f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean force of K_F, K_II, "
+        "K_4 and K_F.heating is alike, so that K_II rests on what is known of the others "
+        "beforehand; if that is wrong, nothing in these records will show it. Runs at a second "
+        "rate would."
+    ]
 
 
 def _attitudes(campaign: Campaign, design: Design) -> dict[str, str]:

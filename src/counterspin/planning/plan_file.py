@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -27,6 +28,9 @@ from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, Pla
 
 #: Lowest rate where none is given, as a part of the highest.
 _LOWEST_RATE_PART: Final = 0.125
+
+#: Different rates that a plan has where nothing is said of them and as many can be.
+_DEFAULT_RATES: Final = 2
 
 #: Fewest samples of the shortest run, and most revolutions of the longest.
 _FEWEST_SAMPLES: Final = 3.0
@@ -264,9 +268,12 @@ def _limits(
         revolutions=fewest,
         longest_run=min(longest, settings.total_time),
         runs=settings.runs,
-        fewest_rates=settings.fewest_rates,
+        fewest_rates=settings.fewest_rates or _DEFAULT_RATES,
     )
-    _check_rates(limits, problems)
+    if settings.fewest_rates is None and (_too_few_rates(limits) or not limits.possible):
+        limits = replace(limits, fewest_rates=1)
+    if why := _too_few_rates(limits):
+        problems.add(("limits", "fewest_rates"), why)
     if limits.total_time < limits.shortest:
         problems.add(
             ("limits", "total_time"),
@@ -279,27 +286,25 @@ def _limits(
     return limits if len(problems.lines) == before else None
 
 
-def _check_rates(limits: Limits, problems: Problems) -> None:
-    """Note why there cannot be as many different rates as there must be."""
-    path, count = ("limits", "fewest_rates"), limits.fewest_rates
+def _too_few_rates(limits: Limits) -> str:
+    """Return why there cannot be as many different rates as there must be; empty if there can."""
+    count = limits.fewest_rates
     if count > limits.runs:
-        problems.add(path, f"{count} rates need as many runs, and limits.runs is {limits.runs}")
-        return
+        return f"{count} rates need as many runs, and limits.runs is {limits.runs}"
     rates = limits.different_rates(limits.rate[1])
     if len(rates) < count and limits.settings:
-        problems.add(path, f"only {len(rates)} settings of the rate are within the limits")
-    elif len(rates) < count:
-        problems.add(
-            path,
+        return f"only {len(rates)} settings of the rate are within the limits"
+    if len(rates) < count:
+        return (
             f"from {limits.rate[0]:.6g} to {limits.rate[1]:.6g} rad/s there are only {len(rates)} "
-            f"rates of which each is {limits.apart:g} times the next",
+            f"rates of which each is {limits.apart:g} times the next"
         )
-    elif limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
-        problems.add(
-            path,
+    if limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
+        return (
             f"{limits.revolutions:g} revolutions at the slowest of {count} different rates, "
-            f"{rates[-1]:.6g} rad/s, take longer than the longest run",
+            f"{rates[-1]:.6g} rad/s, take longer than the longest run"
         )
+    return ""
 
 
 def _rates(

@@ -79,7 +79,7 @@ class LimitsSettings(SettingsSection):
     fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = 5.0
     longest_run: Seconds | None = None
     runs: Annotated[int, AfterValidator(positive), Field(le=MOST_RECORDS)] = 8
-    fewest_rates: Annotated[int, AfterValidator(positive)] = 1
+    fewest_rates: Annotated[int, AfterValidator(positive)] | None = None
     attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = Field(
         default_factory=lambda: ["level"], min_length=1, max_length=MOST_ATTITUDES
     )

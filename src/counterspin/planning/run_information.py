@@ -33,8 +33,10 @@ from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel
+from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import CONDITION_TERMS
 from counterspin.planning import even_samples
 from counterspin.planning.angle_functions import functions, integration
 from counterspin.planning.even_samples import EvenSamples
@@ -75,6 +77,11 @@ class RunInformation:
         # A single rate is a range too, or there would be nothing to interpolate.
         self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rates
         self._revolutions = revolutions
+        #: Places, among the shared unknowns, of those that go with how warm a run is, and of those
+        #: that go with when it is made.
+        self._by_warmth, self._by_time = (
+            _by_condition(setup, condition) for condition in ("temperature", "time")
+        )
         for self._harmonics in _HARMONICS:
             fits = {
                 (name, sense): [self._weight(i, name, sense) for i in setup.instruments]
@@ -85,10 +92,14 @@ class RunInformation:
                 break
         self._kinds = {kind: index for index, kind in enumerate(fits)}
         self._owns = max(len(setup.own(name)[0]) for name in setup.attitudes)
-        self._weights = [
-            np.array([self._padded(fit[i][0], name) for (name, _), fit in fits.items()])
-            for i in range(len(setup.instruments))
-        ]
+        self._weights: list[Array] = []
+        #: Of what goes with time, the weights of one second later.
+        self._late: list[Array] = []
+        for i in range(len(setup.instruments)):
+            found = [(name, fit[i][0]) for (name, _), fit in fits.items()]
+            end = found[0][1].shape[2] - len(self._by_time)
+            self._weights.append(np.array([self._padded(w[..., :end], name) for name, w in found]))
+            self._late.append(np.array([w[..., end:] for _, w in found]))
         self._priors = np.ones((len(fits), self._owns))
         for kind, (name, _) in enumerate(fits):
             known = _weights_of_priors(setup.model, setup.own(name)[0])
@@ -158,10 +169,13 @@ class RunInformation:
         revolutions: Array,
         *,
         whole_samples: bool = False,
+        conditions: tuple[Array, Array] | None = None,
     ) -> Array:
         """Return what runs say about the shared unknowns.
 
         rate, revolutions: Size of the rate (rad/s) and length of each run, shape (..., n).
+        conditions: When each run begins (s) and how warm it is (K from the reference), of a shape
+            like the rate's; None: nothing changes from run to run.
         whole_samples: Whether the last sample is the last one that a run of this length has; False:
             as smooth functions of the length, with a part of a sample at the end.
         Returns: rows of unit variance, shape (..., n, b, p + q), b = `rows`: columns of the shared
@@ -175,11 +189,18 @@ class RunInformation:
         rate, revolutions = rate.ravel(), revolutions.ravel()
         samples = revolutions * (2.0 * math.pi * self.setup.sampling_rate) / rate
         samples = np.floor(samples * (1.0 + 1e-12)) + 1.0 if whole_samples else samples + 1.0
+        start, warmth = (
+            np.broadcast_to(one, shape).ravel()[:, None, None]
+            for one in conditions or (np.zeros(()), np.zeros(()))
+        )
         parts = []
-        for instrument, tables, weight in zip(
-            self.setup.instruments, self._tables, self._weights, strict=True
+        for instrument, tables, weight, late in zip(
+            self.setup.instruments, self._tables, self._weights, self._late, strict=True
         ):
             weights = self._in_rate(weight, kinds, rate, instrument.order)
+            weights[..., [self._owns + place for place in self._by_warmth]] *= warmth
+            since = start * self._in_rate(late, kinds, rate, instrument.order)
+            weights[..., [self._owns + place for place in self._by_time]] += since
             part = np.empty((rate.size, weights.shape[1] - instrument.order, weights.shape[2]))
             for table in dict.fromkeys(tables[kind] for kind in np.unique(kinds)):
                 here = np.array([tables[kind] is table for kind in kinds])
@@ -191,6 +212,11 @@ class RunInformation:
         for prior in self._priors[kinds].T:
             rows = _without_first(rows, prior[:, None, None])
         return rows.reshape(*shape, *rows.shape[1:])
+
+    @property
+    def dated(self) -> bool:
+        """Whether what a run tells depends on when it is made."""
+        return bool(self._by_warmth or self._by_time)
 
     @property
     def rows(self) -> int:
@@ -249,11 +275,18 @@ class RunInformation:
         values, worst = [], 0.0
         for rate in 0.5 * (low + high) + 0.5 * (high - low) * nodes:
             prepared = self._forces(instrument, attitude, sense * rate, angle / rate)
-            columns = np.zeros((angle.size, len(wanted) + len(fixed)))
+            columns = np.zeros((angle.size, len(wanted) + len(fixed) + len(self._by_time)))
             for column, index in zip(prepared.design.T, prepared.unknowns, strict=True):
                 columns[:, wanted.index(index)] = column
             for column, index in zip(prepared.fixed.T, prepared.considered, strict=True):
                 columns[:, len(wanted) + fixed.index(index)] = column
+            for k, place in enumerate(self._by_time):
+                unknown = setup.model.unknowns[setup.shared[place]]
+                if unknown.concerns(prepared.series):
+                    base = CONDITION_TERMS[unknown.symbol].effect.coefficient
+                    columns[:, len(wanted) + len(fixed) + k] = prepared.series.columns([base], 1.0)[
+                        :, 0
+                    ]
             weights, residual = _combination(angle, columns, self._harmonics)
             worst = max(worst, residual)
             # At a given angle forces are polynomials in the rate; times the rate, so is what
@@ -262,7 +295,7 @@ class RunInformation:
         vander = chebyshev.chebvander(nodes, _RATE_NODES - 1)
         flat = np.array(values).reshape(_RATE_NODES, -1)
         coefficients: Array = np.asarray(np.linalg.solve(vander, flat), dtype=np.float64)
-        return coefficients.reshape(_RATE_NODES, -1, len(wanted) + len(fixed)), worst
+        return coefficients.reshape(_RATE_NODES, -1, columns.shape[1]), worst
 
     def _padded(self, weight: Array, attitude: str) -> Array:
         """Return weights with as many columns of a run's own as any attitude has."""
@@ -311,7 +344,9 @@ class RunInformation:
         return Series(
             accelerometer=instrument.name,
             run=attitude,
-            trajectory=Trajectory(Spindle(rate), setup.radius, setup.site),
+            trajectory=Trajectory(
+                Spindle(rate), setup.radius, setup.site, conditions=RunConditions(warmth=1.0)
+            ),
             mounting=instrument.mounting,
             observable=instrument.observable,
             attitude=setup.attitudes[attitude],
@@ -373,6 +408,16 @@ def _without_first(rows: Array, prior: Array) -> Array:
     kept = prior / np.sqrt(prior**2 + size)
     along = np.sum(x * others, axis=1, keepdims=True) / np.where(size > 0.0, size, 1.0)
     return np.asarray(others - x * ((1.0 - kept) * along))
+
+
+def _by_condition(setup: Setup, condition: str) -> list[int]:
+    """Return the places of what goes with a condition, among the shared unknowns."""
+    rows = (CONDITION_TERMS.get(setup.model.unknowns[i].symbol) for i in setup.shared)
+    return [
+        place
+        for place, row in enumerate(rows)
+        if row is not None and row.effect.condition == condition
+    ]
 
 
 def _weights_of_priors(model: Unknowns, places: Sequence[int]) -> Array:

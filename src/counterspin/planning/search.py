@@ -14,7 +14,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.errors import CampaignError
-from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
+from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType, order_of
 from counterspin.planning.forecast import setup_of
 from counterspin.planning.optimisation import Optimum, least_time, optimise
 from counterspin.planning.plan_file import Plan, campaign_of
@@ -59,8 +59,12 @@ class Search:
 
     @cached_property
     def relaxing(self) -> Predictor | None:
-        """A predictor whose considered terms are estimated; None if there are none."""
-        if not self.predictor.information.setup.considered_sizes.size:
+        """A predictor whose considered terms are estimated; None if it would be the same.
+
+        Nor does it know of what changes from run to run, of which runs can only tell less.
+        """
+        information = self.predictor.information
+        if not information.dated and not information.setup.considered_sizes.size:
             return None
         return self._predictor(considering=False)
 
@@ -182,24 +186,8 @@ class Search:
     # From designs to campaigns
 
     def in_order(self, design: Design) -> Design:
-        """Return the runs in the order in which to make them.
-
-        Attitude after attitude, and inside it the senses in turn, so that what changes slowly
-        with time is not taken for what changes with the sense.
-        """
-        order: list[int] = []
-        for attitude in dict.fromkeys(kind.attitude for kind in design.types):
-            by_sense = [
-                [i for i, kind in enumerate(design.types) if kind == (attitude, sense)]
-                for sense in (1, -1)
-            ]
-            longer, shorter = sorted(by_sense, key=len, reverse=True)
-            for i, index in enumerate(longer):
-                order.append(index)
-                order += shorter[i : i + 1]
-        return Design(
-            tuple(design.types[i] for i in order), design.rate[order], design.revolutions[order]
-        )
+        """Return the runs in the order in which to make them."""
+        return design.taken(order_of(design.types))
 
     def rounded(self, design: Design) -> Design:
         """Return the design with durations and rates as they are written, still in the limits.
