@@ -22,7 +22,7 @@ from counterspin.calibration import assembly
 from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
 from counterspin.campaign import simulable
-from counterspin.campaign.settings import exact
+from counterspin.campaign.kinds import exact
 from counterspin.certificates import coverage, signature
 from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared

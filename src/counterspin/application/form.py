@@ -16,21 +16,23 @@ from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.settings import (
     AccelerometerSettings,
-    AccelerometerTruthSettings,
     CampaignSettings,
     CentrifugeSettings,
-    CentrifugeTruthSettings,
-    EncoderTruthSettings,
     ModelSettings,
     NoiseSettings,
-    PlatformTruthSettings,
     RecordsSettings,
     RunSettings,
     SimulationSettings,
     SiteSettings,
-    SpindleTruthSettings,
 )
 from counterspin.campaign.specification import SpecificationSettings
+from counterspin.campaign.truth import (
+    AccelerometerTruthSettings,
+    CentrifugeTruthSettings,
+    EncoderTruthSettings,
+    PlatformTruthSettings,
+    SpindleTruthSettings,
+)
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import TERMS
 from counterspin.studies.description import StudySettings

@@ -4,6 +4,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 
 - `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
 - `attitude`: directions and platform attitudes
+- `kinds`: kinds of values: how each is read, and what its schema says
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
 - `terms`: the error terms of a campaign's model, and their priors
@@ -23,6 +24,6 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `starter`: a commented campaign to start from
 - `simulable`: whether a campaign can be simulated, and has room to be computed
 - `simulation`: records and readings of a campaign whose coefficients are known
-- `reading_truth`, `reading_simulation`, `reading_files`: what is true of simulated readings, their
-  values, and the files that have them
+- `reading_simulation`, `reading_files`: simulated readings: their values, and files with
+  them
 """

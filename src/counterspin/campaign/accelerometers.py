@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Output, is_reading
 from counterspin.campaign.resolved import Accelerometer, Channel, StatedNoise
@@ -15,7 +16,6 @@ from counterspin.campaign.settings import (
     AccelerometerSettings,
     AxesSettings,
     RecordsSettings,
-    exact,
 )
 from counterspin.campaign.terms import about_nominal
 from counterspin.campaign.truth import TRUTH_TABLES

@@ -16,7 +16,6 @@ from counterspin.campaign.memory.joining import join_campaigns
 from counterspin.campaign.memory.source import Source, keep, source_of
 from counterspin.campaign.memory.writing import write_campaign
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.reading_truth import of_records, resolve_reading_truth
 from counterspin.campaign.readings import (
     Output,
     Reading,
@@ -64,7 +63,7 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_with_checksum,
 )
-from counterspin.campaign.truth import resolve_simulation
+from counterspin.campaign.truth import of_records, resolve_reading_truth, resolve_simulation
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting

@@ -20,8 +20,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.attitude import TURN_WORDS, attitude_rows, read_direction
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import (
+from counterspin.campaign.kinds import (
     PositiveRatio,
     Seconds,
     SettingsSection,
@@ -29,6 +28,7 @@ from counterspin.campaign.settings import (
     read_exactly,
     record_file,
 )
+from counterspin.campaign.quantity import parse
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES, MotionKind

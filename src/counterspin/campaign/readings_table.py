@@ -15,9 +15,10 @@ from pydantic import AfterValidator, Field
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.kinds import SettingsSection, Text, exact, file_name
 from counterspin.campaign.readings import BLANK, Output, ReadingAxes
 from counterspin.campaign.resolved import MOST_READINGS
-from counterspin.campaign.settings import SettingsSection, TableDialect, Text, exact, file_name
+from counterspin.campaign.settings import TableDialect
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind

@@ -9,17 +9,11 @@ from typing import Any, Final
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.kinds import STAMPS, exact
 from counterspin.campaign.memory.documents import patched
 from counterspin.campaign.readings import is_reading, read_temperature
 from counterspin.campaign.resolved import Channel, Recording, Run, RunTruth
-from counterspin.campaign.settings import (
-    STAMPS,
-    AngleChannel,
-    RecordsSettings,
-    RunSettings,
-    TimeChannel,
-    exact,
-)
+from counterspin.campaign.settings import AngleChannel, RecordsSettings, RunSettings, TimeChannel
 from counterspin.campaign.truth import resolve_run_truth
 from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final, Literal
 
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
-from counterspin.campaign.settings import ESTIMATE
 from counterspin.errors import CampaignError
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final, get_args
 from pydantic import AfterValidator, PlainValidator
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.kinds import SettingsSection, exact
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
-from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.frozen import frozen
 from counterspin.inference.conformity import DecisionRule, RuleName, Specification
 from counterspin.physics.terms import TERMS

@@ -21,9 +21,10 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.resolved import EVERYTHING, ErrorModel, Run
-from counterspin.campaign.settings import ModelSettings, exact
+from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn

@@ -1,4 +1,4 @@
-"""The true values of a simulated campaign: [simulation], [truth] and each run's `truth`.
+"""What is true of a simulated campaign: [simulation], [truth] and each run's `truth`.
 
 Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are read by
 `counterspin simulate` only.
@@ -7,27 +7,140 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import AfterValidator, create_model
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.kinds import (
+    Ratio,
+    SettingsSection,
+    described,
+    exact,
+    positive,
+    read_exactly,
+    small_rate_error,
+)
+from counterspin.campaign.machine import expand, less_nominal, symbols_shown
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import Output, Reading
 from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation, StatedNoise
 from counterspin.campaign.settings import (
-    AccelerometerTruthSettings,
-    CentrifugeTruthSettings,
-    EncoderTruthSettings,
+    CentrifugeSettings,
     NoiseSettings,
-    PlatformTruthSettings,
-    RippleSettings,
-    RunTruthSettings,
-    SettingsSection,
     SimulationSettings,
-    SpindleTruthSettings,
+    term_keys,
 )
+from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
+from counterspin.physics.terms import (
+    COMMON_NAMES,
+    OWN_TERMS,
+    SHARED_TERMS,
+    term,
+)
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
 TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise", "machine")
+
+#: The machine's table of [truth], and the key of [truth.noise] that readings have.
+_MACHINE: Final = "machine"
+_READING: Final = "reading"
+
+#: Term that records show too, and its place in [truth.centrifuge].
+_STRETCH: Final = "centrifuge.stretch"
+
+
+class RippleSettings(SettingsSection):
+    """One entry of ``ripple``: a periodic fluctuation, by ratio w_n/w0 or by amplitude."""
+
+    harmonic: Annotated[int, AfterValidator(positive)] = 1
+    ratio: Ratio | None = None
+    amplitude: Annotated[float, read_exactly("rad/s")] | None = None
+    phase: Annotated[float, read_exactly("rad", "deg")] = 0.0
+
+
+class SpindleTruthSettings(SettingsSection):
+    """[truth.spindle]: how the spindle really turns."""
+
+    drift: Annotated[float, read_exactly("1/s")] | None = None
+    ripple: list[RippleSettings] | None = None
+    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = None
+    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = None
+
+
+#: What a table of [truth] for a family of terms has: meaning, and an example.
+_FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
+    "platform.tilt": ("about `east`, `north`, `up`", {"north": "0.2 arcsec"}),
+    "platform.drift": ("of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
+    "platform.g_sensitivity": (
+        "of gyro z to force along x, and so on",
+        {"zx": "0.01 deg/h/g"},
+    ),
+    "platform.g2_sensitivity": (
+        "of the gyros about `east`, `north`, `up` to the square of the force",
+        {"north": "1e-4 deg/h/g^2"},
+    ),
+    "platform.compliance": ("turn about z by force along y, and so on", {"zy": "0.1 arcsec/g"}),
+    "centrifuge.imbalance": (
+        "change of the radius with the cosine or sine of 1 or 2 times the angle",
+        {"1": {"cos": "1 um"}},
+    ),
+    "centrifuge.axis_tilt": (
+        "tilt of the spindle's axis about `east` or `north`",
+        {"east": "5 arcsec"},
+    ),
+    "encoder.harmonic": (
+        "what the encoder records too much, with the cosine or sine of 1 to 4 times the angle",
+        {"1": {"sin": "1 arcsec"}},
+    ),
+}
+
+
+def _truth_table(name: str, family: str) -> type[SettingsSection]:
+    """Return a table with a key for each term of a family; of a name with dots, tables in it."""
+    within = {
+        symbol.removeprefix(f"{family}."): row
+        for symbol, row in SHARED_TERMS.items()
+        if symbol.startswith(f"{family}.")
+    }
+    fields = term_keys({key: row for key, row in within.items() if "." not in key}, read_exactly)
+    for inner in dict.fromkeys(key.partition(".")[0] for key in within if "." in key):
+        words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
+        table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
+        fields[inner] = (table | None, described(words, example, None))
+    return create_model(name, __base__=SettingsSection, **fields)
+
+
+#: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
+PlatformTruthSettings = _truth_table("PlatformTruthSettings", "platform")
+#: [truth.centrifuge]: ``stretch``, ``imbalance.1.cos`` and so on.
+CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge")
+#: [truth.encoder]: ``harmonic.1.cos`` and so on.
+EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
+
+_TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
+
+#: ``truth`` of one run: what differs from [truth.spindle], and the run's own tilt.
+RunTruthSettings = create_model(
+    "RunTruthSettings",
+    __base__=SpindleTruthSettings,
+    tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None)),
+)
+
+
+class _AccelerometerTruthKeys(SettingsSection):
+    start_offset: Annotated[float, read_exactly("m")] = 0.0
+    start_velocity: Annotated[float, read_exactly("m/s")] = 0.0
+
+
+#: [truth.NAME]: the true coefficients of one accelerometer.
+AccelerometerTruthSettings = create_model(
+    "AccelerometerTruthSettings",
+    __base__=_AccelerometerTruthKeys,
+    **term_keys(OWN_TERMS, read_exactly),
+)
+
 
 #: Table of [truth] -> its keys, of the errors that all accelerometers share.
 _SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
@@ -145,3 +258,126 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
         problems.add(path, "each ripple has either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
     return Ripple(entry.harmonic, amplitude, entry.phase)
+
+
+# Of readings
+
+
+def of_records(
+    raw: Mapping[str, Any], outputs: Mapping[str, Output | None], problems: Problems
+) -> dict[str, Any]:
+    """Return [truth] with coefficients in g-units and without what readings alone have.
+
+    outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
+        ``mA/g``.
+    """
+    if not isinstance(raw.get(_MACHINE, {}), Mapping):
+        problems.add(("truth", _MACHINE), "must be a table")
+    truth = {key: value for key, value in raw.items() if key != _MACHINE}
+    noise = truth.get("noise")
+    if isinstance(noise, Mapping) and _READING in noise:
+        truth["noise"] = {key: value for key, value in noise.items() if key != _READING}
+    stretch = flat_keys(_table(raw, _MACHINE)).get(_STRETCH)
+    centrifuge = _table(raw, "centrifuge")
+    if stretch is not None and "stretch" in centrifuge:
+        problems.add(("truth", _MACHINE, _STRETCH), "is in [truth.centrifuge] too; keep one")
+    elif stretch is not None:
+        truth["centrifuge"] = {**centrifuge, "stretch": stretch}
+    for name, output in outputs.items():
+        if isinstance(truth.get(name), Mapping):
+            truth[name] = _in_g_units(truth[name], output, ("truth", name), problems)
+    return truth
+
+
+def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = raw.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def _in_g_units(
+    table: Mapping[str, Any], output: Output | None, path: Path, problems: Problems
+) -> dict[str, Any]:
+    """Return an accelerometer's truth with the terms' own names and units."""
+    own: dict[str, Any] = {}
+    for key, text in table.items():
+        symbol = COMMON_NAMES.get(key, key)
+        if symbol in own or (symbol != key and symbol in table):
+            problems.add((*path, key), f"is {symbol}, given too; keep one")
+        own[symbol] = text
+        if symbol in OWN_TERMS and output is not None and isinstance(text, str):
+            own[symbol] = _text_in_g(text, OWN_TERMS[symbol].unit, output)
+    return own
+
+
+def _text_in_g(text: str, unit: str, output: Output) -> str:
+    """Return a coefficient in g-units where it is in the output's; else as it is."""
+    if not unit.startswith("g"):
+        return text
+    try:
+        in_output = exact(text, output.unit + unit.removeprefix("g"))
+    except ValueError:
+        return text
+    return f"{in_output / output.sensitivity!r} {unit}"
+
+
+def resolve_reading_truth(
+    raw: Mapping[str, Any],
+    readings: Sequence[Reading],
+    outputs: Mapping[str, Output | None],
+    centrifuge: CentrifugeSettings | None,
+    *,
+    problems: Problems,
+    gravity: float,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Resolve [truth.machine] and the noise of readings.
+
+    centrifuge: The machine; a true radius may be given as such.
+    gravity: Of the site, m/s^2.
+    """
+    known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
+    machine: dict[str, float] = {}
+    for key, text in flat_keys(_table(raw, _MACHINE)).items():
+        path = ("truth", _MACHINE, key)
+        symbols = expand(key, known)
+        if key in OWN_TERMS:
+            problems.add(path, "is of an accelerometer; write it in its table, [truth.NAME]")
+        elif not symbols:
+            problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
+        for symbol in symbols:
+            unit = term(symbol).unit
+            value = problems.attempt(path, exact, text, unit)
+            if value is not None:
+                given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
+                machine[symbol] = given.value
+    stretch = _table(raw, "centrifuge").get("stretch")
+    if stretch is not None and _STRETCH in known:
+        value = problems.attempt(("truth", "centrifuge", "stretch"), exact, stretch, "s^2/m")
+        machine[_STRETCH] = value or 0.0
+    return machine, _noise(raw, outputs, problems, gravity)
+
+
+def _noise(
+    raw: Mapping[str, Any],
+    outputs: Mapping[str, Output | None],
+    problems: Problems,
+    gravity: float,
+) -> dict[str, float]:
+    """Return the true noise of the readings of each accelerometer, g."""
+    given = _table(raw, "noise").get(_READING)
+    if given is None:
+        return {}
+    path: Path = ("truth", "noise", _READING)
+    texts = given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
+    sizes = {}
+    for name, text in texts.items():
+        if name not in outputs:
+            problems.add(path, f'no accelerometer is called "{name}"' + did_you_mean(name, outputs))
+            continue
+        output = outputs[name]
+        unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
+        value = problems.attempt(path, exact, text, unit, gravity if output is None else None)
+        if value is not None and value < 0.0:
+            problems.add(path, "a standard deviation is not negative")
+        elif value is not None:
+            sizes[name] = value / abs(size)
+    return sizes

@@ -18,9 +18,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean, key_path
+from counterspin.campaign.kinds import SettingsSection
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.settings import SettingsSection
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.toml_file import flat_keys, load_document
 from counterspin.certificates.elements import clean

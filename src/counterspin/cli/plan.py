@@ -55,7 +55,7 @@ def plan(
     figures
         Folder for figures: u against time, against the highest rate, and its sources.
     """
-    from counterspin.campaign.settings import exact
+    from counterspin.campaign.kinds import exact
     from counterspin.planning.figures import FIGURE, FIGURES, save_figures
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search

@@ -11,9 +11,9 @@ import numpy as np
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.memory.records import record_name
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import COMPASS
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.guessing import FileGuess, SignalGuess, agreed, guess_file

@@ -15,9 +15,10 @@ from typing import Any, Final, Literal
 from counterspin.calibration.model import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
+from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field, PlainValidator
 
 from counterspin.campaign.attitude import attitude_rows
-from counterspin.campaign.resolved import MOST_READINGS, MOST_RECORDS
-from counterspin.campaign.settings import (
+from counterspin.campaign.kinds import (
     PositiveRatio,
     Schema,
     Seconds,
@@ -20,6 +19,7 @@ from counterspin.campaign.settings import (
     positive,
     read_exactly,
 )
+from counterspin.campaign.resolved import MOST_READINGS, MOST_RECORDS
 
 #: Most attitudes among which is searched, which takes seconds, not minutes.
 MOST_ATTITUDES: Final = 24

@@ -21,10 +21,10 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
+from counterspin.campaign.kinds import SettingsSection, Text, exact, several
 from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import SettingsSection, Text, exact, several
 from counterspin.campaign.simulable import require_room, unfit, unfit_readings
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (

@@ -1,0 +1,311 @@
+"""Kinds of values in TOML documents: how each is read, and what its JSON Schema says.
+
+Quantities are converted to SI and g-units here. Each kind of quantity is a validator whose function
+is partial in the unit, so that a form can show it.
+"""
+
+from __future__ import annotations
+
+import codecs
+import datetime
+import math
+from contextlib import suppress
+from functools import partial
+from pathlib import PurePath
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+)
+from pydantic_core import PydanticUndefined
+
+from counterspin.campaign.attitude import attitude_rows, read_direction
+from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, Quantity, parse
+from counterspin.campaign.toml_file import BACKSLASH_ADVICE
+from counterspin.physics.accelerometer import DIRECTIONS
+from counterspin.records.formats import RECORD_FORMATS
+from counterspin.units import unit_factor
+
+#: Written as the unit of time stamps in ISO 8601.
+STAMPS: Final = "iso"
+
+#: Directions that the zero of an encoder may have, rad from east towards north.
+COMPASS: Final = {
+    name: quarter * math.pi / 2.0 for quarter, name in enumerate(("east", "north", "west", "south"))
+}
+
+#: Written in [noise] where a component is to be estimated from the residuals.
+ESTIMATE: Final = "estimate"
+
+#: Gravity of any laboratory on Earth, m/s^2, with room to spare.
+_GRAVITY_RANGE: Final = (9.0, 11.0)
+
+
+def exact(text: object, unit: str, gravity: float | None = None, usual: str | None = None) -> float:
+    """Read a quantity that must have no uncertainty."""
+    quantity = parse(text, unit, gravity=gravity, usual=usual)
+    if quantity.u != 0.0:
+        raise ValueError(f"{text!r}: an uncertainty has no meaning here; leave out the ±")
+    return quantity.value
+
+
+def _gravity(info: ValidationInfo) -> float | None:
+    return (info.context or {}).get("gravity")
+
+
+def _parsed(unit: str, text: object, info: ValidationInfo, usual: str | None = None) -> Quantity:
+    return parse(text, unit, gravity=_gravity(info), usual=usual)
+
+
+def _parsed_exactly(
+    unit: str, text: object, info: ValidationInfo, usual: str | None = None
+) -> float:
+    return exact(text, unit, gravity=_gravity(info), usual=usual)
+
+
+def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
+    if text == ESTIMATE:
+        return ESTIMATE
+    size = exact(text, unit, _gravity(info))
+    if size < 0.0:
+        raise ValueError('a standard deviation is not negative; or write "estimate"')
+    return size
+
+
+def _written(unit: str, *, uncertain: bool = False) -> Any:
+    """Return how a quantity in a unit is written, for schemas."""
+    spread = rf"({PLUS_MINUS}{NUMBER})?" if uncertain else ""
+    pattern = rf"^\s*[+−-]?{NUMBER.removeprefix('[+-]?')}{spread}\s*[^\d\s.±+-].*$"
+    return Annotated[str, Field(pattern=pattern, json_schema_extra={"x-unit": unit})]
+
+
+# Each is a partial function whose first argument is the unit, so that a form can show it.
+
+
+def known(unit: str, usual: str | None = None) -> PlainValidator:
+    """Return the validator of a quantity with its uncertainty; `usual` as of `parse`."""
+    return PlainValidator(partial(_parsed, unit, usual=usual), _written(unit, uncertain=True))
+
+
+def a_part(text: object, info: ValidationInfo) -> Quantity:
+    """Return a part of something; a number alone needs no unit."""
+    try:
+        return _parsed("1", text, info)
+    except ValueError:
+        return (
+            _parsed("1", f"{text} 1", info) if isinstance(text, str) else _parsed("1", text, info)
+        )
+
+
+def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
+    """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
+    return PlainValidator(partial(_parsed_exactly, unit, usual=usual), _written(unit))
+
+
+def positive(value: Any) -> Any:
+    """Return a number or quantity that is greater than zero."""
+    if (value.value if isinstance(value, Quantity) else value) <= 0.0:
+        raise ValueError("must be greater than zero")
+    return value
+
+
+def of_earth(value: Any) -> Any:
+    """Return a gravity that a laboratory on Earth may have."""
+    positive(value)
+    size = value.value if isinstance(value, Quantity) else value
+    if not _GRAVITY_RANGE[0] < size < _GRAVITY_RANGE[1]:
+        raise ValueError(
+            f"{size:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
+            "check the number and its unit"
+        )
+    return value
+
+
+def a_latitude(value: Quantity) -> Quantity:
+    """Return an angle that is a latitude."""
+    if abs(value.value) > math.pi / 2.0 * (1.0 + 1e-12):
+        raise ValueError("a latitude lies between -90 deg and 90 deg")
+    return value
+
+
+def turning(value: float) -> float:
+    """Return a rate that is not zero."""
+    if value == 0.0:
+        raise ValueError("the centrifuge must turn; the rate is zero")
+    return value
+
+
+def noise_size(unit: str) -> PlainValidator:
+    """Return the validator of a standard deviation, or of the wish to have it estimated."""
+    written = _written(unit) | Literal["estimate"]
+    return PlainValidator(partial(_parsed_noise, unit), written)
+
+
+def a_ratio(value: object) -> float:
+    """Read a plain number, or text in ppm."""
+    if isinstance(value, str):
+        return exact(value, "1")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be a number")
+    if not math.isfinite(value):
+        raise ValueError("must be a finite number")
+    return float(value)
+
+
+def small_rate_error(value: float) -> float:
+    """Return an error of the rate that leaves it a rate."""
+    if abs(value) >= 0.5:
+        raise ValueError("is relative to the nominal rate and must be below 0.5 in size")
+    return value
+
+
+def unit_of(wanted: str) -> AfterValidator:
+    """Return the validator of a unit's name, of one dimension."""
+
+    def check(unit: str, info: ValidationInfo) -> str:
+        unit_factor(unit, wanted, gravity=_gravity(info))
+        return unit
+
+    return AfterValidator(check)
+
+
+#: What an accelerometer's output may be, beside a specific force.
+OUTPUTS: Final = ("V", "A", "count", "count/s")
+
+
+def force_or_output(unit: str, info: ValidationInfo) -> str:
+    """Return the unit of a specific force, or of an output such as a current."""
+    for output in OUTPUTS:
+        with suppress(ValueError):
+            unit_factor(unit, output)
+            return unit
+    unit_factor(unit, "m/s^2", gravity=_gravity(info))
+    return unit
+
+
+def file_name(name: str) -> str:
+    """Return a file's name; one whose backslashes TOML has taken for something else is refused."""
+    if any(ord(character) < 32 for character in name):
+        raise ValueError(
+            f"{name!r} has a line break, tab or the like in it: in double quotation marks TOML "
+            f"reads a backslash as the beginning of one; {BACKSLASH_ADVICE}"
+        )
+    return name
+
+
+def record_file(name: str) -> str:
+    """Return the name of a record that can be read by its ending."""
+    file_name(name)
+    if PurePath(name).suffix.lower() not in RECORD_FORMATS:
+        raise ValueError(f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}')
+    return name
+
+
+def date_or_text(value: object) -> str:
+    """Return a date as text, or what is written in its place."""
+    if isinstance(value, datetime.date | datetime.datetime):
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise ValueError("must be a date, or text")
+    return value
+
+
+def _whole(value: object) -> object:
+    """Refuse true and 1.0, which Python takes for 1."""
+    return value if type(value) is int else None
+
+
+class SettingsSection(BaseModel):
+    """A table of ``campaign.toml`` in which every key must be known."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
+
+
+def time_unit(unit: str) -> str:
+    """Return a unit of time, or that of time stamps."""
+    if unit != STAMPS:
+        unit_factor(unit, "s")
+    return unit
+
+
+def angle_unit(unit: str, info: ValidationInfo) -> str:
+    """Return a unit of angle or of counts; of pulses, one of time."""
+    # Pulses are recorded by their times.
+    if not (info.data.get("pulses") and is_unit(unit, "s")) and not is_unit(unit, "count"):
+        unit_factor(unit, "rad")
+    return unit
+
+
+def is_unit(unit: str, wanted: str) -> bool:
+    """Return whether a unit is of the dimension wanted."""
+    with suppress(ValueError):
+        return bool(unit_factor(unit, wanted))
+    return False
+
+
+def direction_of_zero(value: object) -> float:
+    """Return the direction of an encoder's zero, rad from east towards north."""
+    if isinstance(value, str) and value in COMPASS:
+        return COMPASS[value]
+    try:
+        return exact(value, "rad", usual="deg")
+    except ValueError as error:
+        raise ValueError(f"{error}; or one of {', '.join(COMPASS)}") from None
+
+
+def an_encoding(name: str) -> str:
+    """Return the name of an encoding that there is."""
+    try:
+        codecs.lookup(name)
+    except LookupError:
+        raise ValueError(f'there is no encoding "{name}"; usual: utf-8, latin-1, utf-16') from None
+    return name
+
+
+def several(value: Any) -> Any:
+    """Return a text by itself as a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+Schema = Annotated[Literal[1], BeforeValidator(_whole)]
+Text = Annotated[str, Field(min_length=1)]
+Components = Annotated[list[float], Field(min_length=3, max_length=3)]
+Direction = Annotated[
+    tuple[float, float, float],
+    PlainValidator(read_direction, Literal[tuple(DIRECTIONS)] | Components),
+]
+Attitude = Annotated[Any, PlainValidator(attitude_rows, Text | dict[str, Any])]
+Ratio = Annotated[float, PlainValidator(a_ratio, float | _written("1"))]
+DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
+Part = Annotated[Quantity, PlainValidator(a_part, str)]
+ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, str)]
+PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
+Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
+
+
+def described(
+    meaning: str,
+    example: Any,
+    default: Any = PydanticUndefined,
+    *,
+    absent: str = "",
+    kind: str = "",
+    **more: Any,
+) -> Any:
+    """Return a field with what its documentation, its schema and its form say.
+
+    meaning: In Markdown.
+    example: A value as TOML would be read.
+    absent: What holds where the key is left out, if the default does not say it.
+    kind: What is written, if the type does not say it.
+    more: As of `pydantic.Field`.
+    """
+    said = {"x-absent": absent, "x-kind": kind}
+    extra: Any = {name: words for name, words in said.items() if words}
+    return Field(default, description=meaning, examples=[example], json_schema_extra=extra, **more)
