@@ -12,6 +12,8 @@ from counterspin import __version__
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
+from published_schemas import published
+
 # Notebooks draw in processes of their own, which take it from here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("SOURCE_DATE_EPOCH", "1772323200")
@@ -79,6 +81,7 @@ intersphinx_mapping = {
 html_theme = "furo"
 html_title = f"counterspin {version}"
 html_static_path = ["theme"]
+html_extra_path = [str(published())]  # schemas/campaign.json and the others
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_copy_source = False

@@ -2,85 +2,58 @@
 
 import inspect
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from counterspin.campaign import settings, specification
+from counterspin.campaign import settings, specification, truth
+from counterspin.campaign.kinds import SettingsSection
 from counterspin.campaign.truth import TRUTH_TABLES
-from counterspin.physics.terms import MOTION_TERMS, OWN_TERMS
+from counterspin.physics.terms import MOTION_TERMS
+from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import UNITS
+from key_tables import filled, keys, model_of
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
-TABLES = re.findall(r"^<!-- keys: ([\w ]+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
-SECTIONS = {
-    name: value
-    for name, value in (vars(settings) | vars(specification)).items()
-    if inspect.isclass(value) and issubclass(value, settings.SettingsSection) and name[0] != "_"
-}
-MODELS = [(name, table) for names, table in TABLES for name in names.split()]
-#: The unit that makes the example of a column a valid one.
-CHANNEL_UNITS = {
-    "DisplacementChannel": "mm",
-    "VelocityChannel": "mm/s",
-    "ForceChannel": "mg",
+PAGES = sorted((Path(__file__).parents[1] / "docs").glob("*.md"))
+TABLES = [
+    name
+    for page in PAGES
+    for name in re.findall(r"^<!-- keys: (\w+) -->$", page.read_text("utf-8"), re.MULTILINE)
+]
+#: Keys of which not all may be given together -> what is left out, one way after the other.
+ALTERNATIVES = {
+    "TimeChannel": [("sampling_rate",), ("column", "unit")],
 }
 
-every_table = pytest.mark.parametrize(("name", "table"), MODELS, ids=[name for name, _ in MODELS])
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_tables_of_keys_are_those_of_the_classes(page):
+    text = page.read_text("utf-8")
+    assert filled(text) == text, "run `python docs/key_tables.py`"
 
 
-def rows(table):
-    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in table.splitlines()]
-
-
-def keys_of(model):
-    return {field.alias or name: field for name, field in model.model_fields.items()}
+@pytest.mark.parametrize("name", TABLES)
+def test_examples_are_valid(name):
+    model = model_of(name)
+    fields = keys(name)
+    given = {key: example for key, field in fields.items() for example in field.examples}
+    assert set(given) == set(fields)
+    for left_out in ALTERNATIVES.get(name, [()]):
+        some = {key: value for key, value in given.items() if key not in left_out}
+        model.model_validate(some, context={"gravity": 9.8066})
 
 
 def test_every_section_has_its_table():
-    # The axes are part of an accelerometer's keys, a dialect of those of records and readings.
-    parts = {"SettingsSection", "AxesSettings", "TableDialect"}
-    assert {name for name, _ in MODELS} == set(SECTIONS) - parts
-
-
-@every_table
-def test_keys_are_those_of_the_code(name, table):
-    head, _, *body = rows(table)
-    assert head == ["key", "kind", "default", "example", "meaning"]
-    listed = [re.match(r"`(\w+)`", row[0])[1] for row in body]
-    expected = set(keys_of(SECTIONS[name]))
-    if any("and so on" in row[0] for row in body):
-        # One row stands for all terms.
-        listed = [key for key in listed if key not in OWN_TERMS]
-        expected -= set(OWN_TERMS)
-    assert len(listed) == len(set(listed))
-    assert set(listed) == expected
-
-
-@every_table
-def test_defaults_are_those_of_the_code(name, table):
-    fields = keys_of(SECTIONS[name])
-    for cells in rows(table)[2:]:
-        field = fields[re.match(r"`(\w+)`", cells[0])[1]]
-        assert (cells[2] == "required") == field.is_required(), cells[0]
-        if isinstance(field.default, bool):
-            assert cells[2] == str(field.default).lower(), cells[0]
-        elif isinstance(field.default, int | float):
-            assert float(cells[2].split()[0]) == field.default, cells[0]
-        elif field.default and isinstance(field.default, str):
-            assert cells[2].strip("`") == field.default, cells[0]
-
-
-@every_table
-def test_examples_are_valid(name, table):
-    text = "\n".join(cells[3].strip("`") for cells in rows(table)[2:])
-    given = tomllib.loads(text.replace("UNIT", CHANNEL_UNITS.get(name, "")))
-    model = SECTIONS[name]
-    if name == "TimeChannel":  # a column, or this
-        model.model_validate({"sampling_rate": given.pop("sampling_rate")})
-    model.model_validate(given, context={"gravity": 9.8066})
-    assert set(given) <= set(keys_of(model))
+    sections = {
+        name
+        for name, value in (vars(settings) | vars(truth) | vars(specification)).items()
+        if inspect.isclass(value) and issubclass(value, SettingsSection) and name[0] != "_"
+    }
+    # The axes are part of an accelerometer's keys, a dialect of those of records and readings, and
+    # all columns but that of a force have the same keys.
+    parts = {"SettingsSection", "AxesSettings", "TableDialect", "VelocityChannel"}
+    assert sections - parts <= set(TABLES)
 
 
 def test_limits_of_a_specification_are_as_the_table_has_them():
@@ -115,4 +88,4 @@ def test_every_unit_is_listed():
 
 
 def test_every_record_format_is_listed():
-    assert all(ending in PAGE for ending in settings.RECORD_FORMATS)
+    assert all(ending in PAGE for ending in RECORD_FORMATS)

@@ -14,7 +14,7 @@ def write_document(document: Mapping[str, Any], comments: Mapping[str, str] | No
     """Return a document as TOML."""
     lines: list[str] = []
     plain = {key: value for key, value in document.items() if not _is_section(value)}
-    lines += [f"{_key(key)} = {_value(value)}" for key, value in plain.items()]
+    lines += [f"{_key(key)} = {write_value(value)}" for key, value in plain.items()]
     for key, value in document.items():
         if not _is_section(value):
             continue
@@ -48,23 +48,24 @@ def _table(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _entries(table: Mapping[str, Any]) -> list[str]:
-    return [f"{_key(key)} = {_value(value)}" for key, value in table.items()]
+    return [f"{_key(key)} = {write_value(value)}" for key, value in table.items()]
 
 
 def _key(key: str) -> str:
     return key if _BARE_KEY.fullmatch(key) else _text(key)
 
 
-def _value(value: Any) -> str:
+def write_value(value: Any) -> str:
+    """Return a value as it stands behind its key, in one line."""
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Mapping):
-        inside = ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items())
+        inside = ", ".join(f"{_key(key)} = {write_value(inner)}" for key, inner in value.items())
         return f"{{ {inside} }}" if inside else "{}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(write_value, value))}]"
     if isinstance(value, int | float):
         return repr(value)
     return str(value)  # dates and times write themselves as TOML does

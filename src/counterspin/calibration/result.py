@@ -75,25 +75,34 @@ class Result(ShownResult):
     REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.full_report:document"
     REPORT_KIND: ClassVar[str] = "a calibration report"
 
-    schema_version: Annotated[int, Field(alias="schema")] = 2
+    schema_version: Annotated[int, Field(alias="schema")] = 2  #: Version of this format.
 
-    method: str
-    model: str
+    method: str  #: ``joint`` or ``two-stage``.
+    model: str  #: ``exact`` or ``as-printed``.
+    #: Whether it may be relied on: ``good``, ``reservations`` or ``contradicted``, the worst of all
+    #: parts; null in results of versions that did not say.
     state: State | None = None
+    #: What speaks against it, the gravest first: those of all accelerometers and of the campaign.
     findings: list[Finding] = []
+    #: The reason for which a contradicted result is used all the same.
     accepted_misfit: str | None = None
-    title: str = ""
-    accelerometers: dict[str, AccelerometerResult]
-    platform: dict[str, Coefficient] = {}
-    confounded: list[ConfoundedTerms] = []
+    title: str = ""  #: Of the campaign.
+    accelerometers: dict[str, AccelerometerResult]  #: One for each accelerometer.
+    platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
+    confounded: list[ConfoundedTerms] = []  #: Sets that concern the platform's terms only.
+    #: Of everything determined, accelerometers and platform together, by whole names such as
+    #: ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.
     correlation: Correlation | None = None
-    runs: dict[str, RunResult]
-    inputs: Inputs
+    runs: dict[str, RunResult]  #: One for each run.
+    inputs: Inputs  #: Gravity, latitude, radius.
+    #: What else is known, stated or not, of terms and inputs that nobody asked for.
     rests_on: list[Knowledge] = []
+    #: Terms and inputs that were taken as perfect: ``u`` holds nothing of them. A certificate needs
+    #: evidence for each.
     assumed: list[str] = []
-    details: dict[str, str] = {}
-    warnings: list[str] = []
-    provenance: Provenance
+    details: dict[str, str] = {}  #: What else ``[campaign]`` says.
+    warnings: list[str] = []  #: About the campaign as a whole: remarks, and its findings in words.
+    provenance: Provenance  #: Program and input files.
 
     _residuals: tuple[RunResiduals, ...] = PrivateAttr(default=())
     _assumes_all: bool = PrivateAttr(default=False)

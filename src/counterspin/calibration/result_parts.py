@@ -30,19 +30,20 @@ State = Literal["good", "reservations", "contradicted"]
 class Coefficient(ResultPart):
     """One coefficient and where its uncertainty comes from."""
 
-    #: Estimate and combined standard uncertainty; None if the data do not determine the coefficient
-    #: and nothing is known beforehand. If not `estimated`, the prior.
+    #: The estimate; the prior if not `estimated`; None if the records do not determine it and
+    #: nothing is known beforehand.
     value: float | None
+    #: Combined standard uncertainty; u^2 is the sum of the squares of its three parts.
     u: float | None
-    #: Parts of `u` from noise, from what the description states with an uncertainty, and from what
-    #: it does not state, taken at typical sizes; u^2 is the sum of their squares.
+    #: Its part from noise of the records and of the encoder, with noise that may not show in them.
     u_noise: float | None = None
+    #: Its part from what the description states with an uncertainty: priors, inputs, held terms.
     u_stated: float | None = None
-    u_unstated: float | None = None
-    #: Effective degrees of freedom of `u`; None is infinite. Intervals use Student's t.
+    u_unstated: float | None = None  #: Its part from what it does not state, at typical sizes.
+    #: Effective degrees of freedom of `u`, for Student's t; None is infinite, or more than 1e9.
     dof: float | None = None
-    unit: str  #: g-units, or SI for platform terms.
-    estimated: bool  #: Whether the data determine it.
+    unit: str  #: Of value and uncertainties: g-units, or SI for platform terms.
+    estimated: bool  #: Whether the records determine it.
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
 
@@ -97,8 +98,8 @@ class Correlation(ResultPart, Labelled):
     ``correlation["K_F", "K_II"]`` is one of them, ``np.asarray(correlation)`` all.
     """
 
-    terms: list[str]
-    matrix: list[list[float]]
+    terms: list[str]  #: Order of rows and columns.
+    matrix: list[list[float]]  #: Correlation coefficients.
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -121,11 +122,11 @@ class Residual(ResultPart):
     from these residuals.
     """
 
-    rms: float
-    unit: str
-    dof: float
-    chi2: float | None = None
-    lack_of_fit_p: float | None = None
+    rms: float  #: Root mean square of the residuals.
+    unit: str  #: Of the root mean square.
+    dof: float  #: Degrees of freedom.
+    chi2: float | None = None  #: Against the noise that was given; null where it was estimated.
+    lack_of_fit_p: float | None = None  #: Probability of a worse fit if the model is right.
 
 
 class Knowledge(ResultPart):
@@ -134,32 +135,30 @@ class Knowledge(ResultPart):
     #: Such as ``Qx.K_OO`` or ``run1.platform.tilt.north``; SI, or g-units.
     name: str
     kind: Kind  #: Whether it is stated, unstated or held.
-    unit: str
-    #: Before the data: as the description states it, or nominal and typical.
-    value: float
-    u: float
-    #: After them, in the same fit; None where it was held.
-    found: float | None = None
-    u_found: float | None = None
+    unit: str  #: Of the numbers: SI, or g-units.
+    value: float  #: Before the data: as the description states it, else what it ideally is.
+    u: float  #: Its standard uncertainty there: as stated, else the typical size.
+    found: float | None = None  #: After the data, in the same fit; None where it was held.
+    u_found: float | None = None  #: Its standard uncertainty then.
 
 
 class NoiseLine(ResultPart):
     """One noise component: its size, whether it was estimated, and its uncertainty then."""
 
-    value: float
-    u: float | None = None
-    unit: str
-    estimated: bool
+    value: float  #: Standard deviation a sample; of ``acceleration``, the random-walk coefficient.
+    u: float | None = None  #: Its uncertainty where it was estimated.
+    unit: str  #: Of value and uncertainty.
+    estimated: bool  #: Whether it was estimated from the residuals; else as given.
 
 
 class Comparison(ResultPart):
     """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
 
-    value: float
-    u: float
-    difference: float
-    u_difference: float
-    z: float
+    value: float  #: K_II by the two-stage method.
+    u: float  #: Its standard uncertainty.
+    difference: float  #: Its difference from the joint K_II.
+    u_difference: float  #: Standard uncertainty of the difference.
+    z: float  #: Difference over its uncertainty; beyond 3 they do not agree.
 
 
 class Finding(ResultPart):
@@ -185,9 +184,9 @@ class Fold(ResultPart):
     A part without a sample has None.
     """
 
-    low: list[float | None]
-    mean: list[float | None]
-    high: list[float | None]
+    low: list[float | None]  #: Smallest residual.
+    mean: list[float | None]  #: Mean residual.
+    high: list[float | None]  #: Largest residual.
 
 
 class Spectrum(ResultPart):
@@ -196,34 +195,31 @@ class Spectrum(ResultPart):
     `lines` counts those of the periodogram of which each power is the mean.
     """
 
-    frequency: list[float]
-    power: list[float]
-    lines: list[int] = []
+    frequency: list[float]  #: Middle of each band, Hz.
+    power: list[float]  #: Mean power in it; 1 for white noise.
+    lines: list[int] = []  #: How many lines of the periodogram that is the mean of.
 
 
 class Quantiles(ResultPart):
     """Ordered whitened residuals beside what a standard normal distribution would show."""
 
-    normal: list[float]
-    found: list[float]
+    normal: list[float]  #: What a standard normal distribution would show.
+    found: list[float]  #: Ordered whitened residuals.
 
 
 class Trace(ResultPart):
     """The residuals of one accelerometer in one run, thinned for pictures."""
 
-    #: How many residuals there are, and their root mean square in the observable's unit.
-    rows: int | None = None
-    rms: float | None = None
+    rows: int | None = None  #: How many residuals there are.
+    rms: float | None = None  #: Their root mean square, in the observable's unit.
     time: list[float]  #: Middle of each stretch, s from the start of the run.
-    #: Smallest and largest residual in it, in the observable's unit.
-    low: list[float]
-    high: list[float]
+    low: list[float]  #: Smallest residual in it, in the observable's unit.
+    high: list[float]  #: Largest residual in it, in the observable's unit.
     #: Time and residual of samples judged outliers, the largest ones if there are many.
     left_out: list[tuple[float, float]] = []
     by_angle: Fold | None = None  #: The residuals over the revolution.
-    #: Of the whitened residuals.
-    spectrum: Spectrum | None = None
-    quantiles: Quantiles | None = None
+    spectrum: Spectrum | None = None  #: Of the whitened residuals.
+    quantiles: Quantiles | None = None  #: Of the whitened residuals.
 
 
 class ReadingResult(ResultPart):
@@ -233,27 +229,31 @@ class ReadingResult(ResultPart):
     forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as of `RunResult`.
     """
 
-    name: str
-    motion: str
-    mounting: str = ""
+    name: str  #: Of the run or the row.
+    motion: str  #: ``static``, ``arm`` or ``counter-rotating``.
+    mounting: str = ""  #: Of the instrument on the arm; empty where none is named.
+    #: Its direction: east, north, up; on an arm outward, forward, up.
     input_axis: tuple[float, ...] = ()
-    pendulous_axis: tuple[float, ...] = ()
-    rate: float
-    value: float
-    u: float
-    residual: float
+    pendulous_axis: tuple[float, ...] = ()  #: That of its pendulum, likewise.
+    rate: float  #: Of the spindle, rad/s.
+    value: float  #: By the nominal sensitivity, g.
+    u: float  #: Its standard uncertainty, stated or estimated, g.
+    residual: float  #: Reading less model, g.
+    #: Residual over its own standard deviation; null where the fit follows the reading wholly.
     z: float | None
-    samples: int | None = None
+    samples: int | None = None  #: Rows used of a record whose mean it is; else null.
+    #: Of its rows those that are ``repeated``, ``empty`` or ``outliers``, and ``gaps``; empty where
+    #: it is no mean of a record.
     counts: dict[str, int] = {}
-    notes: list[str] = []
+    notes: list[str] = []  #: What reading the record found.
 
 
 class Shift(ResultPart):
     """How far a coefficient moves when something is left out; `z` is the shift over its u."""
 
-    shift: float
-    u: float
-    z: float
+    shift: float  #: Estimate without it less the estimate from everything.
+    u: float  #: Standard uncertainty of the shift, what both share counted once.
+    z: float  #: Shift over its u.
 
 
 class KindOfTest(ResultPart):
@@ -261,23 +261,22 @@ class KindOfTest(ResultPart):
 
     kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
     count: int  #: Of its records and readings.
-    #: By this kind alone, with all that is known beforehand; None where it does not determine one.
+    #: By this kind alone, with all that is known beforehand, without `dof`; None where it does not
+    #: determine one.
     coefficients: dict[str, Coefficient]
     #: By coefficient that the others determine: how far it moves when this kind is left out.
     without: dict[str, Shift] = {}
-    #: Squares of what the kind says less what the others predict over their variances, in how many
-    #: directions, and the probability of more; None where the others predict nothing of it.
-    chi2: float
-    dof: int
-    p: float | None
+    chi2: float  #: Squares of what the kind says less what the others predict, over variances.
+    dof: int  #: In how many directions both know something.
+    p: float | None  #: Probability of more if they agree; None where the others predict nothing.
 
 
 class AccelerometerResult(ResultPart):
     """All that was found out about one accelerometer."""
 
-    #: Whether it may be relied on, and what speaks against it, the gravest first.
+    #: Whether it may be relied on: ``good``, ``reservations`` or ``contradicted``.
     state: State | None = None
-    findings: list[Finding] = []
+    findings: list[Finding] = []  #: What speaks against it, the gravest first.
     serial_number: str | None = None  #: As the campaign states it.
     coefficients: dict[str, Coefficient]  #: The terms that the campaign asked for.
     #: Further terms of which something is known beforehand, as the campaign states it; the fit has
@@ -288,44 +287,45 @@ class AccelerometerResult(ResultPart):
     axes: list[tuple[float, float, float]] | None = None
     #: What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
-    correlation: Correlation | None
-    confounded: list[ConfoundedTerms] = []
-    residual: Residual
-    noise: dict[str, NoiseLine] = {}
-    budget: dict[str, list[BudgetLine]] = {}
+    correlation: Correlation | None  #: Of the estimated coefficients; None if there are none.
+    confounded: list[ConfoundedTerms] = []  #: Terms that cannot be told apart.
+    residual: Residual  #: How well the model fits.
+    noise: dict[str, NoiseLine] = {}  #: By component: the noise that was used.
+    budget: dict[str, list[BudgetLine]] = {}  #: By term: where the uncertainty comes from.
+    #: What the two-stage method estimated beside K_II and K_F.
     second_unknown: dict[str, Coefficient] = {}
-    jackknife: list[Jackknife] = []
-    two_stage: Comparison | None = None
+    jackknife: list[Jackknife] = []  #: K_II with each run left out, joint method.
+    two_stage: Comparison | None = None  #: The two-stage K_II beside the joint one, joint method.
     conformity: dict[str, Conformity] = {}  #: By term: where the campaign states a specification.
-    traces: dict[str, Trace] = {}  #: By run: residuals for pictures.
+    traces: dict[str, Trace] = {}  #: By run: residuals thinned for pictures, joint method.
     readings: list[ReadingResult] = []  #: Single values, at rest, on an arm or on a turntable.
     #: Each kind of test beside the others; empty where there is one kind only.
     kinds: list[KindOfTest] = []
     #: ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     output: dict[str, Coefficient] = {}
-    warnings: list[str] = []
+    warnings: list[str] = []  #: The findings in words.
 
 
 class RippleResult(ResultPart):
     """One ripple of the rate; amplitude in rad/s, phase in rad."""
 
-    harmonic: int
-    amplitude: float
-    u_amplitude: float
-    phase: float
-    u_phase: float | None
+    harmonic: int  #: Times a revolution.
+    amplitude: float  #: Amplitude w_n of the rate, rad/s.
+    u_amplitude: float  #: Its standard uncertainty.
+    phase: float  #: Its phase at time zero, rad.
+    u_phase: float | None  #: Its standard uncertainty.
 
 
 class ParabolaResult(ResultPart):
     """First stage of the two-stage method: b0 (m), b1 (m/s), b2 (m/s^2) of one accelerometer."""
 
-    b0: float
-    b1: float
-    b2: float
-    u_b2: float
-    sigma: float
-    sigma_from_residuals: bool
-    strobes: int
+    b0: float  #: Its constant part, m.
+    b1: float  #: Its linear part, m/s.
+    b2: float  #: Its quadratic part, m/s^2.
+    u_b2: float  #: Standard uncertainty of b2 (Eq. 31).
+    sigma: float  #: Standard deviation of a sample, m.
+    sigma_from_residuals: bool  #: Whether that is from the residuals; else as given.
+    strobes: int  #: How many strobes it was fitted to.
 
 
 class RunResult(ResultPart):
@@ -335,35 +335,37 @@ class RunResult(ResultPart):
     rows, empty cells and outliers; `counts` says how many of each.
     """
 
-    rate: float
-    u_rate: float | None = None
-    rate_unit: Literal["rad/s"] = "rad/s"
-    drift: float
-    u_drift: float | None = None
-    drift_unit: Literal["1/s"] = "1/s"
-    ripples: list[RippleResult] = []
-    angle_rms: float | None = None
-    samples: int
-    rejected: int
+    rate: float  #: Identified rate w0, in `rate_unit`.
+    u_rate: float | None = None  #: Its standard uncertainty; null without a recorded angle.
+    rate_unit: Literal["rad/s"] = "rad/s"  #: Of the rate and its uncertainty.
+    drift: float  #: Relative drift C of the rate, in `drift_unit`.
+    u_drift: float | None = None  #: Its standard uncertainty.
+    drift_unit: Literal["1/s"] = "1/s"  #: Of the drift and its uncertainty.
+    ripples: list[RippleResult] = []  #: Fluctuations of the rate that the angle supports.
+    angle_rms: float | None = None  #: Recorded angle less its model, rad.
+    samples: int  #: Rows used.
+    rejected: int  #: Samples not used: repeated rows, empty cells, outliers.
+    #: By kind, how many of each; ``block`` is the number of rows averaged.
     counts: dict[str, int] = {}
-    notes: list[str] = []
-    terms: dict[str, Coefficient] = {}
-    parabolas: dict[str, ParabolaResult] = {}
+    notes: list[str] = []  #: What reading the record found.
+    terms: dict[str, Coefficient] = {}  #: Coefficients of this run, such as its tilt.
+    parabolas: dict[str, ParabolaResult] = {}  #: By accelerometer, two-stage method.
+    #: By accelerometer, tests of the residuals: chi-square, signs, largest peak of the spectrum.
     fit: dict[str, dict[str, float | str | None]] = {}
 
 
 class Inputs(ResultPart):
     """What the result depends on beside the records; u is 0 where it was stated as exact."""
 
-    gravity: float
-    u_gravity: float = 0.0
-    gravity_unit: Literal["m/s^2"] = "m/s^2"
-    latitude: float
-    u_latitude: float = 0.0
-    latitude_unit: Literal["rad"] = "rad"
-    radius: float
-    u_radius: float = 0.0
-    radius_unit: Literal["m"] = "m"
+    gravity: float  #: The g of all g-units, in `gravity_unit`.
+    u_gravity: float = 0.0  #: Its standard uncertainty; 0 where it was stated as exact.
+    gravity_unit: Literal["m/s^2"] = "m/s^2"  #: Of gravity and its uncertainty.
+    latitude: float  #: Of the site, in `latitude_unit`.
+    u_latitude: float = 0.0  #: Its standard uncertainty.
+    latitude_unit: Literal["rad"] = "rad"  #: Of the latitude and its uncertainty.
+    radius: float  #: Of the centrifuge, in `radius_unit`.
+    u_radius: float = 0.0  #: Its standard uncertainty.
+    radius_unit: Literal["m"] = "m"  #: Of the radius and its uncertainty.
 
 
 class Provenance(ResultPart):

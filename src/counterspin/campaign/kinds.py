@@ -81,7 +81,8 @@ def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
 def _written(unit: str, *, uncertain: bool = False) -> Any:
     """Return how a quantity in a unit is written, for schemas."""
     spread = rf"({PLUS_MINUS}{NUMBER})?" if uncertain else ""
-    pattern = rf"^\s*[+−-]?{NUMBER.removeprefix('[+-]?')}{spread}\s*[^\d\s.±+-].*$"
+    number = f"[+−-]?{NUMBER.removeprefix('[+-]?')}"
+    pattern = rf"^\s*{number}{spread}(\s+[^\s±]|[^\d\s.±]).*$"
     return Annotated[str, Field(pattern=pattern, json_schema_extra={"x-unit": unit})]
 
 
@@ -285,6 +286,7 @@ Ratio = Annotated[float, PlainValidator(a_ratio, float | _written("1"))]
 DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
 Part = Annotated[Quantity, PlainValidator(a_part, str)]
 ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, str)]
+Several = Annotated[list[Text], BeforeValidator(several, Text | list[Text])]
 PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
 Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 

@@ -25,6 +25,7 @@ from counterspin.campaign.kinds import (
     Seconds,
     SettingsSection,
     Text,
+    described,
     read_exactly,
     record_file,
 )
@@ -51,26 +52,68 @@ Written = Text | Annotated[list[Text], Field(min_length=1)]
 class ReadingAxes(SettingsSection):
     """``axes`` of a reading: where input and pendulous axis point in the frame of its motion."""
 
-    input: Text | list[float]
-    pendulous: Text | list[float]
+    input: Text | list[float] = described(
+        "in which the input axis points in the frame of the motion", "inward", kind="direction"
+    )
+    pendulous: Text | list[float] = described(
+        "in which the pendulous axis points", "up", kind="direction"
+    )
 
 
 class ReadingRunSettings(SettingsSection):
     """[[runs]] with a reading: one value at one station."""
 
-    name: Text
-    skip: bool = False
-    motion: MotionKind = "counter-rotating"
-    reading: Written | dict[str, Written] | None = None
-    record: Annotated[Text, AfterValidator(record_file)] | None = None
-    rate: Annotated[float, read_exactly("rad/s")] = 0.0
-    attitude: Any = None
-    axes: ReadingAxes | None = None
-    mounting: str = ""
-    temperature: Text | None = None
-    time: Annotated[float, read_exactly("s")] | None = None
-    duration: Seconds | None = None
-    revolutions: PositiveRatio | None = None
+    name: Text = described("of the run", "tumble 30")
+    skip: bool = described("`true` leaves the run out, and the result says so", True, False)
+    motion: MotionKind = described("how the instrument moves", "static", "counter-rotating")
+    reading: Written | dict[str, Written] | None = described(
+        "value with its unit; `±` where its standard uncertainty is known; a list of "
+        "them: repeats at one setting, whose mean counts and whose scatter tells the "
+        "noise",
+        "1.082532 ± 2e-6 mA",
+        None,
+        absent="`record`",
+    )
+    record: Annotated[Text, AfterValidator(record_file)] | None = described(
+        "in place of `reading`, at rest or on an arm: a file whose mean over whole "
+        "revolutions is the reading, its noise the uncertainty",
+        "rest.csv",
+        None,
+        absent="`reading`",
+    )
+    rate: Annotated[float, read_exactly("rad/s")] = described(
+        "of the spindle, signed; none at rest", "9.9 rad/s", 0.0, absent="0 rad/s"
+    )
+    attitude: Any = described(
+        "as of other [runs](campaign.md#runs), with `±` for the head; at rest there "
+        "must be this or `axes`",
+        "30 ± 0.001 deg about north",
+        None,
+        absent="level",
+    )
+    axes: ReadingAxes | None = described(
+        "`input` and `pendulous` in the frame of the motion, in place of an attitude",
+        {"input": "inward", "pendulous": "up"},
+        None,
+        absent="`attitude`",
+    )
+    mounting: str = described("name of the position on the fixture", "in", "")
+    temperature: Text | None = described("in this run", "23.4 degC", None)
+    time: Annotated[float, read_exactly("s")] | None = described(
+        "when it was read, by any clock", "12 min", None
+    )
+    duration: Seconds | None = described(
+        "length of a `record` that is [simulated](#simulating-readings)",
+        "400 s",
+        None,
+        absent="those of `[simulation]`",
+    )
+    revolutions: PositiveRatio | None = described(
+        "length of a `record` that is [simulated](#simulating-readings)",
+        100,
+        None,
+        absent="those of `[simulation]`",
+    )
 
 
 @frozen

@@ -11,11 +11,11 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.kinds import SettingsSection, Text, exact, file_name
+from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
 from counterspin.campaign.readings import BLANK, Output, ReadingAxes
 from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.campaign.settings import TableDialect
@@ -54,21 +54,37 @@ _UTC: Final = datetime.UTC
 
 
 class _TableFile(SettingsSection):
-    file: Annotated[Text, AfterValidator(file_name)]
+    file: Annotated[Text, AfterValidator(file_name)] = described(
+        ".csv, .txt or .tsv (commas, semicolons or tabs), .parquet, or .xlsx "
+        "([extra](quickstart.md#extras) `excel`)",
+        "readings.csv",
+    )
 
 
 # The fields of the last base come first.
 class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table in place of many [[runs]]."""
 
-    columns: dict[str, _Repeats | dict[str, _Repeats]] = Field(min_length=1)
-    motion: MotionKind = "static"
-    about: Text = "north"
-    attitude_unit: Text = "deg"
-    u_attitude: Text | None = None
-    rate_unit: Text = "rad/s"
-    axes: ReadingAxes | None = None
-    mounting: str = ""
+    columns: dict[str, _Repeats | dict[str, _Repeats]] = described(
+        "`name`, `motion`, `rate`, `attitude`, `input`, `pendulous`, `reading`, `u`, "
+        "`temperature`, `time`, `mounting` -> column",
+        {"attitude": "angle_deg", "reading": "mA"},
+        min_length=1,
+    )
+    motion: MotionKind = described("of every row, where there is no such column", "arm", "static")
+    about: Text = described("the axis of angles in the column `attitude`", "east", "north")
+    attitude_unit: Text = described("of these angles", "arcmin", "deg")
+    u_attitude: Text | None = described(
+        'random standard uncertainty of these angles, such as `"2 arcsec"`',
+        "2 arcsec",
+        None,
+        absent="0",
+    )
+    rate_unit: Text = described("of the column `rate`", "rpm", "rad/s")
+    axes: ReadingAxes | None = described(
+        "of every row that turns", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
+    )
+    mounting: str = described("of every row", "in", "")
 
 
 def read_table(

@@ -8,12 +8,12 @@ The keys that name coefficients are not written here: they are made from the ter
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Field,
     PlainValidator,
     create_model,
@@ -30,6 +30,7 @@ from counterspin.campaign.kinds import (
     Schema,
     Seconds,
     SettingsSection,
+    Several,
     Text,
     ZeroDirection,
     a_latitude,
@@ -44,7 +45,6 @@ from counterspin.campaign.kinds import (
     positive,
     read_exactly,
     record_file,
-    several,
     time_unit,
     turning,
     unit_of,
@@ -60,61 +60,126 @@ OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": 
 class DocumentSettings(SettingsSection):
     """The sections that there may be; each is checked by its own model afterwards."""
 
-    schema_version: Schema = Field(alias="schema")
-    campaign: dict[str, Any] = {}
-    site: dict[str, Any]
-    centrifuge: dict[str, Any] | None = None
-    records: dict[str, Any] | None = None
-    readings: dict[str, Any] | None = None
-    accelerometers: dict[str, Any] = Field(min_length=1)
-    noise: dict[str, Any] | None = None
-    model: dict[str, Any] | None = None
-    specification: dict[str, Any] | None = None
-    runs: list[Any] = []
-    simulation: dict[str, Any] | None = None
-    truth: dict[str, Any] | None = None
-    study: dict[str, Any] | None = None
+    schema_version: Schema = described("version of this format", 1, kind="number", alias="schema")
+    campaign: dict[str, Any] = described("[what a report says](#campaign)", {}, {})
+    site: dict[str, Any] = described("[where](#site)", {})
+    centrifuge: dict[str, Any] | None = described(
+        "[its size](#centrifuge); required unless all is [read or recorded at rest](readings.md)",
+        {},
+        None,
+    )
+    records: dict[str, Any] | None = described(
+        "[how to read the files](#records); required where a run has a record", {}, None
+    )
+    readings: dict[str, Any] | None = described("[a table of single values](readings.md)", {}, None)
+    accelerometers: dict[str, Any] = described(
+        "[one for each accelerometer](#accelerometersname)", {"Qx": {}}, kind="tables", min_length=1
+    )
+    noise: dict[str, Any] | None = described(
+        "[noise of the records](#noise)", {}, None, absent="estimated"
+    )
+    model: dict[str, Any] | None = described(
+        "[what is asked for, and what is known](#model)", {}, None, absent="the paper's terms"
+    )
+    specification: dict[str, Any] | None = described(
+        "[limits that coefficients shall meet](#specification)", {}, None
+    )
+    runs: list[Any] = described(
+        "[one for each run](#runs), or [reading](readings.md)",
+        [{}],
+        [],
+        kind="list of tables",
+    )
+    simulation: dict[str, Any] | None = described(
+        "[sampling, for `simulate`](#simulation)", {}, None
+    )
+    truth: dict[str, Any] | None = described("[true values, for `simulate`](#truth)", {}, None)
+    study: dict[str, Any] | None = described(
+        "[what varies and what competes, for `study`](study.md)", {}, None
+    )
 
 
 class CampaignSettings(SettingsSection):
     """[campaign]: what a report says about the campaign; all free text, all optional."""
 
-    title: Text | None = None
-    serial_number: Text | None = None
-    date: DateOrText | None = None
-    laboratory: Text | None = None
-    operator: Text | None = None
-    comment: Text | None = None
+    title: Text | None = described(
+        "heading of the report", "Spring campaign", None, absent="the folder's name"
+    )
+    serial_number: Text | None = described("of the platform", "A-17", None)
+    date: DateOrText | None = described(
+        "of the campaign", datetime.date(2026, 3, 1), None, kind="date or text"
+    )
+    laboratory: Text | None = described("where", "Hall 3", None)
+    operator: Text | None = described("who", "N. N.", None)
+    comment: Text | None = described("anything else", "after repair", None)
 
 
 class SiteSettings(SettingsSection):
     """[site]: where the centrifuge stands."""
 
-    gravity: Annotated[Quantity, known("m/s^2"), AfterValidator(of_earth)]
-    latitude: Annotated[Quantity, known("rad", "deg"), AfterValidator(a_latitude)]
-    removed_gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(of_earth)] | None = None
+    gravity: Annotated[Quantity, known("m/s^2"), AfterValidator(of_earth)] = described(
+        "plumb-line gravity; the g of all g-units", "9.8066 ± 1e-5 m/s^2"
+    )
+    latitude: Annotated[Quantity, known("rad", "deg"), AfterValidator(a_latitude)] = described(
+        "for the Earth's rate", "45.75 ± 0.001 deg"
+    )
+    removed_gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(of_earth)] | None = (
+        described(
+            "what the navigation computer takes away of gravity, a fixed number; see below",
+            "9.80665 m/s^2",
+            None,
+            absent="that of the site",
+        )
+    )
 
 
 class CentrifugeSettings(SettingsSection):
     """[centrifuge]: its size."""
 
-    radius: Annotated[Quantity, known("m"), AfterValidator(positive)]
-    stretch: Annotated[Quantity, known("s^2/m")] | None = None
-    droop: Annotated[Quantity, known("rad s^2")] | None = None
-    axis_tilt: Annotated[Quantity, known("rad", "arcsec")] | None = None
-    reference_temperature: Text | None = None
+    radius: Annotated[Quantity, known("m"), AfterValidator(positive)] = described(
+        "from the spindle axis to the platform's centre", "2.5 ± 1e-5 m"
+    )
+    stretch: Annotated[Quantity, known("s^2/m")] | None = described(
+        "relative growth of the radius per m/s^2 of centripetal acceleration; without"
+        " it its typical size",
+        "0 ± 5e-9 s^2/m",
+        None,
+    )
+    droop: Annotated[Quantity, known("rad s^2")] | None = described(
+        "likewise: turn about forward per squared rate, positive where the outer end goes down",
+        "0 ± 1e-8 rad s^2",
+        None,
+    )
+    axis_tilt: Annotated[Quantity, known("rad", "arcsec")] | None = described(
+        "likewise: tilt of the spindle's axis about east and about north", "0 ± 5 arcsec", None
+    )
+    reference_temperature: Text | None = described(
+        "from which slopes with temperature count; by default the mean of all temperatures",
+        "23 degC",
+        None,
+    )
 
 
 class _Channel(SettingsSection):
-    column: Text
+    column: Text = described("name of the column in the file", "channel 1")
 
 
 class TimeChannel(SettingsSection):
     """The column that holds the time, or how many rows there are a second."""
 
-    column: Text | None = None
-    unit: Annotated[str, AfterValidator(time_unit)] | None = None
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = None
+    column: Text | None = described(
+        "name of the column in the file", "time_s", None, absent="counted"
+    )
+    unit: Annotated[str, AfterValidator(time_unit)] | None = described(
+        "of its numbers; `iso`: time stamps in ISO 8601, counted from the first",
+        "ms",
+        None,
+        absent="the file's",
+        kind="unit of time, `iso`",
+    )
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+        described("in place of a column: rows a second", "50 Hz", None)
+    )
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
@@ -128,11 +193,25 @@ class TimeChannel(SettingsSection):
 class AngleChannel(_Channel):
     """The column that holds the spindle's angle, or the times of its pulses."""
 
-    pulses: bool = False
-    unit: Annotated[str, AfterValidator(angle_unit)] | None = None
-    sense: Literal["counterclockwise", "clockwise"] = "counterclockwise"
-    zero: ZeroDirection = 0.0
-    per_revolution: PositiveRatio | None = None
+    pulses: bool = described(
+        "whether the column has the times, in `unit`, at which the arm passed `zero`", False, False
+    )
+    unit: Annotated[str, AfterValidator(angle_unit)] | None = described(
+        "of its numbers", "count", None, absent="the file's", kind="unit of angle, `count`"
+    )
+    sense: Literal["counterclockwise", "clockwise"] = described(
+        "in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
+    )
+    zero: ZeroDirection = described(
+        "where the arm points when the encoder shows zero",
+        "north",
+        0.0,
+        absent="0 (east)",
+        kind="compass direction, or angle from east towards north",
+    )
+    per_revolution: PositiveRatio | None = described(
+        "counts (or pulses) of one revolution", 65536, None
+    )
 
     @model_validator(mode="after")
     def _counts(self) -> Self:
@@ -147,12 +226,26 @@ class AngleChannel(_Channel):
 class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
-    skip_lines: Annotated[int, Field(ge=0)] | None = None
-    delimiter: Literal[",", ";", "\t"] | None = None
-    decimal: Literal[".", ","] | None = None
-    encoding: Annotated[str, AfterValidator(an_encoding)] | None = None
-    units_row: bool | None = None
-    sheet: Text | None = None
+    skip_lines: Annotated[int, Field(ge=0)] | None = described(
+        "lines (of a sheet: rows) before the names of the columns", 5, None, absent="found"
+    )
+    delimiter: Literal[",", ";", "\t"] | None = described(
+        "between the cells of a file of text", ";", None, absent="found", kind="`,` `;` or tab"
+    )
+    decimal: Literal[".", ","] | None = described(
+        "in its numbers; of a table of readings a comma must be said",
+        ",",
+        None,
+        absent="found",
+        kind="`.` or `,`",
+    )
+    encoding: Annotated[str, AfterValidator(an_encoding)] | None = described(
+        "of its text", "latin-1", None, absent="found"
+    )
+    units_row: bool | None = described(
+        "whether a row of units stands below the names", True, None, absent="found"
+    )
+    sheet: Text | None = described("of an Excel file", "Run 1", None, absent="the only one")
 
     @property
     def dialect(self) -> Dialect:
@@ -162,63 +255,138 @@ class TableDialect(SettingsSection):
 
 
 class _TimeAndAngle(SettingsSection):
-    time: TimeChannel
-    angle: AngleChannel | None = None
+    time: TimeChannel = described("time of each row", {"column": "time_s", "unit": "s"})
+    angle: AngleChannel | None = described(
+        "spindle angle, wrapped or not",
+        {"column": "angle_rad", "unit": "rad"},
+        None,
+        absent="nominal rate",
+    )
 
 
 # The fields of the last base come first.
 class RecordsSettings(TableDialect, _TimeAndAngle):
     """[records]: how to read every run's file."""
 
-    group: Text | None = None
-    timing_offset: Annotated[Quantity, known("s")] | None = None
-    clock: Part | None = None
-    reference: Literal["platform", "own velocity"] = "platform"
+    group: Text | None = described(
+        "of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it",
+        "run1/data",
+        None,
+        absent="the only one",
+    )
+    timing_offset: Annotated[Quantity, known("s")] | None = described(
+        "how much later than its displacement an angle is sampled", "0 ± 1e-5 s", None
+    )
+    clock: Part | None = described(
+        "by how much of itself the recorder's clock runs fast, also in `ppm`; see below",
+        "0 ± 1e-7",
+        None,
+        kind="part ±",
+    )
+    reference: Literal["platform", "own velocity"] = described(
+        "whose velocity the navigation computer takes for the Coriolis acceleration "
+        "that it removes; see below",
+        "own velocity",
+        "platform",
+    )
 
 
 class DisplacementChannel(_Channel):
     """The column that holds the displacement along the input axis."""
 
-    unit: Annotated[str, unit_of("m")] | None = None
+    unit: Annotated[str, unit_of("m")] | None = described(
+        "of its numbers", "mm", None, absent="the file's", kind="unit"
+    )
 
 
 class VelocityChannel(_Channel):
     """The column that holds the velocity along the input axis."""
 
-    unit: Annotated[str, unit_of("m/s")] | None = None
+    unit: Annotated[str, unit_of("m/s")] | None = described(
+        "of its numbers", "mm/s", None, absent="the file's", kind="unit"
+    )
 
 
 class ForceChannel(_Channel):
     """The column that holds the indicated specific force, or an output such as a current."""
 
-    unit: Annotated[str, AfterValidator(force_or_output)]
+    unit: Annotated[str, AfterValidator(force_or_output)] = described(
+        "of its numbers", "mg", kind="unit"
+    )
 
 
 class AxesSettings(SettingsSection):
     """The axes of an accelerometer; checked by themselves too, whatever else is wrong."""
 
-    input_axis: Direction
-    pendulous_axis: Direction
-    output_axis: Direction | None = None
+    input_axis: Direction = described(
+        "the sensitive axis, on the level platform", "east", kind="direction"
+    )
+    pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
+    output_axis: Direction | None = described(
+        "only as a check", "north", None, absent="input × pendulous", kind="direction"
+    )
 
 
 class OutputSettings(SettingsSection):
     """``output``: what an accelerometer's readings are in, and its nominal sensitivity."""
 
-    unit: Text
-    sensitivity: Text | None = None
+    unit: Text = described("of the readings", "mA")
+    sensitivity: Text | None = described(
+        "nominal: K_I is the true one over it; any other unit needs it",
+        "1.25 mA/g",
+        None,
+        absent="of an output in g, `mg`, ...: exact",
+    )
 
 
 class _AccelerometerKeys(AxesSettings):
-    serial_number: Text | None = None
-    grade: Literal["navigation", "tactical", "consumer"] = "navigation"
-    output: OutputSettings | None = None
-    sensitivity_prior: Text | None = None
-    bias: Annotated[Quantity, known("g")] | None = None
-    scale_factor: Annotated[Quantity, known("g/g")] | None = None
-    displacement: DisplacementChannel | None = None
-    velocity: VelocityChannel | None = None
-    specific_force: ForceChannel | None = None
+    serial_number: Text | None = described("of the accelerometer", "Q-104", None)
+    grade: Literal["navigation", "tactical", "consumer"] = described(
+        "how large its terms may be, and are where nothing is stated of them: [sizes "
+        "by grade](physics.md#where-the-typical-sizes-come-from)",
+        "tactical",
+        "navigation",
+        kind='`"navigation"`, `"tactical"` or `"consumer"`',
+    )
+    output: OutputSettings | None = described(
+        "what its [readings](readings.md) are in, and the nominal sensitivity",
+        {"unit": "mA", "sensitivity": "1.25 mA/g"},
+        None,
+        absent="g",
+    )
+    sensitivity_prior: Text | None = described(
+        "K_I known beforehand, in that unit", "1.25 ± 0.01 mA/g", None, absent="unknown"
+    )
+    bias: Annotated[Quantity, known("g")] | None = described(
+        "K_F known beforehand", "0.00503 ± 2e-6 g", None, absent="unknown"
+    )
+    scale_factor: Annotated[Quantity, known("g/g")] | None = described(
+        "K_I known beforehand; about 1, so that 1000 ppm too much is `1.001 g/g`",
+        "1.00197 ± 5e-6 g/g",
+        None,
+        absent="unknown",
+    )
+    displacement: DisplacementChannel | None = described(
+        "recorded displacement along the input axis",
+        {"column": "east_m", "unit": "m"},
+        None,
+        absent="one of three",
+        kind="column, m",
+    )
+    velocity: VelocityChannel | None = described(
+        "recorded velocity",
+        {"column": "v", "unit": "m/s"},
+        None,
+        absent="one of three",
+        kind="column, m/s",
+    )
+    specific_force: ForceChannel | None = described(
+        "indicated specific force",
+        {"column": "f", "unit": "g"},
+        None,
+        absent="one of three",
+        kind="column, m/s^2, g or `output`",
+    )
 
 
 def term_keys(
@@ -237,8 +405,8 @@ def term_keys(
 def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
     """Return how a term is written: what is known of it, or its true value."""
     if reader is known:
-        return f"{row.nominal:g} ± {row.typical:g} {row.unit}"
-    return f"{row.nominal + row.typical:.9g} {row.unit}"
+        return f"{row.nominal:g} ± {row.typical:g} {row.unit}".replace("e-0", "e-")
+    return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
 
 
 #: [accelerometers.NAME]: its axes, its column and, by term symbol, the priors.
@@ -250,27 +418,92 @@ AccelerometerSettings = create_model(
 class NoiseSettings(SettingsSection):
     """[noise] and [truth.noise]: standard deviations a sample, SI."""
 
-    displacement: Annotated[float | str, noise_size("m")] = 0.0
-    velocity: Annotated[float | str, noise_size("m/s")] = 0.0
-    specific_force: Annotated[float | str, noise_size("m/s^2")] = 0.0
-    acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = 0.0
-    flicker: Annotated[float | str, noise_size("m/s^2")] = 0.0
-    bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = 0.0
-    quantisation: Annotated[float | str, noise_size("m")] = 0.0
-    angle: Annotated[float | str, noise_size("rad")] = 0.0
-    timing: Annotated[float | str, noise_size("s")] = 0.0
+    displacement: Annotated[float | str, noise_size("m")] = described(
+        "white, a sample", "0.01 m", 0.0, kind="quantity, m"
+    )
+    velocity: Annotated[float | str, noise_size("m/s")] = described(
+        "likewise of a recorded velocity", "1e-4 m/s", 0.0, kind="quantity, m/s"
+    )
+    specific_force: Annotated[float | str, noise_size("m/s^2")] = described(
+        "likewise of a recorded specific force", "10 ug", 0.0, kind="quantity, m/s^2 or g"
+    )
+    acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = described(
+        "white noise of the accelerometer; random-walk coefficient N, velocity variance N^2 t",
+        "estimate",
+        0.0,
+        kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
+    )
+    flicker: Annotated[float | str, noise_size("m/s^2")] = described(
+        "bias instability B: the floor of the Allan deviation is 0.664 B",
+        "2 ug",
+        0.0,
+        kind="quantity, m/s^2 or g",
+    )
+    bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = described(
+        "random walk K of the bias: its variance grows by K^2 a second",
+        "0.5 ug/h^0.5",
+        0.0,
+        kind="quantity, m/s^2/s^0.5 or g/s^0.5",
+    )
+    quantisation: Annotated[float | str, noise_size("m")] = described(
+        "step of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
+    )
+    angle: Annotated[float | str, noise_size("rad")] = described(
+        "encoder noise, for `simulate`; a calibration estimates it",
+        "1e-6 rad",
+        0.0,
+        kind="quantity, rad",
+    )
+    timing: Annotated[float | str, noise_size("s")] = described(
+        "noise of the time stamps", "1 us", 0.0, kind="quantity, s"
+    )
 
 
 class ModelSettings(SettingsSection):
     """[model]; names and values are resolved in `terms`."""
 
-    terms: list[Text] | None = None
-    assume: Annotated[list[Text], BeforeValidator(several)] = []
-    hold: list[Text] = []
-    considered: list[Text] = []
-    priors: dict[str, Any] = {}
-    limits: dict[str, Any] = {}
-    typical: dict[str, Any] = {}
+    terms: list[Text] | None = described(
+        "what is asked for: the rows of the result",
+        ["K_F", "K_II", "platform.tilt"],
+        None,
+        absent="K_F, K_I, K_II, K_III",
+        kind="list of terms",
+    )
+    assume: Several = described(
+        "taken as perfect where nothing is stated: no part of u",
+        ["K_OO", "platform.*"],
+        [],
+        absent="none",
+        kind='list of terms and inputs, or `"all"`',
+    )
+    hold: list[Text] = described(
+        "counts in u as it is stated, but the records do not adjust it (Schmidt)",
+        ["K_PP"],
+        [],
+        absent="none",
+        kind="list of terms and inputs",
+    )
+    considered: list[Text] = described(
+        "the old name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
+    )
+    priors: dict[str, Any] = described(
+        "what is known beforehand, by term: of any term, asked for or not",
+        {"platform.tilt": "0 ± 0.5 arcsec", "Qx.K_PP": "0 ± 2e-6 g/g^2"},
+        {},
+        absent="none",
+    )
+    limits: dict[str, Any] = described(
+        "largest credible size, by term",
+        {"K_II": "1e-3 g/g^2"},
+        {},
+        absent="by [grade](physics.md#where-the-typical-sizes-come-from)",
+    )
+    typical: dict[str, Any] = described(
+        "standard uncertainty of a term of which nothing is stated, by term",
+        {"platform.tilt": "0.2 arcsec"},
+        {},
+        absent="by grade",
+    )
 
     @property
     def held(self) -> tuple[str, list[str]]:
@@ -281,26 +514,80 @@ class ModelSettings(SettingsSection):
 class SimulationSettings(SettingsSection):
     """[simulation]: how `counterspin simulate` samples."""
 
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
-    seed: Annotated[int, Field(ge=0)] = 1
-    revolutions: PositiveRatio = 100.0
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
+        "rows a second", "100 Hz", 50.0, absent="50 Hz"
+    )
+    seed: Annotated[int, Field(ge=0)] = described(
+        "of the random numbers; each run has a stream of its own", 7, 1
+    )
+    revolutions: PositiveRatio = described("of each run", 40, 100.0)
 
 
 class RunSettings(SettingsSection):
     """[[runs]]: one run."""
 
-    name: Text
-    rate: Annotated[float, read_exactly("rad/s"), AfterValidator(turning)]
-    record: Annotated[Text, AfterValidator(record_file)]
-    attitude: Attitude = Field(default_factory=lambda: attitude_rows("level"))
-    duration: Seconds | None = None
-    revolutions: PositiveRatio | None = None
-    temperature: Text | None = None
-    time: Annotated[float, read_exactly("s")] | None = None
-    continued_in: list[Annotated[Text, AfterValidator(record_file)]] = []
-    pulses: Annotated[Text, AfterValidator(record_file)] | None = None
-    records: dict[str, Any] | None = None
-    skip: bool = False
-    start: Annotated[float, read_exactly("s")] | None = None
-    stop: Annotated[float, read_exactly("s")] | None = None
-    truth: dict[str, Any] | None = None
+    name: Text = described("unique", "run1")
+    rate: Annotated[float, read_exactly("rad/s"), AfterValidator(turning)] = described(
+        "nominal rate; negative is the other sense", "0.25 rev/s"
+    )
+    record: Annotated[Text, AfterValidator(record_file)] = described(
+        "file, from the campaign's folder: .csv, .txt, .tsv, .lvm, .parquet, .h5, "
+        ".hdf5, .mat, .xlsx, .tdms",
+        "run1.csv",
+    )
+    attitude: Attitude = described(
+        "of the platform in this run",
+        "90 deg about east",
+        absent="level",
+        kind="attitude",
+        default_factory=lambda: attitude_rows("level"),
+    )
+    duration: Seconds | None = described(
+        "for `simulate`; a finding asks about a record shorter than nine tenths of that",
+        "400 s",
+        None,
+        absent="by revolutions",
+    )
+    revolutions: PositiveRatio | None = described(
+        "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
+    )
+    temperature: Text | None = described(
+        "in this run, for slopes with temperature; or in K", "23.4 degC", None
+    )
+    time: Annotated[float, read_exactly("s")] | None = described(
+        "when the run began, by any clock, for `K_F.trend`",
+        "12 min",
+        None,
+        absent="after the run before",
+    )
+    continued_in: list[Annotated[Text, AfterValidator(record_file)]] = described(
+        "further files in which the record goes on, of the same kind",
+        ["run1-2.csv", "run1-3.csv"],
+        [],
+        absent="none",
+    )
+    pulses: Annotated[Text, AfterValidator(record_file)] | None = described(
+        "file with the column of the times of pulses",
+        "run1-index.csv",
+        None,
+        absent="in the record",
+    )
+    records: dict[str, Any] | None = described(
+        "keys of `[records]` that differ in this run: `time`, `angle` and how the file is written",
+        {"decimal": "."},
+        None,
+        absent="as `[records]`",
+    )
+    skip: bool = described("leaves the run out, and the result says so", True, False)
+    start: Annotated[float, read_exactly("s")] | None = described(
+        "from when the record is used, in its own time", "12 s", None, absent="its first row"
+    )
+    stop: Annotated[float, read_exactly("s")] | None = described(
+        "until when", "390 s", None, absent="its last row"
+    )
+    truth: dict[str, Any] | None = described(
+        "for `simulate`: [what differs in this run](#truth)",
+        {"drift": "2e-6 1/s"},
+        None,
+        absent="that of `[truth]`",
+    )

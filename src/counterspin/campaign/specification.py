@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, get_args
 from pydantic import AfterValidator, PlainValidator
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.kinds import SettingsSection, exact
+from counterspin.campaign.kinds import SettingsSection, described, exact
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.frozen import frozen
 from counterspin.inference.conformity import DecisionRule, RuleName, Specification
@@ -70,11 +70,18 @@ class SpecificationSettings(SettingsSection):
     These are the keys of the decision rule; all others are terms.
     """
 
-    decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = "guarded"
-    guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = 1.0
+    decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = described(
+        "by which a coefficient passes or fails", "simple", "guarded"
+    )
+    guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = described(
+        "width of the guard band over the expanded uncertainty U; with `guarded` only",
+        0.5,
+        1.0,
+        kind="number",
+    )
     conformance_probability: Annotated[
         float, PlainValidator(_number), AfterValidator(_probability)
-    ] = 0.95
+    ] = described("that must be reached; with `probability` only", 0.99, 0.95, kind="number")
 
 
 #: Key of the table -> the rule that it belongs to.

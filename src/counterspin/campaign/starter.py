@@ -21,6 +21,9 @@ _EXAMPLES: Final[Mapping[str, tuple[str, str | None]]] = {
     "arm": ("starter_arm.toml", "starter_arm.csv"),
 }
 
+#: The schema of descriptions, as their first line names it for editors.
+SCHEMA_NAME: Final = "campaign.schema.json"
+
 #: The table of readings, as the descriptions name it.
 _TABLE: Final = "readings.csv"
 

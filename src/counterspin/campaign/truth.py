@@ -54,19 +54,34 @@ _STRETCH: Final = "centrifuge.stretch"
 class RippleSettings(SettingsSection):
     """One entry of ``ripple``: a periodic fluctuation, by ratio w_n/w0 or by amplitude."""
 
-    harmonic: Annotated[int, AfterValidator(positive)] = 1
-    ratio: Ratio | None = None
-    amplitude: Annotated[float, read_exactly("rad/s")] | None = None
-    phase: Annotated[float, read_exactly("rad", "deg")] = 0.0
+    harmonic: Annotated[int, AfterValidator(positive)] = described("times a revolution", 2, 1)
+    ratio: Ratio | None = described("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
+    amplitude: Annotated[float, read_exactly("rad/s")] | None = described("w_n", "1e-6 rad/s", None)
+    phase: Annotated[float, read_exactly("rad", "deg")] = described("at time zero", "30 deg", 0.0)
 
 
 class SpindleTruthSettings(SettingsSection):
     """[truth.spindle]: how the spindle really turns."""
 
-    drift: Annotated[float, read_exactly("1/s")] | None = None
-    ripple: list[RippleSettings] | None = None
-    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = None
-    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = None
+    drift: Annotated[float, read_exactly("1/s")] | None = described(
+        "relative drift C of the rate", "1e-6 1/s", None
+    )
+    ripple: list[RippleSettings] | None = described(
+        "fluctuations of the rate within a revolution",
+        [{"ratio": "0.5 ppm"}],
+        None,
+        kind="list of tables",
+    )
+    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = described(
+        "at time zero", "30 deg", None, absent="0"
+    )
+    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = described(
+        "of the true rate, relative to the nominal one",
+        "5 ppm",
+        None,
+        absent="0",
+        kind="number, or in ppm",
+    )
 
 
 #: What a table of [truth] for a family of terms has: meaning, and an example.
@@ -109,7 +124,8 @@ def _truth_table(name: str, family: str) -> type[SettingsSection]:
         words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
         table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
         fields[inner] = (table | None, described(words, example, None))
-    return create_model(name, __base__=SettingsSection, **fields)
+    words = f"[truth.{family}]: what is true of it."
+    return create_model(name, __base__=SettingsSection, __doc__=words, **fields)
 
 
 #: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
@@ -125,13 +141,17 @@ _TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
 RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
-    tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None)),
+    tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
 )
 
 
 class _AccelerometerTruthKeys(SettingsSection):
-    start_offset: Annotated[float, read_exactly("m")] = 0.0
-    start_velocity: Annotated[float, read_exactly("m/s")] = 0.0
+    start_offset: Annotated[float, read_exactly("m")] = described(
+        "error of the displacement at the start of each run", "0.02 m", 0.0
+    )
+    start_velocity: Annotated[float, read_exactly("m/s")] = described(
+        "error of the velocity there", "-1e-4 m/s", 0.0
+    )
 
 
 #: [truth.NAME]: the true coefficients of one accelerometer.

@@ -13,12 +13,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
+from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean, key_path
-from counterspin.campaign.kinds import SettingsSection
+from counterspin.campaign.kinds import SettingsSection, described
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.specification import Specifications, resolve_specifications
@@ -92,89 +92,177 @@ Country = Annotated[str, _code(r"[A-Z]{2}", "a country's two letters (ISO 3166-1
 class CertificateSettings(SettingsSection):
     """[certificate]: identifier, dates and place of the calibration."""
 
-    identifier: Words | None = None
-    language: Annotated[str, _code(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = "en"
-    begin: datetime.date
-    end: datetime.date
-    place: Annotated[str, AfterValidator(_place)] = "laboratory"
-    received: datetime.date | None = None
-    issued: datetime.date | None = None
-    traceability: Words
-    ledger: Words | None = None
-    procedure: Words | None = None
-    deviations: list[Words] = Field(default=[])
-    customer_data: list[Words] = Field(default=[])
-    remarks: list[Words] = Field(default=[])
-    accelerometers: list[Words] | None = None
+    identifier: Words | None = described(
+        "unique",
+        "2026-014",
+        None,
+        absent="`CS-` and 12 digits of the SHA-256 of the result's file and of what LAB.toml says",
+    )
+    language: Annotated[str, _code(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = (
+        described(
+            "of the words in this file; those of counterspin are English, and they are what binds",
+            "de",
+            "en",
+        )
+    )
+    begin: datetime.date = described("first day of the calibration", datetime.date(2026, 3, 2))
+    end: datetime.date = described("last day of the calibration", datetime.date(2026, 3, 4))
+    place: Annotated[str, AfterValidator(_place)] = described(
+        '`"laboratory"`, `"customer"`, `"laboratoryBranch"`, `"customerBranch"` or `"other"`',
+        "customer",
+        "laboratory",
+    )
+    received: datetime.date | None = described(
+        "when the item came", datetime.date(2026, 2, 27), None, absent="not said"
+    )
+    issued: datetime.date | None = described(
+        "day of issue",
+        datetime.date(2026, 3, 9),
+        None,
+        absent="`SOURCE_DATE_EPOCH` of the environment, or today (UTC)",
+    )
+    traceability: Words = described(
+        "how the measurements are traceable to the SI: only the laboratory can say it",
+        "Length, time and gravity are traceable to national standards.",
+    )
+    ledger: Words | None = described(
+        "file in which each certificate is [entered](#keep-a-ledger), beside LAB.toml",
+        "ledger.jsonl",
+        None,
+    )
+    procedure: Words | None = described(
+        "the laboratory's own procedure, by its identifier",
+        "QP-17, issue 3",
+        None,
+        absent="not said",
+    )
+    deviations: list[Words] = described(
+        "from the procedure: additions, exclusions, a list of sentences",
+        ["shorter warm-up"],
+        [],
+        absent="none",
+    )
+    customer_data: list[Words] = described(
+        'what the customer supplied, such as `"K_OO, from the maker\'s data sheet"`; '
+        "it is marked as such, with the disclaimer of ISO/IEC 17025, 7.8.2.2",
+        ["mass of the item"],
+        [],
+        absent="none",
+    )
+    remarks: list[Words] = described("list of sentences", ["first calibration"], [], absent="none")
+    accelerometers: list[Words] | None = described(
+        "which of the result's are certified, a list of names", ["Qx"], None, absent="all"
+    )
 
 
 class Contact(SettingsSection):
     """A name and address."""
 
-    name: Words
-    street: Words | None = None
-    number: Words | None = None
-    post_code: Words | None = None
-    city: Words
-    country: Country | None = None
-    email: Words | None = None
-    phone: Words | None = None
+    name: Words = described("of the organisation", "Example Calibration Ltd")
+    street: Words | None = described("of the address", "Main Street", None)
+    number: Words | None = described("of the house", "12", None)
+    post_code: Words | None = described("of the city", "12345", None)
+    city: Words = described("of the address", "Exampletown")
+    country: Country | None = described("two letters by ISO 3166-1", "DE", None)
+    email: Words | None = described("at which it is reached", "lab@example.org", None)
+    phone: Words | None = described("at which it is reached", "+49 30 123456", None)
 
 
 class Laboratory(Contact):
     """[laboratory]: the calibration laboratory; `code` is that of the accreditation."""
 
-    country: Country
-    code: Words | None = None
+    country: Country = described("two letters by ISO 3166-1", "DE")
+    code: Words | None = described("of the accreditation", "D-K-00000-01-00", None)
 
 
 class Item(SettingsSection):
     """[item]: what was calibrated."""
 
-    name: Words
-    manufacturer: Words
-    model: Words
-    serial_number: Words
-    inventory_number: Words | None = None
-    state: Annotated[str, AfterValidator(_state)] | None = None
+    name: Words = described("what it is", "Inertial platform")
+    manufacturer: Words = described("who made it", "Example Instruments")
+    model: Words = described("its type", "IP-3")
+    serial_number: Words = described("its own", "0042")
+    inventory_number: Words | None = described("of its owner", "INV-7", None)
+    state: Annotated[str, AfterValidator(_state)] | None = described(
+        "in which it was calibrated",
+        "as received",
+        None,
+        kind="`as received`, `after adjustment`, `before repair`, `after repair`",
+    )
 
 
 class LabAccelerometer(SettingsSection):
     """[accelerometers.NAME]: an accelerometer that has its own identity within the item."""
 
-    manufacturer: Words | None = None
-    model: Words | None = None
-    serial_number: Words | None = None
+    manufacturer: Words | None = described("who made it", "Example Instruments", None)
+    model: Words | None = described("its type", "QA-2000", None)
+    serial_number: Words | None = described("its own", "Q-104", None)
 
 
 class Person(SettingsSection):
     """[[persons]]: who is responsible for the results."""
 
-    name: Words
-    role: Words
-    email: Words | None = None
+    name: Words = described("who", "N. N.")
+    role: Words = described("for what the person is responsible", "Head of the laboratory")
+    email: Words | None = described("at which the person is reached", "n.n@example.org", None)
 
 
 class Conditions(SettingsSection):
     """[conditions]: of the laboratory during the calibration."""
 
-    temperature: Annotated[Quantity, PlainValidator(_temperature)] | None = None
+    temperature: Annotated[Quantity, PlainValidator(_temperature)] | None = described(
+        "of the laboratory, with its standard uncertainty",
+        "20.0 ± 0.3 degC",
+        None,
+        kind="temperature ±",
+    )
 
 
 class Lab(SettingsSection):
     """The whole file."""
 
-    schema_version: Literal[1] = Field(alias="schema")
-    certificate: CertificateSettings
-    laboratory: Laboratory
-    customer: Contact
-    item: Item
-    accelerometers: dict[str, LabAccelerometer] = Field(default={})
-    persons: list[Person] = Field(min_length=1)
-    conditions: Conditions = Conditions()
-    cmc: dict[str, str] = Field(default={})
-    evidence: Annotated[dict[str, Words], BeforeValidator(_flat)] = Field(default={})
-    specification: dict[str, Any] | None = None
+    schema_version: Literal[1] = described("version of this format", 1, alias="schema")
+    certificate: CertificateSettings = described(
+        "identifier, dates and place of the calibration", {}
+    )
+    laboratory: Laboratory = described("the calibration laboratory", {})
+    customer: Contact = described("for whom it was done", {})
+    item: Item = described("what was calibrated", {})
+    accelerometers: dict[str, LabAccelerometer] = described(
+        "those that have an identity of their own within the item, by name",
+        {"Qx": {"serial_number": "Q-104"}},
+        {},
+        absent="none",
+    )
+    persons: list[Person] = described(
+        "who is responsible for the results",
+        [{"name": "N. N.", "role": "Head of the laboratory"}],
+        min_length=1,
+    )
+    conditions: Conditions = described(
+        "of the laboratory during the calibration",
+        {"temperature": "20.0 ± 0.3 degC"},
+        Conditions(),
+        absent="none",
+    )
+    cmc: dict[str, str] = described(
+        "the least expanded uncertainty (95 %) that the laboratory may state, by term",
+        {"K_II": "1e-7 g/g^2"},
+        {},
+        absent="no limit",
+    )
+    evidence: Annotated[dict[str, Words], BeforeValidator(_flat)] = described(
+        "what bounds a term that the result assumes to be perfect, by term",
+        {"K_OO": "type test TR-12"},
+        {},
+        absent="none",
+    )
+    specification: dict[str, Any] | None = described(
+        "limits that coefficients shall meet, as in a campaign",
+        {"K_II": "abs <= 5e-5 g/g^2"},
+        None,
+        absent="the campaign's",
+    )
 
     def certified(self, result: Result) -> list[str]:
         """Return the names of the result's accelerometers that the certificate is about."""

@@ -4,7 +4,7 @@ Each command has a module of its own, and imports what it uses when it runs, so 
 answers at once.
 
 - `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `rerun`,
-  `check`, `watch`, `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`,
+  `check`, `watch`, `apply`, `plan`, `study`, `schema`, `serve`, `demo`, `reproduce`,
   `validate`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
@@ -35,6 +35,7 @@ from counterspin.cli import (
     report,
     reproduce,
     rerun,
+    schema,
     serve,
     simulate,
     study,
@@ -79,6 +80,7 @@ for _command in (
     apply.apply,
     plan.plan,
     study.study,
+    schema.schema,
     serve.serve,
     demo.demo,
     reproduce.reproduce,

@@ -50,11 +50,22 @@ def init(
     from counterspin.campaign.starter import init as run
 
     written = run(directory, test)
+    _write_schema(directory)
     say(
         f"Wrote {written}. Edit it, or try it:",
         f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}",
         f"  counterspin calibrate {shell_word(directory / 'simulated')}",
     )
+
+
+def _write_schema(directory: Path) -> None:
+    """Write the schema that a description's first line names, so that editors find it."""
+    from counterspin.campaign.starter import SCHEMA_NAME
+    from counterspin.output import write_text
+    from counterspin.schemas import schema_text
+
+    if not (directory / SCHEMA_NAME).exists():
+        write_text(directory / SCHEMA_NAME, schema_text("campaign"))
 
 
 def _from_files(directory: Path, files: list[Path], given: list[str], *, asks: bool) -> None:

@@ -60,9 +60,8 @@ class ConfoundedTerms:
     determined: str
     #: The exact ones, in the order of `terms`; 1 for the first.
     weights: list[float] = field(default_factory=list)
-    #: The combination's estimate and combined standard uncertainty.
-    value: float | None = None
-    u: float | None = None
+    value: float | None = None  #: The combination's estimate.
+    u: float | None = None  #: Its combined standard uncertainty.
 
     @property
     def inseparable(self) -> bool:

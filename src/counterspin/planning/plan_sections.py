@@ -16,6 +16,7 @@ from counterspin.campaign.kinds import (
     Seconds,
     SettingsSection,
     Text,
+    described,
     positive,
     read_exactly,
 )
@@ -40,6 +41,7 @@ def _one_or_more(value: float) -> float:
 
 Rate = Annotated[float, read_exactly("rad/s"), AfterValidator(positive)]
 SpinUp = Annotated[float, read_exactly("rad/s^2"), AfterValidator(positive)]
+Force = Annotated[float, read_exactly("g"), AfterValidator(positive)]
 Duration = Annotated[float, read_exactly("s"), AfterValidator(_not_negative)]
 
 
@@ -51,95 +53,211 @@ def _attitude(value: object) -> object:
 class PlanDocument(SettingsSection):
     """The sections that there may be; each is checked by its own model afterwards."""
 
-    schema_version: Schema = Field(alias="schema")
-    campaign: dict[str, Any] = Field(default_factory=dict)
-    site: dict[str, Any]
-    centrifuge: dict[str, Any]
-    records: dict[str, Any] | None = None
-    accelerometers: dict[str, Any] = Field(min_length=1)
-    noise: dict[str, Any]
-    model: dict[str, Any] | None = None
-    truth: dict[str, Any] | None = None
-    limits: dict[str, Any]
-    goal: dict[str, Any]
+    schema_version: Schema = described("version of this format", 1, alias="schema")
+    campaign: dict[str, Any] = described(
+        "what a report says, as in a campaign",
+        {"title": "A day at the centrifuge"},
+        absent="empty",
+        default_factory=dict,
+    )
+    site: dict[str, Any] = described("where, as in a campaign", {})
+    centrifuge: dict[str, Any] = described("its size, as in a campaign", {})
+    records: dict[str, Any] | None = described("how files will be read, as in a campaign", {}, None)
+    accelerometers: dict[str, Any] = described(
+        "one table for each, as in a campaign", {"Qx": {}}, min_length=1
+    )
+    noise: dict[str, Any] = described(
+        "of the records, as in a campaign; every size a number", {"displacement": "0.01 m"}
+    )
+    model: dict[str, Any] | None = described(
+        "what is asked for, and what is known, as in a campaign",
+        {},
+        None,
+        absent="the paper's terms",
+    )
+    truth: dict[str, Any] | None = described("true values, for a simulation of the plan", {}, None)
+    limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
+    goal: dict[str, Any] = described("what the plan is for", {"minimise": ["K_II"]})
 
 
 class LimitsSettings(SettingsSection):
     """[limits]: what the machine and the laboratory allow."""
 
-    total_time: Seconds
-    highest_rate: Rate | None = None
-    lowest_rate: Rate | None = None
-    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = None
-    specific_force: Annotated[float, read_exactly("g"), AfterValidator(positive)] | None = None
-    senses: Literal["one", "both"] = "one"
-    settling: Duration = 0.0
-    spin_up: SpinUp | None = None
-    spin_down: SpinUp | None = None
-    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = 5.0
-    longest_run: Seconds | None = None
-    runs: Annotated[int, AfterValidator(positive), Field(le=MOST_RECORDS)] = 8
-    fewest_rates: Annotated[int, AfterValidator(positive)] | None = None
-    attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = Field(
-        default_factory=lambda: ["level"], min_length=1, max_length=MOST_ATTITUDES
+    total_time: Seconds = described(
+        "records, spin-up, settling and changes of attitude together", "700 s"
     )
-    attitude_change: Duration = 0.0
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
+    highest_rate: Rate | None = described(
+        "largest size of the rate", "2 rad/s", None, absent="by `specific_force` or `rates`"
+    )
+    lowest_rate: Rate | None = described(
+        "smallest size of the rate", "0.5 rad/s", None, absent="highest / 8"
+    )
+    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = described(
+        "the settings available, a list",
+        ["0.25 rev/s", "0.5 rev/s"],
+        None,
+        absent="any rate between",
+    )
+    specific_force: Force | None = described(
+        "largest centripetal force, in g", "1 g", None, absent="as the rates"
+    )
+    senses: Literal["one", "both"] = described("in which it turns", "both", "one")
+    settling: Duration = described("time before each record", "10 s", 0.0, absent="0 s")
+    spin_up: SpinUp | None = described(
+        "angular acceleration; rate / acceleration is added to each run",
+        "0.1 rad/s^2",
+        None,
+        absent="no time",
+    )
+    spin_down: SpinUp | None = described(
+        "angular deceleration; rate / acceleration is added to each run",
+        "0.1 rad/s^2",
+        None,
+        absent="no time",
+    )
+    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = described(
+        "of a run, at least 1", 10, 5.0
+    )
+    longest_run: Seconds | None = described("of a record", "400 s", None, absent="the total time")
+    runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = described(
+        "largest number, at most 60", 14, 8
+    )
+    fewest_rates: Annotated[int, AfterValidator(positive)] | None = described(
+        "how many different rates there must be, each at least 1.25 times the next; "
+        "of `rates`, any that differ",
+        3,
+        None,
+        absent="2, or 1 where the other limits leave no room for two",
+    )
+    attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = described(
+        "list, written as in `campaign.toml`",
+        ["level", "90 deg about east"],
+        absent="level only",
+        default_factory=lambda: ["level"],
+        min_length=1,
+        max_length=MOST_ATTITUDES,
+    )
+    attitude_change: Duration = described("time for each", "5 min", 0.0, absent="0 s")
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
+        "of the records", "100 Hz", 50.0, absent="50 Hz"
+    )
 
 
 class ReadingPlanDocument(SettingsSection):
     """The sections of a plan of readings; each is checked by its own model afterwards."""
 
-    schema_version: Schema = Field(alias="schema")
-    campaign: dict[str, Any] = Field(default_factory=dict)
-    site: dict[str, Any]
-    centrifuge: dict[str, Any] | None = None
-    accelerometers: dict[str, Any] = Field(min_length=1)
-    model: dict[str, Any] | None = None
-    records: dict[str, Any] | None = None
-    noise: dict[str, Any] | None = None
-    runs: list[Any] = Field(default_factory=list)
-    stations: list[Any] = Field(min_length=1)
-    limits: dict[str, Any]
-    goal: dict[str, Any]
+    schema_version: Schema = described("version of this format", 1, alias="schema")
+    campaign: dict[str, Any] = described(
+        "what a report says, as in a campaign",
+        {"title": "A tumble"},
+        absent="empty",
+        default_factory=dict,
+    )
+    site: dict[str, Any] = described("where, as in a campaign", {})
+    centrifuge: dict[str, Any] | None = described(
+        "its size, as in a campaign; needed where a station turns", {}, None
+    )
+    accelerometers: dict[str, Any] = described(
+        "one table for each, as in a campaign", {"A": {}}, min_length=1
+    )
+    model: dict[str, Any] | None = described(
+        "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
+    )
+    records: dict[str, Any] | None = described(
+        "how the files of `runs` will be read, as in a campaign", {}, None
+    )
+    noise: dict[str, Any] | None = described("of the records of `runs`, as in a campaign", {}, None)
+    runs: list[Any] = described(
+        "records and readings that are taken in any case, as in a campaign",
+        [],
+        absent="none",
+        default_factory=list,
+    )
+    stations: list[Any] = described("readings that may be taken", [{}], min_length=1)
+    limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
+    goal: dict[str, Any] = described("what the plan is for", {"minimise": ["K_II"]})
 
 
 class StationsSettings(SettingsSection):
     """[[stations]]: readings that may be taken, one for each position or rate."""
 
-    name: str = ""
-    motion: Literal["counter-rotating", "arm", "static"] = "static"
-    positions: Annotated[int, AfterValidator(positive), Field(le=3600)] | None = None
-    attitudes: Annotated[list[Any], Field(min_length=1)] | None = None
-    about: Text = "north"
-    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = 0.0
-    rates: Annotated[list[Rate], Field(min_length=1)] | None = None
-    specific_forces: (
-        Annotated[
-            list[Annotated[float, read_exactly("g"), AfterValidator(positive)]],
-            Field(min_length=1),
-        ]
-        | None
-    ) = None
-    senses: Literal["one", "both"] = "one"
-    axes: dict[str, Any] | None = None
-    mounting: str = ""
-    u: Text | dict[str, Text]
-    time: Duration = 0.0
+    name: str = described("before the name of each reading", "tumble", "")
+    motion: Literal["counter-rotating", "arm", "static"] = described(
+        "how the instrument moves", "arm", "static"
+    )
+    positions: Annotated[int, Field(le=3600), AfterValidator(positive)] | None = described(
+        "number of equally spaced angles at rest", 24, None
+    )
+    attitudes: Annotated[list[Any], Field(min_length=1)] | None = described(
+        "in place of `positions`: a list, as in [campaigns](readings.md#keys)",
+        ["level", "90 deg about east"],
+        None,
+    )
+    about: Text = described("the axis about which they turn", "east", "north")
+    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = described(
+        "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
+    )
+    rates: Annotated[list[Rate], Field(min_length=1)] | None = described(
+        "of stations that turn: a list of rates", ["5 rad/s", "9.9 rad/s"], None
+    )
+    specific_forces: Annotated[list[Force], Field(min_length=1)] | None = described(
+        "in place of `rates`: a list of centripetal forces", ["2 g", "10 g"], None
+    )
+    senses: Literal["one", "both"] = described("in which it turns", "both", "one")
+    axes: dict[str, Any] | None = described(
+        "as of a run with a reading", {"input": "inward", "pendulous": "up"}, None
+    )
+    mounting: str = described("as of a run with a reading", "in", "")
+    u: Text | dict[str, Text] = described(
+        "standard uncertainty of one reading, in g or the unit of `output`; with "
+        "several accelerometers a table by name, or one for all",
+        "2e-6 mA",
+    )
+    time: Duration = described("that one reading takes", "60 s", 0.0, absent="0 s")
 
 
 class ReadingLimitsSettings(SettingsSection):
     """[limits] of a plan of readings."""
 
-    readings: Annotated[int, AfterValidator(positive), Field(le=MOST_READINGS)] | None = None
-    total_time: Seconds | None = None
-    order: Literal["mirrored", "random", "listed"] = "mirrored"
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = None
+    readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = described(
+        "most of them", 60, None, absent="as the time"
+    )
+    total_time: Seconds | None = described(
+        "of all readings; with it a target is reached in the least time, else with "
+        "the fewest readings",
+        "2 h",
+        None,
+        absent="as the number",
+    )
+    order: Literal["mirrored", "random", "listed"] = described(
+        '`"mirrored"`: there and back, so that a linear drift cancels; `"random"`; `"listed"`',
+        "random",
+        "mirrored",
+    )
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+        described("of the records in `[[runs]]`, if there are any", "50 Hz", None)
+    )
 
 
 class GoalSettings(SettingsSection):
     """[goal]: what the plan is for; names and sizes are settled in `plan_file`."""
 
-    minimise: list[Text] | dict[str, Any] | None = None
-    target: dict[str, Any] | None = None
-    criterion: Literal["sum", "determinant"] = "sum"
+    minimise: list[Text] | dict[str, Any] | None = described(
+        'coefficients, as `["K_II"]`; of several in different units the sizes of u '
+        'that count alike, as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 g/g" }`',
+        ["K_II"],
+        None,
+        absent="`target`",
+    )
+    target: dict[str, Any] | None = described(
+        "sizes of u to reach in the least time, in place of `minimise`",
+        {"K_II": "2e-8 g/g^2"},
+        None,
+        absent="`minimise`",
+    )
+    criterion: Literal["sum", "determinant"] = described(
+        '`"sum"`: the mean of (u/size)² (c- or A-optimality); `"determinant"`: the '
+        "volume of the ellipsoid (D-optimality)",
+        "determinant",
+        "sum",
+    )

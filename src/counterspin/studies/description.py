@@ -14,14 +14,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, Field
 
 from counterspin.calibration.model import model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.campaign.kinds import SettingsSection, Text, exact, several
+from counterspin.campaign.kinds import SettingsSection, Several, Text, described, exact
 from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
@@ -56,36 +56,80 @@ class StudySettings(SettingsSection):
     `vary` and `analyses` are settled below.
     """
 
-    trials: Annotated[int, Field(ge=2, le=10**9)] = 10_000
-    seed: Annotated[int, Field(ge=0)] = 1
-    vary: dict[str, Any] = Field(default_factory=dict)
-    analyses: dict[Annotated[str, AfterValidator(_analysis_name)], Any] = Field(
-        default_factory=dict
+    trials: Annotated[int, Field(ge=2, le=10**9)] = described(
+        "how many campaigns are simulated and calibrated", 2000, 10_000
+    )
+    seed: Annotated[int, Field(ge=0)] = described("of the random numbers", 1, 1)
+    vary: dict[str, Any] = described(
+        "what differs from trial to trial: name -> distribution",
+        {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
+        absent="nothing",
+        default_factory=dict,
+    )
+    analyses: dict[Annotated[str, AfterValidator(_analysis_name)], Any] = described(
+        "what competes: name -> analysis",
+        {"joint": {"method": "joint"}},
+        absent="the two methods, and the paper's equations",
+        default_factory=dict,
     )
 
 
 class AnalysisSettings(SettingsSection):
     """[study.analyses.NAME]: one competitor."""
 
-    method: Literal["two-stage", "joint"]
-    model: Literal["exact", "as-printed"] = "exact"
-    weighted: bool = True
-    ripple: Literal["amplitude", "ratio"] = "amplitude"
-    fit_bias: bool = True
-    sigma: Literal["given", "residuals"] = "given"
-    terms: list[Text] | None = None
-    assume: Annotated[list[Text], BeforeValidator(several)] | None = None
-    hold: list[Text] | None = None
-    considered: list[Text] | None = None
+    method: Literal["two-stage", "joint"] = described("how it calibrates", "joint")
+    model: Literal["exact", "as-printed"] = described(
+        "which equations the two-stage method takes", "as-printed", "exact"
+    )
+    weighted: bool = described(
+        "whether the second stage of the two-stage method weighs its strobes", False, True
+    )
+    ripple: Literal["amplitude", "ratio"] = described(
+        "by what the two-stage method takes a ripple of the rate", "ratio", "amplitude"
+    )
+    fit_bias: bool = described("whether the second stage fits a bias", False, True)
+    sigma: Literal["given", "residuals"] = described(
+        "whether the noise of the strobes is given or taken from the residuals",
+        "residuals",
+        "given",
+    )
+    terms: list[Text] | None = described(
+        "what is asked for, in place of `[model]` `terms`",
+        ["K_F", "K_II"],
+        None,
+        absent="the campaign's",
+    )
+    assume: Several | None = described(
+        "taken as perfect, in place of `[model]` `assume`", ["K_OO"], None, absent="the campaign's"
+    )
+    hold: list[Text] | None = described(
+        "known but not adjusted, in place of `[model]` `hold`",
+        ["K_PP"],
+        None,
+        absent="the campaign's",
+    )
+    considered: list[Text] | None = described("the old name of `hold`", ["K_PP"], None)
 
 
 class DistributionSettings(SettingsSection):
     """One entry of [study.vary]."""
 
-    normal: Any = None
-    uniform: Any = None
-    fixed: Any = None
-    per: Literal["run", "campaign"] = "campaign"
+    normal: Any = described(
+        "mean ± standard deviation of a normal distribution",
+        "2e-5 ± 1e-6 g/g^2",
+        None,
+        kind="quantity ±",
+    )
+    uniform: Any = described(
+        "lowest and highest value of a uniform distribution",
+        ["-1e-7 1/s", "1e-7 1/s"],
+        None,
+        kind="two quantities",
+    )
+    fixed: Any = described("one value in every trial", "0.02 m", None, kind="quantity")
+    per: Literal["run", "campaign"] = described(
+        "whether it is drawn anew for each run", "run", "campaign"
+    )
 
 
 @frozen

@@ -36,19 +36,19 @@ _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}
 class BudgetLine:
     """One source of uncertainty (GUM table 1)."""
 
-    #: Name of the unknown or held term; ``noise of`` an accelerometer; for the encoder the run's
-    #: and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
+    #: Name of a term or input; ``noise of Qx``, ``noise of Qx that does not show``; a part of a
+    #: run's rotation as its encoder leaves it open, such as ``run1.rate`` or ``run1.ripple1``.
     source: str
-    kind: Kind  #: `NOISE` (an encoder's too), `STATED`, `UNSTATED` or `HELD`.
+    kind: Kind  #: ``noise`` (an encoder's too), ``stated``, ``unstated`` or ``held``.
     #: Standard uncertainty of the source, in `unit`; None for noise. Of noise that does not show in
-    #: the records, its level.
+    #: the records, its level; of a ripple that of its sine and of its cosine.
     u: float | None
-    unit: str
-    #: d(coefficient)/d(source); None for noise, which has one for every sample. Of a ripple, whose
-    #: sine and cosine are one line, its size.
+    unit: str  #: Of u.
+    #: Change of the coefficient per unit of the source; None for noise, which has one for every
+    #: sample. Of a ripple, whose sine and cosine are one line, its size.
     sensitivity: float | None
-    contribution: float  #: |sensitivity| x u, in the coefficient's unit.
-    share: float  #: Part of u^2.
+    contribution: float  #: Size of sensitivity × u, in the coefficient's unit.
+    share: float  #: Part of the coefficient's u^2, from 0 to 1.
 
 
 def budget(fit: JointFit, index: int, name: str = "") -> list[BudgetLine]:

@@ -33,10 +33,9 @@ class Jackknife:
     """What becomes of one unknown without a run."""
 
     run: str  #: The run left out.
-    #: The estimate without it, and by how much that is more than the estimate of all runs; None
-    #: where the others do not determine the unknown.
+    #: The estimate without it; None where the other runs do not determine the unknown.
     value: float | None = None
-    shift: float | None = None
+    shift: float | None = None  #: By how much that is more than the estimate of all runs.
     #: The shift over its own standard uncertainty; None where the run says next to nothing of the
     #: unknown, so that both are what rounding leaves of them.
     z: float | None = None

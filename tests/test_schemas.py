@@ -1,0 +1,177 @@
+"""The schemas describe every key, accept every example of the documentation, and see slips."""
+
+import json
+import re
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from json_schema import mistakes
+
+from counterspin.calibration.result import Result
+from counterspin.cli import main
+from counterspin.schemas import SchemaName, schema_of, schema_text
+
+ROOT = Path(__file__).parents[1]
+PAGES = {
+    page.name: page.read_text("utf-8")
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+}
+NAMES = get_args(SchemaName)
+SCHEMAS = {name: schema_of(name) for name in NAMES}
+
+#: Blocks of TOML in the documentation, each with its page.
+BLOCKS = [
+    pytest.param(tomllib.loads(text), id=f"{name}-{place}")
+    for name, page in PAGES.items()
+    for place, text in enumerate(re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL))
+]
+STARTERS = [
+    ("campaign", "campaign/starter.toml"),
+    ("campaign", "campaign/starter_tumble.toml"),
+    ("campaign", "campaign/starter_arm.toml"),
+    ("campaign", "reproduction/paper.toml"),
+    ("plan", "planning/starter.toml"),
+    ("lab", "certificates/starter.toml"),
+]
+
+every_schema = pytest.mark.parametrize("name", NAMES)
+
+
+def kind_of(document):
+    """Return what a document of the documentation is, or a part of one."""
+    if "goal" in document or "stations" in document:
+        return "plan"
+    return "lab" if {"certificate", "laboratory", "evidence", "cmc"} & set(document) else "campaign"
+
+
+def keys(schema, path=""):
+    """Yield path and schema of every key."""
+    for word in ("properties", "$defs"):
+        for key, inner in schema.get(word, {}).items():
+            if word == "properties":
+                yield f"{path}.{key}", inner
+            yield from keys(inner, f"{path}.{key}")
+    for branch in {"then", "else"} & set(schema):
+        yield from keys(schema[branch], f"{path}.{branch}")
+
+
+@pytest.mark.parametrize(
+    ("schema", "right", "wrong"),
+    [
+        ({"type": "integer"}, 1, True),
+        ({"type": "integer"}, 1, 1.5),
+        ({"type": "string", "pattern": "^a"}, "ab", "ba"),
+        ({"enum": ["a"]}, "a", "b"),
+        ({"const": 1}, 1, True),
+        ({"properties": {"a": {"type": "string"}}}, {"b": 1}, {"a": 1}),
+        ({"properties": {"a": True}, "additionalProperties": False}, {"a": 1}, {"b": 1}),
+        ({"required": ["a"]}, {"a": 1}, {}),
+        ({"items": {"minimum": 2}, "minItems": 1}, [2], [1]),
+        ({"minItems": 1, "maxItems": 1}, [1], []),
+        ({"anyOf": [{"type": "string"}, {"type": "null"}]}, None, 1),
+        ({"if": {"required": ["a"]}, "then": {"required": ["b"]}}, {"a": 1, "b": 1}, {"a": 1}),
+        ({"$ref": "#/$defs/T", "$defs": {"T": {"maximum": 1}}}, 1, 2),
+    ],
+)
+def test_the_validator_knows_right_from_wrong(schema, right, wrong):
+    assert list(mistakes(schema, right)) == []
+    assert list(mistakes(schema, wrong))
+
+
+@every_schema
+def test_every_key_is_described(name):
+    described = dict(keys(SCHEMAS[name]))
+    assert len(described) > 10
+    for path, schema in described.items():
+        if "description" not in schema and "$ref" in schema:
+            schema = SCHEMAS[name]["$defs"][schema["$ref"].rpartition("/")[2]]  # noqa: PLW2901
+        assert schema.get("description"), path
+        assert not re.search(r"\]\(|\n", schema["description"]), path
+
+
+@every_schema
+def test_a_schema_says_what_it_is_and_is_printed_as_it_stands(name, capsys):
+    assert SCHEMAS[name]["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    assert SCHEMAS[name]["$id"].startswith(f"urn:counterspin:schema:{name}:")
+    assert SCHEMAS[name]["title"]
+    assert main(["schema", name]) == 0
+    assert capsys.readouterr().out == schema_text(name)
+    assert json.loads(schema_text(name)) == SCHEMAS[name]
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "result"])
+def test_every_key_has_an_example_that_its_schema_takes(name):
+    shown = 0
+    for path, schema in keys(SCHEMAS[name]):
+        for example in schema.get("examples", ()):
+            shown += 1
+            assert list(mistakes(schema, example, path, SCHEMAS[name])) == []
+    assert shown > 3
+
+
+def test_quantities_have_their_unit():
+    site = SCHEMAS["campaign"]["$defs"]["SiteSettings"]["properties"]
+    assert site["latitude"]["x-unit"] == "rad"
+    assert site["gravity"]["x-unit"] == "m/s^2"
+    assert "pattern" in site["gravity"]
+
+
+@pytest.mark.parametrize("document", BLOCKS)
+def test_examples_of_the_documentation_are_as_the_schema_has_them(document):
+    schema = SCHEMAS[kind_of(document)]
+    if "schema" not in document:  # a part of a document
+        branch = "then" if "stations" in document else "else"
+        schema = {**schema, **schema.get(branch, {}), "required": []}
+        schema = {word: said for word, said in schema.items() if word not in ("if", "then", "else")}
+    assert list(mistakes(schema, document)) == []
+
+
+@pytest.mark.parametrize(("name", "file"), STARTERS)
+def test_starters_are_as_the_schema_has_them(name, file):
+    text = (files("counterspin") / file).read_text("utf-8")
+    assert list(mistakes(SCHEMAS[name], tomllib.loads(text))) == []
+
+
+SLIPS = [
+    ('gravity = "9.8066 ± 1e-5 m/s^2"', "gravity = 9.8066"),
+    ('gravity = "9.8066 ± 1e-5 m/s^2"', 'gravity = "9.8066"'),
+    ('gravity = "9.8066 ± 1e-5 m/s^2"', 'gravitiy = "9.8066 m/s^2"'),
+    ("schema = 1", "schema = 2"),
+    ('input_axis = "east"', 'input_axis = "eastward"'),
+    ("[noise]", "[noize]"),
+    ("revolutions = ", "revolution = "),
+]
+
+
+@pytest.mark.parametrize(("old", "new"), SLIPS)
+def test_a_slip_is_seen(old, new):
+    text = (files("counterspin") / "campaign/starter.toml").read_text("utf-8")
+    assert old in text
+    assert list(mistakes(SCHEMAS["campaign"], tomllib.loads(text.replace(old, new, 1))))
+
+
+def test_a_result_is_as_its_schema_has_it():
+    file = ROOT / "docs" / "examples" / "three-rate" / "result.json"
+    document = json.loads(Result.read(file).to_json())
+    assert list(mistakes(SCHEMAS["result"], document)) == []
+    assert list(mistakes(SCHEMAS["result"], document | {"method": 1}))
+
+
+def test_init_writes_the_schema_that_the_description_names(tmp_path):
+    assert main(["init", str(tmp_path)]) == 0
+    first = (tmp_path / "campaign.toml").read_text("utf-8").splitlines()[0]
+    schema = tmp_path / first.removeprefix("#:schema ")
+    assert schema.read_text("utf-8") == schema_text("campaign")
+
+
+def test_the_site_has_every_schema(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "extensions"))
+    import published_schemas
+
+    monkeypatch.setattr(published_schemas, "_BUILD", tmp_path)
+    folder = published_schemas.published() / "schemas"
+    assert {file.stem for file in folder.iterdir()} == set(NAMES)
+    assert (folder / "plan.json").read_text("utf-8") == schema_text("plan")
