@@ -32,7 +32,7 @@ def recorded(spindle, noise, seed, times=TIMES):
 
 
 @BOTH
-def test_angle_rate_and_acceleration_are_integral_and_derivative_of_equation_1(spindle):
+def test_angle_rate_acceleration_and_jerk_are_integral_and_derivatives_of_equation_1(spindle):
     t, s = sp.symbols("t s", real=True)
     w0 = sp.Float(spindle.rate, 30)
     rate = w0 * (1 + sp.Float(spindle.drift, 30) * s) + sum(
@@ -43,6 +43,7 @@ def test_angle_rate_and_acceleration_are_integral_and_derivative_of_equation_1(s
         spindle.angle: sp.Float(spindle.start_angle, 30) + sp.integrate(rate, (s, 0, t)),
         spindle.angular_rate: rate.subs(s, t),
         spindle.angular_acceleration: sp.diff(rate, s).subs(s, t),
+        spindle.angular_jerk: sp.diff(rate, s, 2).subs(s, t),
     }
     for method, expression in expected.items():
         values = [float(expression.subs(t, time)) for time in (0.0, 0.3, 7.77, 19.9)]

@@ -1,8 +1,9 @@
 """Make the records of the campaigns in validation/data/fits, and fits.json: what fits say of them.
 
-Run from this folder: ``python make_fits.py`` (some minutes; needs NumPy, and mpmath, which comes
-with sympy). Nothing here uses counterspin. Each campaign stands there twice: as a description in
-``campaign.toml``, written by hand as a laboratory would, and here as what `dense_fit` takes.
+Run from this folder: ``python make_fits.py``, or with the names of some campaigns (minutes; needs
+NumPy, and mpmath, which comes with sympy). Nothing here uses counterspin. Each campaign stands
+there twice: as a description in ``campaign.toml``, written by hand as a laboratory would, and here
+as what `dense_fit` takes.
 Records and readings are those of the model of `dense_fit` with errors of every kind in them, and
 noise of a linear congruential generator; what is then in the files is read as exact and fitted.
 Typical sizes are those that docs/physics.md states.
@@ -12,6 +13,7 @@ import json
 import math
 import pathlib
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -172,12 +174,18 @@ def unknowns_of(asked, stated, unstated, held=None):
 
 
 def written(folder, name, columns, formats):
-    """Write a record, column name -> values, and return what then stands in it, (columns, n)."""
+    """Write a record, column name -> values, and return what then stands in it, (columns, n).
+
+    What is no number becomes an empty cell.
+    """
     path = folder / f"{name}.csv"
     rows = zip(*columns.values(), strict=True)
-    lines = [",".join(f % v for f, v in zip(formats, row, strict=True)) for row in rows]
+    lines = [
+        ",".join("" if np.isnan(v) else f % v for f, v in zip(formats, row, strict=True))
+        for row in rows
+    ]
     path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
-    return np.loadtxt(path, delimiter=",", skiprows=1).T
+    return np.genfromtxt(path, delimiter=",", skip_header=1).T
 
 
 def start_errors(run, instrument):
@@ -246,11 +254,12 @@ def observables(folder):
         **{"platform.drift.north": 3e-8, "platform.compliance.zy": 3e-7},
         **{"slow.platform.tilt.north": 4e-6, "turned.platform.tilt.east": -7e-6},
         **{"centrifuge.radius": -8e-6, "encoder.harmonic.1.sin": 3e-6, "records.clock": 4e-6},
+        "centrifuge.stretch": 6e-8,
     }
-    turn = (math.radians(50.0), "east")
+    turn, later = (math.radians(50.0), "east"), {"begins": 12.0, "warmth": 0.1}
     runs = [
         Run("slow", 2.0, 0.2 * np.arange(61), 0.3, drift=2e-5, warmth=-0.5),
-        Run("fast", -math.radians(240.0), 0.1 * np.arange(61), 1.1, begins=12.0, warmth=0.1),
+        Run("fast", -math.radians(240.0), 0.1 * np.arange(61), 1.1, ripple=(2e-4, 0.7), **later),
         Run("turned", math.pi, 0.125 * np.arange(57), -0.4, turn=turn, begins=18.0, warmth=0.3),
     ]
     # White noise, in the file's unit the factor that it has, and noise of the time stamps.
@@ -281,7 +290,8 @@ def observables(folder):
     asked = [f"{a}.{s}" for a in names for s in ("K_F", "K_I", "K_II")]
     stated = {
         **{"site.gravity": (0.0, 2e-5), "centrifuge.radius": (0.0, 2e-5)},
-        **{"records.clock": (0.0, 5e-6), "Qy.K_F": (2.1e-3, 2e-5)},
+        **{"records.clock": (0.0, 5e-6), "centrifuge.stretch": (5e-8, 3e-8)},
+        "Qy.K_F": (2.1e-3, 2e-5),
         **{f"{a}.K_OO": (0.0, 2e-7) for a in names},
         **{f"{r.name}.platform.tilt.{e}": (0.0, 2.0 * ARCSEC) for r in runs for e in COMPASS},
     }
@@ -317,12 +327,12 @@ def steepness(place, run, instrument, truth):
 
 
 def readings(folder):
-    place, per_g = Place(G, math.radians(45.75), 1.0), 1.25
+    place, per_g = Place(G, math.radians(45.75), 0.8), 1.25
     instrument = Instrument("A", "up", "west")
     truth = {
         **{"A.K_F": 2.1e-3, "A.K_I": 1.0008, "A.K_II": 1.6e-5, "A.K_III": 2e-6, "A.delta_O": 3e-4},
         **{"A.K_PP": -7e-7, "A.K_IP": 1.2e-6, "A.K_F.temperature": 2.4e-6, "head.zero": 1.5e-5},
-        **{"centrifuge.radius.in": 1.2e-4, "centrifuge.stretch": 4e-9, "centrifuge.droop": 1e-8},
+        **{"centrifuge.radius.in": 1.2e-4, "centrifuge.stretch": 4e-9, "centrifuge.droop": 1.1e-7},
         "fixture.misalignment.out.forward": 4e-5,
     }
     at_rest, on_arm = [], []
@@ -349,7 +359,7 @@ def readings(folder):
     stated = {
         **{"site.gravity": (0.0, 3e-5), "A.K_PP": (0.0, 1e-6), "head.zero": (0.0, 4.0 * ARCSEC)},
         **{"centrifuge.radius": (0.0, 5e-4), "centrifuge.radius.in": (0.0, 2e-4)},
-        "centrifuge.droop": (0.0, 2e-8),
+        "centrifuge.droop": (1e-7, 2e-8),
     }
     sides = [(m, e) for m in ("in", "out") for e in ("outward", "forward", "up")]
     unstated = {f"A.{s}": v for s, v in OWN.items()} | AXIS_TILT | LATITUDE
@@ -422,7 +432,8 @@ def mixed(folder):
     return answers
 
 
-# Records so dense that means over blocks are taken, with rows missing and the last block short.
+# Records so dense that means over blocks are taken: with rows missing, without, and with cells
+# empty; the last block is short.
 
 
 def dense(folder):
@@ -430,54 +441,76 @@ def dense(folder):
         Instrument("Qx", "west", "up", "displacement"),
         Instrument("Qy", "south", "up", "force", per_g=1e3),
     ]
-    place, step, rate = Place(G, math.radians(10.0), 0.5), 0.006, -2.5 * math.pi
+    place, step = Place(G, math.radians(10.0), 0.5), 0.006
     truth = {
         **{"Qx.K_F": 2e-3, "Qx.K_I": 1.004, "Qx.K_II": 3e-5},
         **{"Qy.K_F": -1e-3, "Qy.K_I": 0.998, "Qy.K_II": -4e-5},
     }
-    row = np.delete(np.arange(425), [150, 151, 152, 153, 154, 300])
-    run = Run("only", rate, step * row, start_angle=0.8)
-    one = np.eye(row.size)
-    covariances = [
-        1e-8 * one + walk(run.times, (1e-4 * G) ** 2, 2),
-        (0.2**2 + 0.1**2 / step) * one,
+    there = np.delete(np.arange(425), [150, 151, 152, 153, 154, 300])
+    runs = [
+        Run("gaps", -2.5 * math.pi, step * there, start_angle=0.8),
+        Run("even", 1.6 * math.pi, step * np.arange(632), start_angle=-1.7),
+        Run("empty", 1.6 * math.pi, step * np.arange(630), start_angle=2.4),
     ]
-    normals = Normals(3)
-    signals = [
-        record(place, run, each, truth) + normals.of(covariance)
-        for each, covariance in zip(instruments, covariances, strict=True)
-    ]
-    # The encoder counts clockwise from north: 90 deg less the angle from east.
-    angle = 90.0 - np.degrees(run.angle(run.times)[0])
-    columns = {
-        "time_s": run.times,
-        "angle_deg": angle,
-        "west_m": signals[0],
-        "south_mg": signals[1],
-    }
-    there = written(folder, "only", columns, ["%.3f", "%.9f", "%.6f", "%.3f"])
-    # A block is at most 1/64 revolution: two rows; of a pair that has lost one, the other.
-    assert 2 * step <= 2.0 * math.pi / 64.0 / abs(rate) < 3 * step
-    block = row // 2
-    mean = np.array([block == k for k in np.unique(block)], float)
-    mean /= mean.sum(axis=1)[:, None]
-    groups = [
-        Rows(
-            lambda x, each=each: mean @ record(place, run, each, x),
-            mean @ values,
-            mean @ covariance @ mean.T,
-            mean @ start_errors(run, each),
-        )
-        for each, values, covariance in zip(instruments, there[2:], covariances, strict=True)
-    ]
+    normals, groups = Normals(3), []
+    for run in runs:
+        one = np.eye(run.times.size)
+        covariances = [
+            1e-8 * one + walk(run.times, (1e-4 * G) ** 2, 2),
+            (0.2**2 + 0.1**2 / step) * one,
+        ]
+        signals = [
+            record(place, run, each, truth) + normals.of(covariance)
+            for each, covariance in zip(instruments, covariances, strict=True)
+        ]
+        if run.name == "empty":
+            signals[0][[10, 77, 78, 79]] = np.nan
+        # The encoder counts clockwise from north: 90 deg less the angle from east.
+        columns = {
+            "time_s": run.times,
+            "angle_deg": 90.0 - np.degrees(run.angle(run.times)[0]),
+            "west_m": signals[0],
+            "south_mg": signals[1],
+        }
+        signals = written(folder, run.name, columns, ["%.3f", "%.9f", "%.6f", "%.3f"])[2:]
+        means = block_means(run, step, np.isfinite(signals))
+        for each, values, covariance, mean in zip(
+            instruments, signals, covariances, means, strict=True
+        ):
+            groups.append(
+                Rows(
+                    lambda x, run=run, each=each, mean=mean: mean @ record(place, run, each, x),
+                    mean @ np.nan_to_num(values),
+                    mean @ covariance @ mean.T,
+                    mean @ start_errors(run, each),
+                )
+            )
     asked = [f"{a}.{s}" for a in ("Qx", "Qy") for s in ("K_F", "K_I", "K_II")]
     found = fit(groups, unknowns_of(asked, {}, {}))
     answers = Answers()
     answers.lines(found, asked)
     for k, name in enumerate(("Qx", "Qy")):
         answers.correlation(found, name)
-        answers.misfit(found, name, [k])
+        answers.misfit(found, name, [k, k + 2, k + 4])
     return answers
+
+
+def block_means(run, step, numbers):
+    """Matrix of each signal, (blocks, rows), that takes its rows to means over blocks.
+
+    A block is as many rows as fit into 1/64 revolution; of one that has lost rows, the others. Its
+    mean is of the rows where all signals are numbers; a signal that lacks more than half of them
+    goes without the block, and the others lose nothing.
+    numbers: Whether each value is one, (signals, rows).
+    """
+    size = int(2.0 * math.pi / 64.0 / abs(run.rate) / step)
+    block = np.round(run.times / step).astype(int) // size
+    inside = np.array([block == k for k in np.unique(block)])
+    for k, rows in enumerate(inside):
+        lacks = 2 * numbers[:, rows].sum(axis=1) < rows.sum()
+        inside[k] = rows & numbers[~lacks].all(axis=0)
+    mean = inside / inside.sum(axis=1)[:, None]
+    return [mean[~(inside & ~own).any(axis=1)] for own in numbers]
 
 
 # Readings whose u nobody states: two repeats at each setting.
@@ -589,13 +622,14 @@ CAMPAIGNS = (observables, readings, mixed, dense, found_readings, found_noise)
 
 
 def main():
-    document = {"about": "Made by make_fits.py: what its fits say, and how far each may be off"}
-    for make in CAMPAIGNS:
+    path = DATA / "fits.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    for make in [m for m in CAMPAIGNS if m.__name__ in sys.argv[1:] or not sys.argv[1:]]:
         answers = make(DATA / "fits" / make.__name__)
         document[make.__name__] = {"expected": answers.expected, "limits": answers.limits}
     text = json.dumps(document, indent=0)
     text = re.sub(r"\n(?=[-\d\]])", "", text).replace(",-", ", -")
-    (DATA / "fits.json").write_text(text + "\n", encoding="utf-8")
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
