@@ -17,13 +17,24 @@ from pydantic.fields import FieldInfo
 from counterspin import schemas
 from counterspin.calibration.result import Result
 from counterspin.campaign.kinds import known
+from counterspin.comparisons.result import Compared, Repeated
+from counterspin.histories.result import History
+from counterspin.monitoring.result import CheckedRun, WatchState
 from counterspin.physics.terms import OWN_TERMS
 from counterspin.toml_text import write_value
+from counterspin.validation.result import Dossier
 
 HERE = Path(__file__).parent
 PLACE = re.compile(r"^<!-- (keys|fields): (\w+) -->\n(?:\|.*\n)*", re.MULTILINE)
 HEAD = "| key | kind | default | example | meaning |\n|---|---|---|---|---|\n"
 FIELDS_HEAD = "| key | kind | meaning |\n|---|---|---|\n"
+
+#: Name -> class, of every part of the results that have a page of their own.
+PARTS = {
+    name: part
+    for result in (Result, Compared, Repeated, History, CheckedRun, WatchState, Dossier)
+    for name, part in schemas.parts_of(result).items()
+}
 
 #: A heading, or the place of a table of fields below it.
 SECTION = re.compile(r"^(?:#+ (?P<heading>.*)|<!-- fields: (?P<part>\w+) -->)$", re.MULTILINE)
@@ -56,8 +67,6 @@ def filled(page: str) -> str:
     anchors = _anchors(page)
 
     def made(place: re.Match[str]) -> str:
-        if place[1] == "fields" and place[2] not in schemas.parts_of(Result):
-            return place[0]
         rows = table(place[2]) if place[1] == "keys" else fields_table(place[2], anchors)
         return f"{place[0].partition('|')[0]}{rows}"
 
@@ -65,19 +74,19 @@ def filled(page: str) -> str:
 
 
 def _anchors(page: str) -> dict[str, str]:
-    """Return class -> anchor of the heading above its table of fields."""
+    """Return class -> anchor of the heading above its table, the first that is below it."""
     found, anchor = {}, ""
     for section in SECTION.finditer(page):
         if section["heading"] is not None:
             anchor = re.sub(r"[^\w -]", "", section["heading"]).lower().replace(" ", "-")
-        else:
+        elif anchor not in found.values():
             found[section["part"]] = anchor
     return found
 
 
 def fields_table(name: str, anchors: dict[str, str]) -> str:
     """Return the table of a part of a result, with links to the tables of its own parts."""
-    part = schemas.parts_of(Result)[name]
+    part = PARTS[name]
     said = schemas.comments_of(part)
     rows = (
         (f"`{schemas.name_of(part, field)}`", _shape(hint, anchors), _cell(said[field]))
@@ -103,8 +112,9 @@ def _shape(hint: Any, anchors: dict[str, str], *, several: bool = False) -> str:
     if origin is dict:
         values = _shape(inner[1], anchors, several=True)
         return f"tables of {values}" if several else f"{values} by name"
-    if hint.__name__ in anchors:
-        return f"[table{s}](#{anchors[hint.__name__]})"
+    if hint.__name__ in PARTS:
+        anchor = anchors.get(hint.__name__)
+        return f"[table{s}](#{anchor})" if anchor else f"table{s}"
     words = {bool: "true or false", int: f"number{s}", float: f"number{s}", str: f"text{s}"}
     return words[hint]
 

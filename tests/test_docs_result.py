@@ -1,18 +1,24 @@
-"""The page on the result file tables every part of the JSON, and explains every finding."""
+"""The pages on results table every part of their JSON, and explain every finding."""
 
 import re
 from pathlib import Path
 
+import key_tables
 from counterspin.calibration import result
 
-PAGE = (Path(__file__).parents[1] / "docs" / "result.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "result.md").read_text(encoding="utf-8")
 SCHEMA = result.Result.json_schema()
 PARTS = SCHEMA["$defs"] | {"Result": SCHEMA}
-TABLES = re.findall(r"^<!-- fields: (\w+) -->$", PAGE, re.MULTILINE)
 
 
 def test_every_part_has_its_table():
-    assert sorted(TABLES) == sorted(PARTS)
+    tables = {
+        name
+        for page in DOCS.glob("*.md")
+        for name in re.findall(r"^<!-- fields: (\w+) -->$", page.read_text("utf-8"), re.MULTILINE)
+    }
+    assert tables == set(key_tables.PARTS)
 
 
 def test_every_code_of_a_finding_is_explained():

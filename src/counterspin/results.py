@@ -53,7 +53,7 @@ class ResultFile(ResultPart):
 
     KIND: ClassVar[str] = "result"
 
-    schema_version: Annotated[int, Field(alias="schema")] = 1
+    schema_version: Annotated[int, Field(alias="schema")] = 1  #: Version of this format.
     #: Checksum of all else that the file says; set where it is written, checked where it is read.
     seal: str | None = None
 

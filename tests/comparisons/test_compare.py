@@ -1,11 +1,8 @@
 """Results beside each other: u of a difference against closed forms, the fit itself, and chance."""
 
 import copy
-import inspect
 import json
 import math
-import re
-from pathlib import Path
 
 import frames
 import numpy as np
@@ -16,7 +13,6 @@ from scipy.stats import chi2 as chi2_distribution
 
 import counterspin as cs
 from counterspin.cli import main
-from counterspin.comparisons import result as comparison_result
 from counterspin.comparisons.page import comparison_blocks
 from counterspin.comparisons.result import Compared
 from counterspin.errors import CampaignError
@@ -354,18 +350,3 @@ def test_a_result_and_itself_differ_by_nothing(one):
     compared = cs.compare(one[1], one[1])
     assert compared.changes == []
     assert all(e.difference in (None, 0.0) for c in compared.coefficients for e in c.estimates)
-
-
-def test_the_page_on_comparisons_has_every_key():
-    page = (Path(__file__).parents[2] / "docs" / "compare.md").read_text(encoding="utf-8")
-    tables = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", page, re.MULTILINE))
-    parts = {name: part for name, part in vars(comparison_result).items() if _is_part(part)}
-    assert set(tables) == set(parts)
-    for name, rows in tables.items():
-        listed = re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)
-        assert listed == [f.alias or key for key, f in parts[name].model_fields.items()]
-
-
-def _is_part(value):
-    module = comparison_result.__name__
-    return inspect.isclass(value) and value.__module__ == module

@@ -1,11 +1,9 @@
 """Results of instruments over time: which files count, what they say together, what is told."""
 
 import copy
-import inspect
 import json
 import math
 import os
-import re
 from pathlib import Path
 
 import numpy as np
@@ -496,18 +494,8 @@ def test_unwritable_target_leaves_nothing(tmp_path, capsys):
 # The page
 
 
-def test_page_has_every_key():
+def test_page_explains_every_verdict():
     page = (ROOT / "docs" / "history.md").read_text(encoding="utf-8")
-    tables = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", page, re.MULTILINE))
-    models = {
-        name: model
-        for name, model in vars(history_result).items()
-        if inspect.isclass(model) and model.__module__ == history_result.__name__
-    }
-    assert set(tables) == set(models)
-    for name, model in models.items():
-        listed = re.findall(r"^\| `(\w+)` \|", tables[name], re.MULTILINE)
-        assert listed == [field.alias or key for key, field in model.model_fields.items()]
     verdicts = history_result.Verdict.__args__
     assert all(f"| `{verdict}` |" in page for verdict in verdicts)
 

@@ -9,7 +9,6 @@ import pytest
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.monitoring import result as monitoring_result
 from counterspin.monitoring.following import APPENDED
 
 FAST = cs.Pace(interval=1e-3, share=1.0)
@@ -162,14 +161,7 @@ def test_stopping_it_is_no_fault(folder, capsys, monkeypatch):
     assert told.err == "counterspin: stopped\n"
 
 
-def test_the_page_has_every_key():
+def test_the_page_lists_the_formats_that_grow():
     page = (Path(__file__).parents[2] / "docs" / "monitoring.md").read_text(encoding="utf-8")
-    tables = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", page, re.MULTILINE))
-    own = vars(monitoring_result).items()
-    parts = {n: p for n, p in own if getattr(p, "__module__", "") == monitoring_result.__name__}
-    assert set(tables) == set(parts)
-    for name, rows in tables.items():
-        listed = re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)
-        assert listed == [f.alias or key for key, f in parts[name].model_fields.items()]
     appended = page.partition("**Text** (")[2].partition(")")[0]
     assert tuple(re.findall(r"`(\.\w+)`", appended)) == APPENDED

@@ -75,7 +75,7 @@ class Result(ShownResult):
     REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.full_report:document"
     REPORT_KIND: ClassVar[str] = "a calibration report"
 
-    schema_version: Annotated[int, Field(alias="schema")] = 2  #: Version of this format.
+    schema_version: Annotated[int, Field(alias="schema")] = 2
 
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.

@@ -17,12 +17,12 @@ class ComparedResult(ResultPart):
     """One of the results: what it is called here, and how it was made."""
 
     name: str  #: What it is called here.
-    title: str
-    method: str
-    model: str
-    state: str | None
-    version: str
-    date: str | None
+    title: str  #: Of its campaign.
+    method: str  #: ``joint`` or ``two-stage``.
+    model: str  #: ``exact`` or ``as-printed``.
+    state: str | None  #: Whether it may be relied on.
+    version: str  #: Of counterspin.
+    date: str | None  #: As its campaign states it.
     #: Its own, m/s^2, where its numbers are converted to g-units of the first result's; else None.
     gravity: float | None = None
     #: Those that it has; None in comparisons of earlier versions.
@@ -36,11 +36,9 @@ class ComparedResult(ResultPart):
 class ComparedEstimate(ResultPart):
     """A coefficient in one result."""
 
-    #: Estimate, standard uncertainty, degrees of freedom (None is infinite); None where it is not
-    #: determined or not in the model.
-    value: float | None
-    u: float | None
-    dof: float | None = None
+    value: float | None  #: Estimate; None where it is not determined or not in the model.
+    u: float | None  #: Standard uncertainty.
+    dof: float | None = None  #: Degrees of freedom; None is infinite.
     #: From the first result that determines it; None for that one itself.
     difference: float | None = None
     #: Standard uncertainty of `difference`, what both have in common being counted; 0 where nothing
@@ -52,27 +50,24 @@ class ComparedEstimate(ResultPart):
 class ComparedCoefficient(ResultPart):
     """A coefficient through all results: one estimate for each, in their order."""
 
-    accelerometer: str
-    term: str
-    unit: str
-    estimates: list[ComparedEstimate]
+    accelerometer: str  #: Its name.
+    term: str  #: Symbol.
+    unit: str  #: Of all its numbers.
+    estimates: list[ComparedEstimate]  #: One for each result.
 
 
 class AgreementOfTwo(ResultPart):
     """Whether an accelerometer's coefficients agree with those of the first result that has it."""
 
-    #: Which.
-    result: str
-    accelerometer: str
+    result: str  #: Which result.
+    accelerometer: str  #: Which accelerometer.
     #: Whether it rests on the ``same`` records as that one, ``part`` of them are, or they are
     #: ``independent``.
     records: Literal["same", "part", "independent"]
     terms: list[str]  #: Those that both determine.
-    #: Of their differences together, with `dof` directions in which they can differ; None where
-    #: there is none.
-    chi2: float
-    dof: int
-    p: float | None
+    chi2: float  #: Of their differences together.
+    dof: int  #: Directions in which these can differ.
+    p: float | None  #: Probability of more by chance; None without a degree of freedom.
     shared: list[str]  #: What moves both alike, beside the records.
     assumed: list[str]  #: What had to be assumed of their correlation, in sentences.
 
@@ -85,8 +80,8 @@ class AgreementOfTwo(ResultPart):
 class Change(ResultPart):
     """Something that is not the same in all results: its words in each, in their order."""
 
-    subject: str
-    values: list[str]
+    subject: str  #: What: a file, ``terms of Qx``, ``radius``, ``method`` and so on.
+    values: list[str]  #: In each result; a file by the first digits of its SHA-256, ``-`` for none.
 
 
 #: Columns of `Compared.table`.
@@ -115,11 +110,12 @@ class Compared(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     KIND: ClassVar[str] = "comparison"
 
-    gravity: float
-    results: list[ComparedResult]
-    coefficients: list[ComparedCoefficient]
+    gravity: float  #: Of the g-units, m/s^2: the first result's.
+    results: list[ComparedResult]  #: What is compared.
+    coefficients: list[ComparedCoefficient]  #: Each coefficient through all results.
+    #: Each later result with the first that has the accelerometer.
     agreements: list[AgreementOfTwo]
-    changes: list[Change]
+    changes: list[Change]  #: What is not the same.
 
     def reference(self, accelerometer: str) -> ComparedResult:
         """Return the first result that has an accelerometer: the others are compared with it."""
@@ -169,12 +165,11 @@ class RepeatedCoefficient(ResultPart):
     """A coefficient before and now."""
 
     name: str  #: Such as ``Qx.K_II``, ``platform.drift.north`` or ``run1.platform.tilt.north``.
-    unit: str
-    #: Estimate and standard uncertainty; None where there is none.
-    before: float | None
-    u_before: float | None
-    now: float | None
-    u_now: float | None
+    unit: str  #: Of its numbers.
+    before: float | None  #: Estimate in the result.
+    u_before: float | None  #: Its standard uncertainty.
+    now: float | None  #: Estimate made again.
+    u_now: float | None  #: Its standard uncertainty.
     #: The larger change of the two: of the estimate, in parts of it or of its u, whichever is
     #: larger; of u, in parts of it. None where one has a number that the other lacks.
     relative: float | None
@@ -208,13 +203,13 @@ class Repeated(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.rerun_page:repeat_blocks"
     KIND: ClassVar[str] = "repeat of a result"
 
-    result: str
-    same: bool
-    limit: float
-    largest: float | None
-    largest_in_u: float | None
-    coefficients: list[RepeatedCoefficient]
-    state_before: str | None
-    state_now: str | None
-    changes: list[Change]
-    moved: dict[str, str] = {}
+    result: str  #: What was repeated.
+    same: bool  #: Whether every number is the same within ``limit``, and the judgement too.
+    limit: float  #: Largest ``relative`` of what is the same.
+    largest: float | None  #: The largest ``relative``; None where there are other coefficients.
+    largest_in_u: float | None  #: The largest change in u; None where there is no u.
+    coefficients: list[RepeatedCoefficient]  #: Each of accelerometers, platform and runs.
+    state_before: str | None  #: Whether the result may be relied on, as it was judged.
+    state_now: str | None  #: The same now.
+    changes: list[Change]  #: What is not the same beside the numbers.
+    moved: dict[str, str] = {}  #: Inputs found by checksum under another name, by their first.

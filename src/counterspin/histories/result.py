@@ -17,18 +17,15 @@ Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
 class Point(ResultPart):
     """One result."""
 
-    date: str  #: Of the campaign, as ISO 8601.
+    date: str  #: Of the campaign, as ISO 8601; UTC where it states a zone.
     file: str  #: The result's file.
     accelerometer: str  #: Its name in that campaign.
     method: str  #: ``joint`` or ``two-stage``.
-    #: Estimate, standard uncertainty, degrees of freedom (None is infinite).
-    value: float
-    u: float
-    dof: float | None
-    #: From the weighted mean, and over the standard uncertainty of this difference; None for one
-    #: result alone.
-    difference: float | None
-    z: float | None
+    value: float  #: The estimate.
+    u: float  #: Its standard uncertainty.
+    dof: float | None  #: Degrees of freedom; None is infinite.
+    difference: float | None  #: From the weighted mean; None for one result alone.
+    z: float | None  #: The difference over its own standard uncertainty; None likewise.
     e_n: float | None  #: E_n score against the result before; None for the first.
     laboratory: str | None = None  #: Of the campaign; None where it states none.
 
@@ -36,23 +33,21 @@ class Point(ResultPart):
 class Scatter(ResultPart):
     """How results scatter about a mean or a line; p and Birge ratio need a degree of freedom."""
 
-    chi2: float
-    dof: int
-    p: float | None
-    birge: float | None
+    chi2: float  #: Sum of squared differences over u.
+    dof: int  #: Its degrees of freedom.
+    p: float | None  #: Probability of more; None without a degree of freedom.
+    birge: float | None  #: Root of chi2/dof; None likewise.
 
 
 class Trend(ResultPart):
     """A straight line through the results: change per year of 365.25 days."""
 
-    #: Drift and its standard uncertainty, in the term's unit per year.
-    value: float
-    u: float
+    value: float  #: Drift, in the term's unit per year.
+    u: float  #: Its standard uncertainty.
     p: float  #: Probability of a drift as large by chance.
     date: str  #: Weighted mean date, ISO 8601.
-    #: The line there.
-    level: float
-    u_level: float
+    level: float  #: The line there.
+    u_level: float  #: Its standard uncertainty.
     scatter: Scatter  #: About the line.
 
 
@@ -60,14 +55,12 @@ class ControlLimits(ResultPart):
     """Individuals and moving range, from the results alone (NIST/SEMATECH e-Handbook, 6.3.2.2)."""
 
     centre: float  #: Mean of the results, not weighted.
-    #: At two and at three standard deviations, these from the mean moving range.
-    warning_low: float
-    warning_high: float
-    action_low: float
-    action_high: float
-    #: Mean moving range, and its upper action limit.
-    mean_range: float
-    range_limit: float
+    warning_low: float  #: Lower warning limit.
+    warning_high: float  #: Upper warning limit.
+    action_low: float  #: Lower action limit.
+    action_high: float  #: Upper action limit.
+    mean_range: float  #: Mean moving range.
+    range_limit: float  #: Its upper action limit.
     beyond: list[str]  #: Files of the results beyond the action limits.
     #: Files of the results that differ from the one before by more than `range_limit`.
     leaps: list[str]
@@ -76,9 +69,9 @@ class ControlLimits(ResultPart):
 class SpecificationLimits(ResultPart):
     """The specification of the latest result that has one, its limits in the term's unit."""
 
-    low: float | None
-    high: float | None
-    words: str
+    low: float | None  #: Lower limit; None: none.
+    high: float | None  #: Upper limit; None: none.
+    words: str  #: As it was written.
 
 
 class Due(ResultPart):
@@ -93,10 +86,10 @@ class Due(ResultPart):
 class LaboratoryPair(ResultPart):
     """Two laboratories: the second's weighted mean less the first's, and its E_n (ISO 13528)."""
 
-    first: str
-    second: str
-    difference: float
-    e_n: float
+    first: str  #: A laboratory.
+    second: str  #: Another one.
+    difference: float  #: Its weighted mean less the first's.
+    e_n: float  #: Their E_n.
 
     @property
     def agrees(self) -> bool:
@@ -110,10 +103,9 @@ class InstrumentHistory(ResultPart):
     serial_number: str  #: The accelerometer's; or the campaign's and the accelerometer's name.
     stated_by: Literal["accelerometer", "campaign"]  #: Which of the two.
     points: list[Point]  #: The results.
-    #: Weighted mean, its standard uncertainty, and the scatter about it.
-    mean: float
-    u_mean: float
-    scatter: Scatter
+    mean: float  #: Weighted mean.
+    u_mean: float  #: Its standard uncertainty.
+    scatter: Scatter  #: About the mean.
     drift: Trend | None  #: None where all results are of one date.
     #: ``single``: one result; ``constant``: they agree and do not drift; ``drifts``: they agree
     #: with a line that is not level; ``differ``: two dates differ, by drift or by a jump;
@@ -133,9 +125,9 @@ class InstrumentHistory(ResultPart):
 class UnusedResult(ResultPart):
     """A file, or one accelerometer in it, that is not in the history, and why."""
 
-    file: str
-    accelerometer: str | None = None
-    reason: str
+    file: str  #: The file.
+    accelerometer: str | None = None  #: Which of its accelerometers; None is all.
+    reason: str  #: Why.
 
 
 class History(ShownResult):
@@ -164,15 +156,15 @@ class History(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     KIND: ClassVar[str] = "history"
 
-    term: str
-    unit: str
-    gravity: float
-    converted: bool
-    instruments: list[InstrumentHistory]
-    left_out: list[UnusedResult]
-    damaged: list[UnusedResult]
-    passed_over: list[str]
-    notes: list[str]
+    term: str  #: The coefficient.
+    unit: str  #: Of every value; of a drift, per year.
+    gravity: float  #: Of the g-units, m/s^2.
+    converted: bool  #: Whether results of another gravity were converted.
+    instruments: list[InstrumentHistory]  #: One for each serial number.
+    left_out: list[UnusedResult]  #: Results without a place, and why.
+    damaged: list[UnusedResult]  #: Files that cannot be read, and why.
+    passed_over: list[str]  #: JSON files in the folders that are no results.
+    notes: list[str]  #: Results that share records.
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""

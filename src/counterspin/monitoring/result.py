@@ -18,39 +18,34 @@ class ResidualState(ResultPart):
     stated: float | None  #: White noise that the campaign states; None where it is to be estimated.
     ratio: float  #: Whitened residuals over what the noise lets expect: near 1.
     p: float | None  #: Probability of larger ones; None where the noise was estimated from them.
-    unit: str
+    unit: str  #: Of ``rms`` and ``stated``.
 
 
 class RunState(ResultPart):
     """What one run shows so far."""
 
-    #: Its name and its file.
-    run: str
-    record: str
+    run: str  #: Its name.
+    record: str  #: Its file.
     #: ``waiting``: no file, or too little of it; ``read``; ``failed``: it cannot be used as it
     #: stands.
     state: Literal["waiting", "read", "failed"]
     why: str | None = None  #: What is waited for, or what is wrong.
-    #: Read so far.
-    rows: int = 0
-    seconds: float = 0.0
+    rows: int = 0  #: Read so far.
+    seconds: float = 0.0  #: Recorded so far.
     #: How long it is to be; None where the campaign does not say.
     stated_seconds: float | None = None
-    sampling_rate: float | None = None  #: Hz.
-    #: Rows that repeat a time, empty cells, samples left out, gaps and the longest of them, s.
-    repeated: int = 0
-    empty: int = 0
-    outliers: int = 0
-    gaps: int = 0
-    longest_gap: float = 0.0
-    #: rad/s; u_rate is None without a recorded angle.
-    rate: float | None = None
-    u_rate: float | None = None
-    nominal_rate: float
+    sampling_rate: float | None = None  #: Rows a second, Hz.
+    repeated: int = 0  #: Rows that repeat a time.
+    empty: int = 0  #: Empty cells.
+    outliers: int = 0  #: Samples left out.
+    gaps: int = 0  #: Stretches of missing rows.
+    longest_gap: float = 0.0  #: The longest of them, s.
+    rate: float | None = None  #: Of rotation, rad/s.
+    u_rate: float | None = None  #: Its standard uncertainty; None without a recorded angle.
+    nominal_rate: float  #: As stated, rad/s.
     drift: float | None = None  #: Of the rate, 1/s.
-    #: Largest ripple of the rate, rad/s, and which harmonic it is; None if none is seen.
-    ripple: float | None = None
-    harmonic: int | None = None
+    ripple: float | None = None  #: Largest one of the rate, rad/s; None: none seen.
+    harmonic: int | None = None  #: Which harmonic that is.
     angle_rms: float | None = None  #: Of the recorded angle about the model, rad.
     residuals: dict[str, ResidualState] = {}  #: By accelerometer.
 
@@ -58,20 +53,20 @@ class RunState(ResultPart):
 class ReachedCoefficient(ResultPart):
     """A coefficient by the records that are there; None where they do not determine it."""
 
-    name: str
-    value: float | None
-    u: float | None
-    unit: str
+    name: str  #: Such as ``Qx.K_II``.
+    value: float | None  #: None where it is not determined.
+    u: float | None  #: Standard uncertainty.
+    unit: str  #: Of both.
 
 
 class GoalState(ResultPart):
     """A goal: the u that is wanted of a coefficient, the u reached, and whether that is enough."""
 
-    name: str
-    wanted: float
-    u: float | None
-    unit: str
-    met: bool
+    name: str  #: Of the coefficient.
+    wanted: float  #: The u that is wanted of it.
+    u: float | None  #: Reached so far; None: not determined.
+    unit: str  #: Of both.
+    met: bool  #: Whether that is enough.
 
 
 class WatchState(ShownResult):
@@ -98,13 +93,13 @@ class WatchState(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
     KIND: ClassVar[str] = "watch"
 
-    title: str
-    runs: list[RunState]
-    coefficients: list[ReachedCoefficient]
-    goals: list[GoalState]
-    events: list[str]
-    trouble: str | None
-    complete: bool
+    title: str  #: Of the campaign.
+    runs: list[RunState]  #: In the order of the description.
+    coefficients: list[ReachedCoefficient]  #: K_II of each accelerometer, and what goals name.
+    goals: list[GoalState]  #: What is wanted.
+    events: list[str]  #: What happened to files since the state before.
+    trouble: str | None  #: Why the records cannot be fitted together; None if they can.
+    complete: bool  #: Whether every run is read and as long as is stated.
 
     @property
     def met(self) -> bool:
@@ -136,10 +131,10 @@ class CheckedRun(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
     KIND: ClassVar[str] = "check"
 
-    run: RunState
-    remarks: list[str]
-    good: bool
-    others: list[str]
-    reached: list[ReachedCoefficient]
-    expected: list[ReachedCoefficient]
-    why_not: str | None = None
+    run: RunState  #: What it shows, fitted by itself.
+    remarks: list[str]  #: What is wrong or odd.
+    good: bool  #: Whether it may be kept.
+    others: list[str]  #: Other runs whose records are there.
+    reached: list[ReachedCoefficient]  #: Coefficients by this record and those.
+    expected: list[ReachedCoefficient]  #: u of the whole campaign; values are None.
+    why_not: str | None = None  #: Why that cannot be said.

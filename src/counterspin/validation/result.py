@@ -14,33 +14,29 @@ class Installation(ResultPart):
     version: str  #: Of counterspin.
     environment: dict[str, str]  #: Python, NumPy, SciPy, the machine.
     packages: dict[str, str]  #: What counterspin needs -> its version.
-    #: Number of the package's own files, and one SHA-256 over their names and contents.
-    files: int
-    checksum: str
+    files: int  #: The package's own files.
+    checksum: str  #: One SHA-256 over their names and contents.
     #: Files whose hash the installation's RECORD states; 0 where there is none, as of a package
     #: that was installed in place.
     recorded: int
-    #: Files that differ from their hash, that are gone, and that RECORD does not know.
-    altered: list[str]
-    missing: list[str]
-    unknown: list[str]
+    altered: list[str]  #: Files that differ from their hash.
+    missing: list[str]  #: Files that are gone.
+    unknown: list[str]  #: Files that RECORD does not know.
 
 
 class CheckedCase(ResultPart):
     """A case and how close what was found came."""
 
-    #: As the case states them.
-    name: str
-    requirement: str
-    kernel: str
-    source: str
+    name: str  #: Of the case.
+    requirement: str  #: What it belongs to.
+    kernel: str  #: The function that is asked.
+    source: str  #: Where the expected values come from.
     #: ``passed``, ``failed``, or ``not run`` because a package is not installed.
     state: Literal["passed", "failed", "not run"]
     numbers: int  #: How many were compared.
-    #: The number that came nearest to its limit, or beyond it by most.
-    quantity: str
-    expected: float | None
-    found: float | None
+    quantity: str  #: The number nearest to its limit.
+    expected: float | None  #: What it should be.
+    found: float | None  #: What it is here.
     #: Right digits of that number: -log10 of the relative difference, at most 16; None where
     #: nothing was expected but 0, or where nothing was found.
     digits: float | None
@@ -67,10 +63,10 @@ class Dossier(ShownResult):
     REPORT_BLOCKS: ClassVar[str] = "counterspin.validation.page:dossier_blocks"
     KIND: ClassVar[str] = "validation dossier"
 
-    passed: bool
-    installation: Installation
-    cases: list[CheckedCase]
-    not_covered: list[str]
+    passed: bool  #: Whether no case failed and no file is altered or missing.
+    installation: Installation  #: What is installed.
+    cases: list[CheckedCase]  #: All cases.
+    not_covered: list[str]  #: What no case says anything about.
 
     @property
     def identifier(self) -> str:
