@@ -11,6 +11,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
 from counterspin.exports.description import draft, write_description
+from counterspin.exports.looking import look_at
 from exports import EXPORTS, campaign_folder, write_records
 
 RUNS = ("slow", "middle", "fast")
@@ -40,7 +41,8 @@ def test_from_files_to_a_campaign(page, folder, brought):
     unanswered = page.post("/api/drafted", json=said)
     assert unanswered.status_code == 422
     assert any(problem.startswith("radius: ") for problem in unanswered.json()["problems"])
-    answers = {one["key"]: one["example"] for one in told["questions"]} | ANSWERS
+    needed = [one for one in told["questions"] if one["guess"] is None]
+    answers = {one["key"]: one["example"] for one in needed} | ANSWERS
     made = page.post("/api/drafted", json=said | {"answers": answers}).json()
     assert made["command"].startswith("counterspin init ")
     campaign = read_campaign(folder / "new")
@@ -58,7 +60,8 @@ def from_page(page, folder, files, sense="counterclockwise"):
     names = [bring(page, f"lab/{f.name}", f.read_bytes()).json()["name"] for f in files]
     asked = page.post("/api/draft", json={"names": names}).json()["questions"]
     known = ANSWERS | COUNTED | {"sense": sense}
-    answers = {one["key"]: known.get(one["key"], one["example"]) for one in asked}
+    needed = [one for one in asked if one["guess"] is None]
+    answers = {one["key"]: known.get(one["key"], one["example"]) for one in needed}
     said = {"folder": "lab", "names": names, "answers": answers}
     told = page.post("/api/drafted", json=said)
     assert told.status_code == 200, told.json()
@@ -68,9 +71,9 @@ def from_page(page, folder, files, sense="counterclockwise"):
 @pytest.fixture(scope="module")
 def reference(plain, tmp_path_factory):
     """Return what the plain records give with the same answers."""
-    found = draft([plain / "slow.csv", plain / "fast.csv"])
+    looks = look_at([plain / "slow.csv", plain / "fast.csv"])
     place = tmp_path_factory.mktemp("plain")
-    write_description(found, ANSWERS | {"sense": "counterclockwise"}, place)
+    write_description(draft(looks, ANSWERS | {"sense": "counterclockwise"}), place)
     return calibrate(place).accelerometers["Qx"].coefficients["K_II"]
 
 

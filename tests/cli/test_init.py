@@ -61,8 +61,11 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
         def isatty(self):
             return True
 
-    monkeypatch.setattr("sys.stdin", Terminal("2.5 m\nleft\nclockwise\n"))
+    monkeypatch.setattr("sys.stdin", Terminal("2,5 kg\n2,5\nleft\ncw\n"))
     assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "unknown unit 'kg'" in told
+    assert "'left' is none of counterclockwise, clockwise. Once more:" in told
     assert 'sense = "clockwise"' in (tmp_path / "campaign.toml").read_text(encoding="utf-8")
     monkeypatch.setattr("sys.stdin", Terminal(""))
     assert main(["init", str(tmp_path / "b"), *words[2:]]) == 1

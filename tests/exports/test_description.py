@@ -3,10 +3,12 @@
 import numpy as np
 import polars as pl
 import pytest
+from scipy.io import savemat
 
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.description import described, draft, write_description
+from counterspin.exports.looking import look_at
 
 TIME = np.arange(1500) * 0.02
 ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
@@ -17,6 +19,10 @@ def record(path, rate, columns):
     theta = np.radians(30) + rate * TIME
     pl.DataFrame({"t_s": TIME, **columns(theta)}).write_csv(path)
     return path
+
+
+def drafted(files, **answers):
+    return draft(look_at(files), ANSWERS | answers)
 
 
 def axes(theta):
@@ -30,9 +36,10 @@ def test_two_axes_show_sense_and_zero_of_the_encoder(tmp_path, rate, sense):
         azimuth = np.degrees(sense * (theta - np.radians(90))) % 360
         return {"azimuth": azimuth, **axes(theta)}
 
-    found = draft([record(tmp_path / "a b.csv", rate, columns)])
-    assert [q.key for q in found.questions] == ["gravity", "latitude", "radius"]
-    write_description(found, ANSWERS, tmp_path)
+    files = [record(tmp_path / "a b.csv", rate, columns)]
+    found = draft(look_at(files))
+    assert [q.key for q in found.open_questions] == ["gravity", "latitude", "radius"]
+    write_description(drafted(files), tmp_path)
     campaign = read_campaign(tmp_path)
     assert campaign.angle.factor == pytest.approx(sense * np.radians(1))
     assert campaign.angle.offset == pytest.approx(np.pi / 2)
@@ -46,8 +53,8 @@ def test_an_odd_zero_is_stated_in_degrees(tmp_path):
     def columns(theta):
         return {"angle_deg": np.degrees(theta) - 12.5, **axes(theta)}
 
-    found = draft([record(tmp_path / "a.csv", np.pi, columns)])
-    angle = described(found, ANSWERS, tmp_path)["records"]["angle"]
+    files = [record(tmp_path / "a.csv", np.pi, columns)]
+    angle = described(drafted(files), tmp_path)["records"]["angle"]
     assert angle == {"column": "angle_deg", "unit": "deg", "zero": "12.5000 deg"}
 
 
@@ -56,8 +63,8 @@ def test_velocities_are_ahead_of_displacements(tmp_path):
         east, north = -2.5 * -np.pi * np.sin(theta), 2.5 * -np.pi * np.cos(theta)
         return {"angle_rad": theta, "east [m/s]": east, "north [m/s]": north}
 
-    found = draft([record(tmp_path / "a.csv", -np.pi, columns)])
-    document = described(found, ANSWERS, tmp_path)
+    files = [record(tmp_path / "a.csv", -np.pi, columns)]
+    document = described(drafted(files), tmp_path)
     assert "zero" not in document["records"]["angle"]
     assert document["runs"][0]["rate"] == "-0.5 rev/s"
     assert document["accelerometers"]["Qx"]["velocity"] == {"column": "east [m/s]", "unit": "m/s"}
@@ -65,29 +72,77 @@ def test_velocities_are_ahead_of_displacements(tmp_path):
 
 def test_what_files_do_not_say_is_asked(tmp_path):
     path = record(tmp_path / "a.csv", np.pi, lambda th: {"p": 2.5 * np.cos(th), "enc": 31415 * th})
-    found = draft([path])
-    keys = [question.key for question in found.questions]
+    keys = [question.key for question in draft(look_at([path])).open_questions]
     asked = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
     assert keys == asked
     with pytest.raises(CampaignError) as caught:
-        described(found, ANSWERS | {"sense": "left", "nonsense": "1"}, tmp_path)
+        described(drafted([path], sense="left", nonsense="1"), tmp_path)
     told = [line.partition(":")[0] for line in caught.value.problems]
     assert told == ["per_revolution", "p is", "p unit", "p axis", "sense", "nonsense"]
-    more = {"per_revolution": "197386.9", "sense": "clockwise", "p is": "displacement"}
-    more |= {"p unit": "m", "p axis": "north"}
-    document = described(found, ANSWERS | more, tmp_path / "there")
+    more = {"per_revolution": "197386,9", "sense": "cw", "p is": "Weg", "p axis": "North"}
+    document = described(drafted([path], **more, **{"p unit": "m"}), tmp_path / "there")
     assert document["records"]["angle"]["per_revolution"] == 197386.9
+    assert document["records"]["angle"]["sense"] == "clockwise"
     assert document["accelerometers"]["Qy"]["input_axis"] == "north"
-    assert document["runs"][0]["record"] == str(path)
+    assert document["runs"][0]["record"] == "../a.csv"
+
+
+def test_guesses_may_be_overruled(tmp_path):
+    def columns(theta):
+        return {"phi": np.degrees(theta), **axes(theta), "temp_m": np.cos(theta)}
+
+    files = [record(tmp_path / "a.csv", np.pi, columns)]
+    assert draft(look_at(files)).common.angle.column == "phi"
+    found = drafted(
+        files, **{"temp_m is": "unused", "east_m axis": "W", "north_m is": "ignore"}, sense="ccw"
+    )
+    document = described(found, tmp_path)
+    assert list(document["accelerometers"]) == ["Qx"]
+    assert document["accelerometers"]["Qx"]["input_axis"] == "west"
+    assert document["records"]["angle"]["zero"] == "west"
+    alone = drafted(files, angle="none", rate="30 deg/s", **{"temp_m is": "unused"})
+    assert alone.problems == ("rate: is not asked; asked: gravity, latitude, radius, sense",)
+
+
+def test_a_unit_that_is_answered_shows_the_rate_of_each_run(tmp_path):
+    """Of a counted angle without waves to tell: by its counts, each run's own."""
+    paths = []
+    for name, rate in (("a", 0.5), ("b", -1.0)):
+        frame = {"t_s": TIME, "enc": 1e3 * rate * TIME, "p": 0.0 * TIME}
+        pl.DataFrame(frame).write_csv(tmp_path / f"{name}.csv")
+        paths.append(tmp_path / f"{name}.csv")
+    asked = {question.key for question in draft(look_at(paths)).open_questions}
+    assert {"angle unit", "rate", "signal"} <= asked
+    answers = {"angle unit": "count", "per_revolution": "1000", "sense": "ccw", "signal": "p"}
+    more = {"p is": "displacement", "p unit": "m", "p axis": "east"}
+    document = described(drafted(paths, **answers, **more), tmp_path)
+    assert [run["rate"] for run in document["runs"]] == ["0.5 rev/s", "-1 rev/s"]
+
+
+def test_sampling_rates_that_files_state_are_taken(tmp_path):
+    theta = np.pi * TIME
+    pos = np.column_stack([axes(theta)["east_m"], axes(theta)["north_m"]])
+    rec = {"phi": theta[:, None], "pos": pos, "fs": 50.0, "rpm": 30.0, "note": "arm"}
+    savemat(tmp_path / "a.mat", {"rec": rec})
+    found = draft(look_at([tmp_path / "a.mat"]))
+    assert [signal.column for signal in found.common.signals] == ["pos.1", "pos.2"]
+    assert {"fs", "rpm"} <= set(found.common.unused)
+    answers = {"angle unit": "rad", "sense": "ccw", "pos.1 unit": "m", "pos.2 unit": "m"}
+    more = {"pos.1 axis": "east", "pos.2 axis": "north"}
+    document = described(drafted([tmp_path / "a.mat"], **answers, **more), tmp_path)
+    assert document["records"]["time"] == {"sampling_rate": "50 Hz"}
+    assert document["runs"][0]["rate"] == "0.5 rev/s"
+    write_description(drafted([tmp_path / "a.mat"], **answers, **more), tmp_path)
+    assert read_campaign(tmp_path).runs[0].rate == pytest.approx(np.pi)
 
 
 def test_nothing_is_written_over_or_of_a_wrong_answer(tmp_path):
-    found = draft([record(tmp_path / "a.csv", np.pi, lambda th: {"angle_rad": th, **axes(th)})])
-    with pytest.raises(CampaignError, match=r"centrifuge.radius: '2.5' has no unit"):
-        write_description(found, ANSWERS | {"radius": "2.5"}, tmp_path)
+    files = [record(tmp_path / "a.csv", np.pi, lambda th: {"angle_rad": th, **axes(th)})]
+    with pytest.raises(CampaignError, match=r"radius: 's' is not a unit of length"):
+        write_description(drafted(files, radius="2.5 s"), tmp_path)
     (tmp_path / "campaign.toml").write_text("mine")
     with pytest.raises(CounterspinError, match=r"campaign.toml exists"):
-        write_description(found, ANSWERS, tmp_path)
+        write_description(drafted(files), tmp_path)
     assert (tmp_path / "campaign.toml").read_text() == "mine"
     with pytest.raises(CampaignError, match="name the files"):
         draft([])

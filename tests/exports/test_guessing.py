@@ -1,5 +1,6 @@
 """Which column of a file is what."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,19 @@ def test_without_a_time_rows_are_counted():
     guess = guess_file(seen(angle=RATE * TIME, east_m=signal()))
     assert guess.time is None
     assert guess.rate == pytest.approx(RATE * 0.02)
+
+
+def test_without_names_the_first_of_two_that_advance_is_the_time():
+    guess = guess_file(seen(a=TIME, b=np.degrees(RATE * TIME) % 360, c=signal()))
+    assert (guess.time.column, guess.time.unit, guess.angle.column) == ("a", None, "b")
+
+
+def test_a_sampling_rate_beside_the_columns_shows_the_unit_of_the_time():
+    look = replace(seen(t=1e3 * TIME, east_m=signal()), numbers={"rec.fs": 50.0})
+    assert guess_file(look).time.unit == "ms"
+    counted = replace(seen(angle=RATE * TIME, east_m=signal()), interval=0.02)
+    assert guess_file(counted).sampling == 50.0
+    assert guess_file(counted).rate == pytest.approx(RATE)
 
 
 def test_amplitudes_at_two_rates_show_the_observable():

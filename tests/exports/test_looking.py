@@ -5,9 +5,10 @@ import re
 import numpy as np
 import pytest
 from prose import ROOT
+from workbooks import write_workbook
 
 from counterspin.errors import RecordError
-from counterspin.exports.looking import look
+from counterspin.exports.looking import look, look_at
 
 #: The numbers of the example: time, angle, east.
 EXAMPLE = [[0.0, 0.02, 0.04], [0.0, 0.18, 0.36], [2.5, 2.499, 2.495]]
@@ -44,5 +45,17 @@ def test_the_example_of_the_page_is_read_without_a_description(tmp_path):
 
 def test_a_file_without_numbers(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\nx,y\n")
-    with pytest.raises(RecordError, match="no column of the file holds numbers"):
+    with pytest.raises(RecordError) as caught:
         look(tmp_path / "a.csv")
+    told = str(caught.value)
+    assert "no column of the file holds numbers. Its first lines:\n  line 1: 2 cells, none" in told
+
+
+def test_a_sheet_is_chosen_or_each_is_a_run(tmp_path):
+    rows = [["t [s]", "x"], *[[i / 50, i % 7] for i in range(9)]]
+    path = write_workbook(tmp_path / "a.xlsx", {"slow": rows, "fast": rows, "empty": []})
+    (first,) = look_at([path])
+    assert (first.sheet, first.sheets) == ("slow", ("slow", "fast"))
+    assert [one.sheet for one in look_at([path], {"sheet": "fast"})] == ["fast"]
+    assert [one.sheet for one in look_at([path], {"sheet": "all"})] == ["slow", "fast"]
+    assert look_at([write_workbook(tmp_path / "b.xlsx", {"one": rows})])[0].sheet is None

@@ -11,6 +11,7 @@ from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 from scipy.io import savemat
 
 from counterspin.records.dialect import Dialect
+from counterspin.records.formats import open_columns
 from counterspin.records.record import ColumnSpec
 
 
@@ -145,3 +146,35 @@ def test_columns_of_a_group_or_a_structure_by_path(tmp_path):
         long["signals"] = {"Qx": ColumnSpec(f"{group}{mark}{SIGNAL}")}
         np.testing.assert_array_equal(read(path, **long).time, columns[TIME])
         assert "no group 'runs' with columns" in refusal(path, dialect=Dialect(group="runs"))
+
+
+@pytest.mark.parametrize("name", ["run.mat", "run.h5"])
+def test_a_matrix_is_its_columns(tmp_path, name):
+    columns = table()
+    wide = np.stack([columns[ANGLE], columns[SIGNAL]])
+    if name == "run.mat":
+        rec = {TIME: columns[TIME][:, None], "pos": wide.T, "fs": 50.0, "label": "arm"}
+        savemat(tmp_path / name, {"rec": rec})
+    else:
+        with h5py.File(tmp_path / name, "w") as file:
+            file["rec/pos"], file["rec/fs"] = wide, 50.0  # a row is a column too
+            file[f"rec/{TIME}"] = columns[TIME]
+    mark = "." if name == "run.mat" else "/"
+    spec = {"Qx": ColumnSpec(f"pos{mark}2")}
+    record = read(tmp_path / name, angle=ColumnSpec(f"pos{mark}1"), signals=spec)
+    np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
+    with open_columns(tmp_path / name) as file:
+        assert {f"pos{mark}1", f"pos{mark}2"} <= set(file.names)
+        assert "fs" not in file.names
+        assert file.single_numbers() == {"fs": 50.0}
+    angle = ColumnSpec(f"pos{mark}1")
+    whole = refusal(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
+    assert f"one column is needed: 'pos{mark}1', 'pos{mark}2'" in whole
+
+
+def test_text_that_matlab_saved(tmp_path):
+    rows = np.column_stack([table()[name] for name in (TIME, ANGLE, SIGNAL)])
+    np.savetxt(tmp_path / "run.mat", rows, fmt="  %.16e")
+    numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
+    record = read(tmp_path / "run.mat", time=ColumnSpec("column 1"), **numbered)
+    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])

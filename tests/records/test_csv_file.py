@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from record_files import ANGLE, SIGNAL, TIME, lines, read, refusal, table, write
 
+from counterspin.records.record import ColumnSpec
+
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
@@ -37,15 +39,30 @@ def test_blank_lines_after_the_header_and_at_the_end(tmp_path):
     assert "line 501: column 'angle_rad' holds the text 'x'" in message
 
 
+def test_blanks_part_cells_and_lines_stay_lines(tmp_path):
+    text = [line.replace(",", "   ") for line in lines(table())]
+    text.insert(5, "# the operator sneezed here")
+    record = read(write(tmp_path / "run.dat", text))
+    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    text[40] = text[40].rpartition(" ")[0] + " x"
+    assert "line 41: column 'east_m' holds the text 'x'" in refusal(
+        write(tmp_path / "run.asc", text)
+    )
+
+
+def test_a_file_without_names_says_so(tmp_path):
+    path = write(tmp_path / "run.log", lines(table())[1:])
+    message = refusal(path)
+    assert "there is no column" in message
+    assert "no line above the first numbers, line 1, would name the columns." in message
+    numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
+    record = read(path, time=ColumnSpec("column 1"), **numbered)
+    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+
+
 def test_header_only(tmp_path):
     assert "no rows" in refusal(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
     assert "no header" in refusal(write(tmp_path / "run.csv", ["# only this", ""]))
-
-
-def test_a_file_without_a_header(tmp_path):
-    message = refusal(write(tmp_path / "run.csv", lines(table())[1:]))
-    assert "line 1" in message
-    assert "name the columns" in message
 
 
 @pytest.mark.parametrize("row", [1, 7, 999])

@@ -5,6 +5,7 @@ import pytest
 from counterspin.records.dialect import (
     Dialect,
     bracketed_unit,
+    described_lines,
     file_unit,
     find_layout,
     is_plain,
@@ -76,7 +77,41 @@ def test_what_is_no_table_is_not_taken_for_one():
     assert found(["1;2,5;oops", "1;1;1", *ROWS]) is None  # rows, one of them damaged
     assert found(["1;2,5;oops", *ROWS]) is None
     assert found(["only", "words", "here"]) is None
-    assert found(ROWS) is None
+    assert found(["0,5,1,25"] * 5) is None  # two numbers or four
+
+
+def test_rows_need_no_names():
+    layout = found(ROWS)
+    assert (layout.header, layout.before_rows) == (0, 0)
+    assert layout.names == ("column 1", "column 2", "column 3")
+    assert layout.words("utf-8") == "columns without names, semicolon-separated, decimal commas"
+    titled = found(["Run 7", "0.5,1.25,3", "1.0,2.5,4", "1.5,2.75,4", "2.0,1.5,1"])
+    assert (titled.names, titled.before_rows) == (("column 1", "column 2", "column 3"), 1)
+
+
+def test_names_may_be_fewer_than_columns():
+    layout = found(["a;b", *ROWS])
+    assert layout.names == ("a", "b", "column 3")
+    # As R writes a table, the numbers of the rows have no name above them.
+    counted = found(["x y", "1 0.5 2", "2 0.75 3", "3 1.0 4"])
+    assert counted.names == ("column 1", "x", "y")
+
+
+def test_any_number_of_blanks_parts_cells():
+    layout = found(["# about", "Time [s]  East (mm)", *["  0.5    1.25 "] * 3])
+    assert (layout.delimiter, layout.names) == (" ", ("Time [s]", "East (mm)"))
+    assert layout.units == ("s", "mm")
+    # Commas that part decimals are no delimiter then.
+    commas = found(["t x", *["0,5 1,25"] * 3])
+    assert (commas.delimiter, commas.decimal) == (" ", ",")
+
+
+def test_lines_that_make_no_table_are_described():
+    told = described_lines([(1, "Test 12"), (2, ""), (3, "a;1,5;x")])
+    assert told.splitlines() == [
+        "  line 1: 2 cells, 1 a number: Test 12",
+        "  line 3: 3 cells, 1 a number: a;1,5;x",
+    ]
 
 
 def test_plain_files_are_told_by_their_first_rows():

@@ -11,7 +11,7 @@ from workbooks import write_workbook
 
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records.dialect import Dialect
-from counterspin.records.excel_file import excel_table
+from counterspin.records.excel_file import excel_table, table_sheets
 from counterspin.records.isolation import is_apart
 from counterspin.records.record import ColumnSpec
 from counterspin.records.tables import places, read_small_table
@@ -105,3 +105,14 @@ def test_a_sheet_is_read_as_a_record(tmp_path):
     assert f"row 205: column '{ANGLE}' holds the text 'oops'" in refusal(path, time=time)
     write_workbook(path, {"Run": [["only", "words"]] * 5})
     assert "no rows of numbers" in refusal(path)
+
+
+def test_the_only_sheet_with_rows_of_numbers_is_the_table(tmp_path):
+    notes = [["Operator", "Smith"], ["Day", "Monday"], ["Room", "7"]]
+    below = [[name, 30.0 * row, 1.25] for row, name in enumerate("abcd")]
+    rows = [["Tumble", None], [None, None], [None, "deg", "mA"], *below]
+    path = write_workbook(tmp_path / "r.xlsx", {"Protocol": notes, "Values": rows})
+    assert table_sheets(path) == ["Values"]
+    filed, places, _ = read_small_table(path)
+    assert filed.frame["deg"].to_list() == [0.0, 30.0, 60.0, 90.0]
+    assert places[1] == "row 5"

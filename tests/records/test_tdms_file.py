@@ -69,3 +69,14 @@ def test_damaged_files_and_a_missing_reader(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(Exception, match=r"CSV, or install it: `pip install '\.\[tdms\]'"):
         open_columns(path)
+
+
+@pytest.mark.parametrize(("steps", "interval"), [((0.02, 0.02), 0.02), ((0.02, 0.04), None)])
+def test_the_step_of_waveforms_is_the_interval(tmp_path, steps, interval):
+    with TdmsWriter(tmp_path / "a.tdms") as file:
+        channels = zip("xy", steps, strict=True)
+        file.write_segment(
+            [ChannelObject("Run", n, np.arange(3.0), {"wf_increment": s}) for n, s in channels]
+        )
+    with open_columns(tmp_path / "a.tdms") as file:
+        assert file.interval == interval

@@ -12,11 +12,12 @@ from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import OutsideError
 from counterspin.errors import CounterspinError
 from counterspin.exports.description import Draft, draft, write_description
+from counterspin.exports.looking import look_at
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
 from counterspin.records.formats import RECORD_FORMATS
 
-_DRAFTS: Final = Remembered(2)
+_LOOKS: Final = Remembered(2)
 
 
 @frozen
@@ -55,17 +56,21 @@ def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
     return {"name": desk.folder.name(arrival.path), "bytes": size}
 
 
-def _draft(desk: Desk, names: Sequence[str]) -> Draft:
+def _draft(desk: Desk, names: Sequence[str], answers: dict[str, str] | None) -> Draft:
     files = [desk.file(name) for name in names]
-    return _DRAFTS.get(tuple(files), files, lambda: draft(files))
+    said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
+    sheet = said.get("sheet", "")
+    looks = _LOOKS.get((sheet, *files), files, lambda: look_at(files, said))
+    return draft(looks, said)
 
 
-def drafted(desk: Desk, names: list[str]) -> dict[str, Any]:
-    """Return what files show, in sentences, and what has to be asked."""
-    found = _draft(desk, names)
+def drafted(desk: Desk, names: list[str], answers: dict[str, str] | None = None) -> dict[str, Any]:
+    """Return what files show, in sentences, what has to be asked, and what is wrong so far."""
+    found = _draft(desk, names, answers)
     return {
         "statements": list(found.statements),
         "questions": [vars(question) for question in found.questions],
+        "problems": list(found.problems),
     }
 
 
@@ -74,7 +79,8 @@ def begin_drafted(
 ) -> dict[str, Any]:
     """Write the campaign that files and answers make; return its name and the command."""
     place = desk.place(folder)
-    said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
-    write_description(_draft(desk, names), said, place)
+    found = _draft(desk, names, answers)
+    write_description(found, place)
     files = [desk.file(name) for name in names]
-    return {"name": desk.folder.name(place), "command": export_command(place, files, said)}
+    command = export_command(place, files, dict(found.answers))
+    return {"name": desk.folder.name(place), "command": command}

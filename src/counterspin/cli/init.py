@@ -13,7 +13,7 @@ from counterspin.cli.words import say, shell_word
 from counterspin.errors import CampaignError, CounterspinError
 
 if TYPE_CHECKING:
-    from counterspin.exports.description import ExportQuestion
+    from counterspin.exports.questions import ExportQuestion
 
 
 def init(
@@ -71,17 +71,26 @@ def _write_schema(directory: Path) -> None:
 def _from_files(directory: Path, files: list[Path], given: list[str], *, asks: bool) -> None:
     """Write a campaign of a recorder's files."""
     from counterspin.exports.description import draft, write_description
+    from counterspin.exports.looking import look_at
     from counterspin.reports.progress import work_progress
 
     answers = _answers(given)
     with work_progress("Files") as advance:
-        found = draft(files, progress=advance)
+        looks = look_at(files, answers, progress=advance)
+    found = draft(looks, answers)
+    asks = asks and sys.stdin is not None and sys.stdin.isatty()
     say("Guessed from the files:", *(f"  {statement}" for statement in found.statements))
-    if asks and sys.stdin is not None and sys.stdin.isatty():
-        for question in found.questions:
-            if question.key not in answers:
-                answers[question.key] = _asked(question)
-    written = write_description(found, answers, directory)
+    if asks and not found.problems:
+        before = found.statements
+        while found.open_questions:
+            question = found.open_questions[0]
+            answers[question.key] = _asked(question)
+            if question.key == "sheet":
+                looks = look_at(files, answers)
+            found = draft(looks, answers)
+        more = [statement for statement in found.statements if statement not in before]
+        say(*(f"  {statement}" for statement in more))
+    written = write_description(found, directory)
     say(
         f"Wrote {written}. Look through it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
@@ -99,13 +108,15 @@ def _answers(given: list[str]) -> dict[str, str]:
 
 
 def _asked(question: ExportQuestion) -> str:
-    """Return what a person answers."""
+    """Return what a person answers, asking again as long as it is no answer."""
     hint = " or ".join(question.choices) or f"such as {question.example}"
+    say(f"{question.text} ({hint})")
     while True:
-        say(f"{question.text} ({hint})")
         try:
             answer = input("> ").strip()
         except EOFError:
             raise CounterspinError("no answer came; nothing is written") from None
-        if answer and (not question.choices or answer in question.choices):
-            return answer
+        try:
+            return question.judged(answer)
+        except ValueError as error:
+            say(f"{error}. Once more:")

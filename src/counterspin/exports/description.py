@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,111 +14,116 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.memory.records import record_name
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.exports.guessing import FileGuess, SignalGuess, agreed, guess_file
-from counterspin.exports.looking import look
+from counterspin.exports.guessing import FileGuess, agreed, guess_file
+from counterspin.exports.looking import Look
+from counterspin.exports.questions import SENSES, ExportQuestion, judged_answers, questions_of
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.toml_text import write_document
-from counterspin.units import unit_factor
 
-#: Directions of horizontal axes, rad from east towards north.
 #: Axis -> usual name of an accelerometer.
 _NAMES: Final = {"east": "Qx", "west": "Qx", "north": "Qy", "south": "Qy", "up": "Qz", "down": "Qz"}
 #: An encoder's zero is a compass direction if it points there within, rad.
 _POINTING_ANGLE: Final = math.radians(0.5)
 #: A rate is a round number if it is one within this part.
 _ROUND_RATE_PART: Final = 2e-4
-_SENSES: Final = ("counterclockwise", "clockwise")
-
-
-@frozen
-class ExportQuestion:
-    """What files do not say."""
-
-    key: str  #: By which it is answered.
-    text: str  #: The question.
-    example: str  #: An answer.
-    choices: tuple[str, ...] = ()  #: The answers there are; empty: any.
 
 
 @frozen
 class Draft:
-    """What files show."""
+    """What files show, and what a person has answered."""
 
-    guesses: tuple[FileGuess, ...]  #: Of each file.
+    guesses: tuple[FileGuess, ...]  #: Of each file, or sheet.
     common: FileGuess  #: What they have in common.
     statements: tuple[str, ...]  #: What was guessed, in whole sentences.
-    questions: tuple[ExportQuestion, ...]  #: What has to be asked.
+    questions: tuple[ExportQuestion, ...]  #: What may be answered.
+    answers: Mapping[str, str]  #: What was answered, in the words of a description.
+    problems: tuple[str, ...]  #: What is wrong with other answers.
+
+    @property
+    def open_questions(self) -> list[ExportQuestion]:
+        """What has to be answered before a description can be written."""
+        return [
+            question
+            for question in self.questions
+            if question.key not in self.answers and question.guess is None
+        ]
 
 
-def draft(files: Sequence[Path], *, progress: Callable[[int, int], None] | None = None) -> Draft:
-    """Look at a recorder's files, one for each run.
+def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Draft:
+    """Return what a recorder's files show, one for each run, and what has to be asked.
 
-    progress: Called with (files looked at, files in all).
+    answers: By the keys of questions; they stand above what is guessed.
     """
-    if not files:
+    if not looks:
         raise CampaignError("init", ["name the files of the runs"])
-    guessed = []
-    for file in files:
-        guessed.append(guess_file(look(file)))
-        if progress is not None:
-            progress(len(guessed), len(files))
-    guesses = tuple(guessed)
-    common = agreed(guesses)
-    sense = _sense(common)
-    return Draft(
-        guesses,
-        common,
-        tuple(_statements(guesses, common, sense)),
-        tuple(_questions(common, sense)),
-    )
+    taken: dict[str, str] = {}
+    while True:
+        guesses = tuple(guess_file(look, taken) for look in looks)
+        common = agreed(guesses)
+        sense = taken.get("sense") or _sense(common)
+        questions = tuple(questions_of(common, sense, taken))
+        more, problems = judged_answers(questions, answers or {})
+        if set(more) <= set(taken):
+            break
+        # An answer may show more: with its unit, an angle shows the sense and the rates.
+        taken |= more
+    statements = tuple(_statements(guesses, common, _sense(common)))
+    return Draft(guesses, common, statements, questions, more, tuple(problems))
 
 
-def described(draft: Draft, answers: Mapping[str, str], folder: Path) -> dict[str, Any]:
+def described(draft: Draft, folder: Path) -> dict[str, Any]:
     """Return the description that guesses and answers make."""
     problems = [
         f'{q.key}: {q.text} Say it with `answer`, such as "{q.key}={q.example}".'
-        for q in draft.questions
-        if q.key not in answers
+        for q in draft.open_questions
+        if not any(line.startswith(f"{q.key}: ") for line in draft.problems)
     ]
-    known = {question.key: question for question in draft.questions}
-    for key, answer in answers.items():
-        if key not in known:
-            problems.append(f"{key}: is not asked; asked: {', '.join(known) or 'nothing'}")
-        elif known[key].choices and answer not in known[key].choices:
-            problems.append(f"{key}: {answer!r} is none of {', '.join(known[key].choices)}")
-    if problems:
-        raise CampaignError("init", problems)
-    common, sense = draft.common, _sense(draft.common) or answers.get("sense", _SENSES[0])
+    if problems or draft.problems:
+        raise CampaignError("init", [*problems, *draft.problems])
+    common, answers = draft.common, draft.answers
+    sense = answers.get("sense") or _sense(common) or SENSES[0]
+    place = folder.resolve()
     document: dict[str, Any] = {
         "schema": 1,
-        "campaign": {"title": folder.absolute().name},
+        "campaign": {"title": place.name},
         "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
         "centrifuge": {"radius": answers["radius"]},
         "records": _records(common, answers, sense),
-        "accelerometers": _accelerometers(common, answers),
+        "accelerometers": _accelerometers(common),
     }
     names: list[Any] = []
     runs = []
     for guess in draft.guesses:
-        file = guess.look.path.absolute()
-        name = Path(record_name(file.stem, "", names)).name
+        stem, sheet = guess.look.path.stem, guess.look.sheet
+        name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
         names.append(name)
-        inside = file.is_relative_to(folder.absolute())
-        record = file.relative_to(folder.absolute()).as_posix() if inside else str(file)
-        runs.append({"name": name, "rate": _rate(guess, answers, sense), "record": record})
+        run: dict[str, Any] = {
+            "name": name,
+            "rate": _rate(guess, answers, sense),
+            "record": _relative(guess.look.path, place),
+        }
+        runs.append(run | ({"records": {"sheet": sheet}} if sheet else {}))
     return document | {"runs": runs}
 
 
-def write_description(draft: Draft, answers: Mapping[str, str], folder: Path) -> Path:
+def _relative(file: Path, folder: Path) -> str:
+    """Return a file's path from a folder, whole where the two share no folder to be moved with."""
+    file = file.resolve()
+    if file.anchor != folder.anchor or file.parts[1:2] != folder.parts[1:2]:
+        return str(file)
+    return Path(os.path.relpath(file, folder)).as_posix()
+
+
+def write_description(draft: Draft, folder: Path) -> Path:
     """Write the description into the campaign's folder, with what was guessed as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; edit it, or choose another folder")
-    document = described(draft, answers, folder)
+    document = described(draft, folder)
     problems = Problems(document)
     if resolve_campaign(document, target, problems) is None:
         raise CampaignError("init", problems.lines)
@@ -135,62 +141,7 @@ def write_description(draft: Draft, answers: Mapping[str, str], folder: Path) ->
     return target
 
 
-# What is asked, and what is said
-
-
-def _questions(common: FileGuess, sense: str | None) -> Iterator[ExportQuestion]:
-    yield ExportQuestion("gravity", "What is gravity there?", "9.8066 ± 1e-5 m/s^2")
-    yield ExportQuestion("latitude", "At which latitude?", "45.75 deg")
-    size = next((s for s in common.signals if s.observable == "displacement" and s.unit), None)
-    seen = ""
-    if size is not None and size.unit is not None and size.amplitude > 0.0:
-        about = size.amplitude * unit_factor(size.unit, "m")
-        seen = f" The displacement swings by {about:.4g} m."
-    yield ExportQuestion(
-        "radius", f"How far is the platform from the spindle's axis?{seen}", "2.5 ± 1e-5 m"
-    )
-    if common.time is None:
-        text = "No column has the time. How many rows are there a second?"
-        yield ExportQuestion("sampling_rate", text, "50 Hz")
-    elif common.time.unit is None:
-        name = common.time.column
-        yield ExportQuestion("time unit", f"In which unit is the time, column '{name}'?", "s")
-    angle = common.angle
-    if angle is not None and angle.unit is None:
-        text = f"In which unit is the angle, column '{angle.column}'?"
-        yield ExportQuestion("angle unit", text, "deg")
-    if angle is not None and angle.unit == "count" and angle.per_revolution is None:
-        text = f"How many counts of column '{angle.column}' make a revolution?"
-        yield ExportQuestion("per_revolution", text, "65536")
-    if sense is None:
-        text = "In which sense does the angle grow, seen from above?"
-        if angle is None or angle.pulses:
-            text = "In which sense does the centrifuge turn, seen from above?"
-        yield ExportQuestion("sense", text, _SENSES[0], _SENSES)
-    if common.rate is None:
-        yield ExportQuestion("rate", "At which rate does the centrifuge turn?", "0.25 rev/s")
-    if not common.signals:
-        names = ", ".join(f"'{column.name}'" for column in common.look.columns)
-        yield ExportQuestion("signal", f"Which column has the signal ({names})?", "east_m")
-    for signal in common.signals or (_unknown(),):
-        yield from _signal_questions(signal)
-
-
-def _unknown() -> SignalGuess:
-    return SignalGuess("signal", None, None, None, 0.0, None)
-
-
-def _signal_questions(signal: SignalGuess) -> Iterator[ExportQuestion]:
-    name = signal.column
-    if signal.observable is None:
-        text = f"What does column '{name}' have?"
-        choices = ("displacement", "velocity", "specific_force")
-        yield ExportQuestion(f"{name} is", text, choices[0], choices)
-    if signal.unit is None:
-        yield ExportQuestion(f"{name} unit", f"In which unit is column '{name}'?", "m")
-    if signal.axis is None:
-        text = f"Along which axis is column '{name}'?"
-        yield ExportQuestion(f"{name} axis", text, "east", tuple(_NAMES))
+# What is said
 
 
 def _statements(
@@ -202,10 +153,16 @@ def _statements(
             said.append(guess.look.found)
         if guess.rate is not None:
             turns = guess.rate / (2.0 * math.pi)
-            said.append(f"{turns:.6g} rev/s" if guess.time else f"{1 / turns:.6g} rows a turn")
+            said.append(
+                f"{turns:.6g} rev/s"
+                if guess.time or guess.sampling
+                else f"{1 / turns:.6g} rows a turn"
+            )
         rows = max(len(column.values) for column in guess.look.columns)
         yield f"{guess.look.path.name}: {', '.join([f'{rows} rows', *said])}"
     time, angle = common.time, common.angle
+    if time is None and common.sampling is not None:
+        yield f"time: no column; {common.sampling:.8g} rows a second by the file"
     if time is not None:
         unit = "time stamps" if time.unit == "iso" else f"in {time.unit or 'an unknown unit'}"
         yield f"time: column '{time.column}', {unit}"
@@ -244,45 +201,44 @@ def _sense(common: FileGuess) -> str | None:
         if "east" in phase and "north" in phase:
             ahead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)
             if abs(abs(ahead) - math.pi / 2.0) < 0.3:
-                return _SENSES[0] if ahead > 0.0 else _SENSES[1]
+                return SENSES[0] if ahead > 0.0 else SENSES[1]
     return None
 
 
 def _records(common: FileGuess, answers: Mapping[str, str], sense: str) -> dict[str, Any]:
     records: dict[str, Any] = {}
     if common.time is None:
-        records["time"] = {"sampling_rate": answers["sampling_rate"]}
+        stated = answers.get("sampling_rate") or f"{common.sampling:.12g} Hz"
+        records["time"] = {"sampling_rate": stated}
     else:
-        unit = common.time.unit or answers["time unit"]
-        records["time"] = {"column": common.time.column, "unit": unit}
+        records["time"] = {"column": common.time.column, "unit": common.time.unit}
     angle = common.angle
     if angle is None:
         return records
-    table: dict[str, Any] = {"column": angle.column, "unit": angle.unit or answers["angle unit"]}
+    table: dict[str, Any] = {"column": angle.column, "unit": angle.unit}
     if angle.pulses:
         table["pulses"] = True
         table["unit"] = angle.unit or records["time"].get("unit", "s")
     elif angle.unit == "count":
-        stated = angle.per_revolution or float(answers["per_revolution"])
-        table["per_revolution"] = int(stated) if stated == int(stated) else stated
-    if sense == _SENSES[1] and not angle.pulses:
+        counts = angle.per_revolution or math.nan
+        table["per_revolution"] = int(counts) if counts.is_integer() else counts
+    if sense == SENSES[1] and not angle.pulses:
         table["sense"] = sense
-    zero = _zero(common, answers, sense)
+    zero = _zero(common, sense)
     if zero is not None and zero != "east":
         table["zero"] = zero
     return records | {"angle": table}
 
 
-def _zero(common: FileGuess, answers: Mapping[str, str], sense: str) -> str | None:
+def _zero(common: FileGuess, sense: str) -> str | None:
     """Return where the arm points at the encoder's zero, by the wave along a horizontal axis."""
-    turned = 1.0 if sense == _SENSES[0] else -1.0
+    turned = 1.0 if sense == SENSES[0] else -1.0
     forward = turned if common.rising else -turned
     for signal in common.signals:
-        axis = signal.axis or answers.get(f"{signal.column} axis")
+        axis = signal.axis
         if signal.phase is None or axis not in COMPASS:
             continue
-        what = signal.observable or answers.get(f"{signal.column} is", "displacement")
-        derivatives = ("displacement", "velocity", "specific_force").index(what)
+        derivatives = list(OBSERVABLES).index(signal.observable or "displacement")
         ahead = signal.phase - turned * forward * derivatives * math.pi / 2.0
         zero = turned * ahead + COMPASS[axis]
         for name, direction in COMPASS.items():
@@ -292,20 +248,18 @@ def _zero(common: FileGuess, answers: Mapping[str, str], sense: str) -> str | No
     return None
 
 
-def _accelerometers(common: FileGuess, answers: Mapping[str, str]) -> dict[str, Any]:
+def _accelerometers(common: FileGuess) -> dict[str, Any]:
     tables: dict[str, Any] = {}
-    for signal in common.signals or (_unknown(),):
-        key = signal.column
-        column = answers.get("signal", key)
-        axis = signal.axis or answers[f"{key} axis"]
-        what = signal.observable or answers[f"{key} is"]
-        name, number = _NAMES[axis], 2
+    for signal in common.signals:
+        assert signal.axis is not None
+        assert signal.observable is not None
+        name, number = _NAMES[signal.axis], 2
         while name in tables:
-            name, number = f"{_NAMES[axis]}{number}", number + 1
+            name, number = f"{_NAMES[signal.axis]}{number}", number + 1
         tables[name] = {
-            "input_axis": axis,
-            "pendulous_axis": "north" if axis in ("up", "down") else "down",
-            what: {"column": column, "unit": signal.unit or answers[f"{key} unit"]},
+            "input_axis": signal.axis,
+            "pendulous_axis": "north" if signal.axis in ("up", "down") else "down",
+            signal.observable: {"column": signal.column, "unit": signal.unit},
         }
     return tables
 
@@ -314,12 +268,10 @@ def _rate(guess: FileGuess, answers: Mapping[str, str], sense: str) -> str:
     """Return the rate of a run, a round number where it is nearly one."""
     if guess.rate is None:
         return answers["rate"]
-    along = sense == _SENSES[0]
+    along = sense == SENSES[0]
     counts = guess.angle is not None and not guess.angle.pulses
     sign = 1.0 if along == (guess.rising or not counts) else -1.0
     size = guess.rate
-    if guess.time is None:
-        size *= parse(answers["sampling_rate"], "Hz").value
     for unit, factor in (("rev/s", 2.0 * math.pi), ("deg/s", math.pi / 180.0), ("rad/s", 1.0)):
         value = size / factor
         near = float(np.format_float_positional(value, precision=3, fractional=False))

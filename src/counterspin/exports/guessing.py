@@ -1,19 +1,22 @@
 """Which column of a recorder's file is what.
 
 Names and units tell most. Where they do not, the numbers do: time rises in even steps; an angle
-rises with it, perhaps wrapped; a signal swings once a revolution.
+rises with it, perhaps wrapped; a signal swings once a revolution. What a person answers stands
+above both.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.exports.looking import FileColumn, Look
@@ -30,22 +33,30 @@ _AXES: Final = {
     "north": re.compile(r"(?i)(.*[^a-z])?(north|nord)([^a-z]|$)"),
     "up": re.compile(r"(?i)(.*[^a-z])?(up|height)([^a-z]|$)"),
 }
+#: Names of single numbers: rows a second, s between rows, revolutions a minute.
+_SAMPLING: Final = re.compile(r"(?i)(.*[._])?(fs|f_s|sampl(e|ing)_?(rate|frequency))(_?hz)?")
+_STEP: Final = re.compile(r"(?i)(.*[._])?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval))(_?s)?")
+_TURNING: Final = re.compile(r"(?i)(.*[._])?(n_?)?rpm")
+#: The answer that there is no such column, and that a column is none of a signal.
+NONE: Final = "none"
+UNUSED: Final = "unused"
 #: Units of one revolution -> the unit's name.
 _TURNS: Final = {2.0 * np.pi: "rad", 360.0: "deg", 1.0: "rev"}
 #: Relative size within which a revolution's numbers are those of a unit.
 _UNIT_TOLERANCE: Final = 0.02
 #: Time counts as even where nearly all steps are the usual one within this part of it.
 _EVEN_STEP_PART: Final = 0.5
-_GRAVITY: Final = 9.80665
+#: Gravity by which g and m/s^2 are told from other units, m/s^2.
+STANDARD_GRAVITY: Final = 9.80665
 
 
 @frozen
 class TimeGuess:
-    """The time: its column (None: rows are counted), its unit (None: unknown) and its factor."""
+    """The time."""
 
-    column: str | None
-    unit: str | None
-    factor: float
+    column: str  #: In the file.
+    unit: str | None  #: ``iso`` for time stamps; None: unknown.
+    factor: float  #: By which it is multiplied to be in s.
 
 
 @frozen
@@ -85,6 +96,7 @@ class FileGuess:
     #: The columns; None: there seems to be none.
     time: TimeGuess | None
     angle: AngleGuess | None
+    sampling: float | None  #: Rows a second where there is no time, Hz; None: unknown.
     signals: tuple[SignalGuess, ...]  #: In the order of the file.
     #: Size of the spindle's rate, rad/s; where rows are counted, rad a row. None: unknown.
     rate: float | None
@@ -93,43 +105,108 @@ class FileGuess:
 
 
 @np.errstate(all="ignore")  # no number of a file is too odd to be looked at
-def guess_file(look: Look) -> FileGuess:
-    """Return which column of a file is what; see the module."""
-    time_column = _time_column(look)
-    time = None
-    seconds = np.arange(max(len(column.values) for column in look.columns), dtype=float)
+def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> FileGuess:
+    """Return which column of a file is what; see the module.
+
+    told: What a person says of it, by the keys of questions.
+    """
+    columns = [
+        replace(column, unit=told.get(f"{column.name} unit", column.unit))
+        for column in look.columns
+    ]
+    time_column = _chosen(columns, told.get("time"), _time_column)
+    time, sampling = None, None
+    seconds = np.arange(max(len(column.values) for column in columns), dtype=float)
     if time_column is not None:
-        unit = "iso" if time_column.stamps else _unit_of(time_column, "s")
+        stated = told.get("time unit") or _unit_of(time_column, "s")
+        stated = stated or _unit_by_rate(time_column, _sampling(look, told))
+        unit = "iso" if time_column.stamps else stated
         factor = 1.0 if time_column.stamps or unit is None else unit_factor(unit, "s")
         time = TimeGuess(time_column.name, unit, factor)
         seconds = time_column.values * factor
-    rest = [column for column in look.columns if column is not time_column and not column.stamps]
+    else:
+        sampling = _sampling(look, told)
+        seconds = seconds / (sampling or 1.0)
+    rest = [column for column in columns if column is not time_column and not column.stamps]
     long = [column for column in rest if len(column.values) == len(seconds)]
     swings = {column.name: frequency(seconds, column.values) for column in long}
-    angle_column = _angle_column(long, seconds)
+    angle_column = _chosen(
+        [column for column in long if _advance(column.values, seconds) is not None],
+        told.get("angle"),
+        _angle_column,
+    )
     swinging = [
         column
         for column in long
-        if column is not angle_column and (swings[column.name] or _axis(column.name))
+        if column is not angle_column and _is_signal(column, swings[column.name], told)
     ]
     usual = [swing for column in swinging if (swing := swings[column.name])]
     turning = float(np.median(usual)) if usual else None  # Hz
     angle, theta = None, None
     rising = True
     if angle_column is not None:
-        angle, theta = _angle(angle_column, seconds, turning)
+        angle, theta = _angle(angle_column, seconds, turning, told)
         rising = theta is None or float(np.nanmedian(np.diff(theta))) > 0.0
-    elif turning is not None:
+    elif turning is not None and told.get("angle") != NONE:
         angle, theta = _pulses(rest, seconds, turning)
     rate = None if turning is None else 2.0 * np.pi * turning
     if theta is not None:
         good = np.isfinite(theta) & np.isfinite(seconds)
         rate = abs(float(np.polyfit(seconds[good], theta[good], 1)[0]))
-    signals = tuple(_signal(column, seconds, theta, rate) for column in swinging)
+    elif (time or sampling) and (per_minute := _number(look, _TURNING)):
+        rate = per_minute * 2.0 * np.pi / 60.0
+    signals = tuple(_signal(column, seconds, theta, rate, told) for column in swinging)
     taken = {signal.column for signal in signals}
-    taken |= {part.column for part in (time, angle) if part and part.column}
-    unused = tuple(column.name for column in look.columns if column.name not in taken)
-    return FileGuess(look, time, angle, signals, rate, rising, (*unused, *look.others))
+    taken |= {part.column for part in (time, angle) if part}
+    unused = tuple(column.name for column in columns if column.name not in taken)
+    unused = (*unused, *look.others, *look.numbers)
+    return FileGuess(look, time, angle, sampling, signals, rate, rising, unused)
+
+
+def _chosen(
+    columns: Sequence[FileColumn],
+    told: str | None,
+    guess: Callable[[Sequence[FileColumn]], FileColumn | None],
+) -> FileColumn | None:
+    """Return the column that is told, or else the one that is guessed."""
+    named = next((column for column in columns if column.name == told), None)
+    return named if told == NONE or named is not None else guess(columns)
+
+
+def _sampling(look: Look, told: Mapping[str, str]) -> float | None:
+    """Return how many rows there are a second, Hz: as told, or as the file states it."""
+    if "sampling_rate" in told:
+        return parse(told["sampling_rate"], "Hz").value
+    if look.interval:
+        return 1.0 / look.interval
+    if rate := _number(look, _SAMPLING):
+        return rate
+    step = _number(look, _STEP)
+    return 1.0 / step if step else None
+
+
+def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:
+    """Return the unit in which the steps of a time make the sampling rate, Hz; None: none."""
+    step = float(np.nanmedian(np.diff(time.values)))
+    for unit in ("s", "ms", "us") if sampling else ():
+        if abs(step * unit_factor(unit, "s") * (sampling or 0.0) - 1.0) < _UNIT_TOLERANCE:
+            return unit
+    return None
+
+
+def _number(look: Look, names: re.Pattern[str]) -> float | None:
+    """Return the single number of a name, if it is positive."""
+    found = [value for name, value in look.numbers.items() if names.fullmatch(name)]
+    return found[0] if found and np.isfinite(found[0]) and found[0] > 0.0 else None
+
+
+def _is_signal(column: FileColumn, swing: float | None, told: Mapping[str, str]) -> bool:
+    """Return whether a column is a signal: as told, or because it swings, or by its name."""
+    if (what := told.get(f"{column.name} is")) is not None:
+        return what != UNUSED
+    if "signal" in told:
+        return column.name == told["signal"]
+    return bool(swing or _axis(column.name))
 
 
 def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
@@ -148,7 +225,8 @@ def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
                 "has. Name files of one make only."
             )
     signals = tuple(_grown(signal, guesses) for signal in first.signals)
-    return replace(first, signals=signals)
+    rate = first.rate if all(guess.rate for guess in guesses) else None
+    return replace(first, signals=signals, rate=rate)
 
 
 def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
@@ -170,15 +248,24 @@ def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
 # Columns
 
 
-def _time_column(look: Look) -> FileColumn | None:
+def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the column of the time: by its kind, its name or its unit, or even steps."""
-    stamps = [column for column in look.columns if column.stamps]
+    stamps = [column for column in columns if column.stamps]
     if stamps:
         return stamps[0]
-    rising = [column for column in look.columns if _is_even(column.values)]
+    rising = [column for column in columns if _is_even(column.values)]
     named = [column for column in rising if _TIME.match(re.split(r"[/.]", column.name)[-1])]
     united = [column for column in rising if _is(column.unit, "s")]
-    return next(iter([*named, *united]), None)
+    # Without a word, the time stands first, and something else advances with it.
+    rows = np.arange(max(len(column.values) for column in columns), dtype=float)
+    advancing = [
+        column
+        for column in columns
+        if len(column.values) == len(rows) and _advance(column.values, rows) is not None
+    ]
+    first = [c for c in rising[:1] if c is columns[0] and not _ANGLE.match(c.name)]
+    first = first if len(advancing) > 1 else []
+    return next(iter([*named, *united, *first]), None)
 
 
 def _is_even(values: Array) -> bool:
@@ -189,9 +276,8 @@ def _is_even(values: Array) -> bool:
     return bool(usual > 0.0 and np.mean(np.abs(steps - usual) < _EVEN_STEP_PART * usual) > 0.9)
 
 
-def _angle_column(columns: Sequence[FileColumn], time: Array) -> FileColumn | None:
-    """Return the column of the angle: it advances evenly with time, but where it is wrapped."""
-    advancing = [column for column in columns if _advance(column.values, time) is not None]
+def _angle_column(advancing: Sequence[FileColumn]) -> FileColumn | None:
+    """Return the column of the angle among those that advance evenly, perhaps wrapped."""
     named = [column for column in advancing if _ANGLE.match(column.name)]
     united = [c for c in advancing if _is(c.unit, "rad") or _is(c.unit, "count")]
     return next(iter([*named, *united, *advancing]), None)
@@ -222,7 +308,7 @@ def _advance(values: Array, time: Array) -> tuple[Array, float | None] | None:
 
 
 def _angle(
-    column: FileColumn, time: Array, turning: float | None
+    column: FileColumn, time: Array, turning: float | None, told: Mapping[str, str]
 ) -> tuple[AngleGuess, Array | None]:
     """Return what an angle is in, and the angle in rad as the encoder counts it."""
     found = _advance(column.values, time)
@@ -233,17 +319,24 @@ def _angle(
         slope = abs(float(np.polyfit(time[good], unwrapped[good], 1)[0]))
         if period is None or abs(slope / turning / period - 1.0) > _UNIT_TOLERANCE:
             period = slope / turning
-    unit = _unit_of(column, "rad")
-    known = _is(column.unit, "rad")
-    if unit is not None:
+    unit = told.get("angle unit") or _unit_of(column, "rad")
+    known = "angle unit" in told or _is(column.unit, "rad")
+    if unit is not None and unit != "count":
         factor = unit_factor(unit, "rad")
         # A name may say what the numbers do not.
         if known or period is None or abs(period * factor / (2.0 * np.pi) - 1.0) < _UNIT_TOLERANCE:
             return AngleGuess(column.name, unit, known=known), unwrapped * factor
+    if "per_revolution" in told:
+        stated = float(told["per_revolution"])
+        return AngleGuess(column.name, "count", stated), unwrapped * 2.0 * np.pi / stated
     if period is None:
-        return AngleGuess(column.name, None), None
+        return AngleGuess(column.name, unit), None
     for turn, name in _TURNS.items():
-        if abs(period / turn - 1.0) < _UNIT_TOLERANCE and not _is(column.unit, "count"):
+        if (
+            abs(period / turn - 1.0) < _UNIT_TOLERANCE
+            and unit != "count"
+            and not _is(column.unit, "count")
+        ):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / turn
     counts = _whole_counts(period)
     guess = AngleGuess(column.name, "count", counts)
@@ -278,13 +371,17 @@ def _pulses(
 
 
 def _signal(
-    column: FileColumn, time: Array, theta: Array | None, rate: float | None
+    column: FileColumn,
+    time: Array,
+    theta: Array | None,
+    rate: float | None,
+    told: Mapping[str, str],
 ) -> SignalGuess:
     """Return what a signal is, by its unit, and its wave."""
-    observable, unit = None, None
+    wanted = told.get(f"{column.name} is")
+    observable, unit = wanted, None
     for name, si in OBSERVABLES.items():
-        unit = _unit_of(column, si)
-        if unit is not None:
+        if wanted in (None, name) and (unit := _unit_of(column, si)) is not None:
             observable = name
             break
     phase = None
@@ -294,7 +391,8 @@ def _signal(
     elif rate is not None:
         amplitude, _ = wave(rate * time, column.values)
     known = bool(column.unit)
-    return SignalGuess(column.name, observable, unit, _axis(column.name), amplitude, phase, known)
+    axis = told.get(f"{column.name} axis") or _axis(column.name)
+    return SignalGuess(column.name, observable, unit, axis, amplitude, phase, known)
 
 
 def _axis(name: str) -> str | None:
@@ -312,6 +410,6 @@ def _unit_of(column: FileColumn, wanted: str) -> str | None:
 
 def _is(unit: str, wanted: str) -> bool:
     try:
-        return bool(unit) and unit_factor(unit, wanted, gravity=_GRAVITY) != 0.0
+        return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) != 0.0
     except ValueError:
         return False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import Final
 
@@ -11,11 +13,15 @@ from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.dialect import Dialect
+from counterspin.records.excel_file import table_sheets
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
 from counterspin.records.reading import LARGEST_VALUE
+from counterspin.records.tables import is_workbook
 
+#: The answer that every sheet of a workbook is a run.
+ALL_SHEETS: Final = "all"
 #: Rows that are looked at, at most, and columns.
 _MAX_ROWS: Final = 2_000_000
 _MAX_COLUMNS: Final = 200
@@ -40,15 +46,46 @@ class Look:
     columns: tuple[FileColumn, ...]  #: Those that hold numbers or time stamps.
     others: tuple[str, ...]  #: Names of those that hold neither.
     found: str  #: How it is written, where that is not plain.
+    sheet: str | None = None  #: That of a workbook which has several tables.
+    sheets: tuple[str, ...] = ()  #: All of these.
+    interval: float | None = None  #: Time between rows by the file, s.
+    #: Single numbers that stand beside the columns, by name.
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
 
-def look(path: Path, dialect: Dialect = TO_BE_FOUND) -> Look:
-    """Return what is in a file."""
-    return isolated(_look, path, dialect)
+def look_at(
+    files: Sequence[Path],
+    answers: Mapping[str, str] | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Look, ...]:
+    """Return what is in the files of the runs.
+
+    answers: ``sheet`` is that of workbooks with several tables, or `ALL_SHEETS`; without it, the
+        first.
+    progress: Called with (files looked at, files in all).
+    """
+    asked = (answers or {}).get("sheet")
+    looks: list[Look] = []
+    for done, file in enumerate(files, 1):
+        sheets = tuple(isolated(table_sheets, file)) if is_workbook(file) else ()
+        if len(sheets) < 2:
+            looks.append(look(file))
+        else:
+            taken = sheets if asked == ALL_SHEETS else (asked if asked in sheets else sheets[0],)
+            looks += [look(file, sheet, sheets) for sheet in taken]
+        if progress is not None:
+            progress(done, len(files))
+    return tuple(looks)
 
 
-def _look(path: Path, dialect: Dialect) -> Look:
-    with open_columns(path, dialect) as file:
+def look(path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()) -> Look:
+    """Return what is in a file, or in one of its sheets."""
+    return isolated(_look, path, sheet, sheets)
+
+
+def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
+    with open_columns(path, Dialect(sheet=sheet)) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
         columns, others = [], []
         for name in names:
@@ -58,8 +95,19 @@ def _look(path: Path, dialect: Dialect) -> Look:
             else:
                 columns.append(column)
         if not columns:
-            raise RecordError(f"{path}: no column of the file holds numbers.")
-        return Look(path, tuple(columns), tuple(others), file.found)
+            seen = file.seen()
+            lines = f" Its first lines:\n{seen}" if seen else ""
+            raise RecordError(f"{path}: no column of the file holds numbers.{lines}")
+        return Look(
+            path,
+            tuple(columns),
+            tuple(others),
+            file.found,
+            sheet,
+            sheets,
+            file.interval,
+            file.single_numbers(),
+        )
 
 
 def _column(file: ColumnFile, name: str) -> FileColumn | None:

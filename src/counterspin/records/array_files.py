@@ -1,6 +1,8 @@
 """Record files of named arrays: HDF5, and MATLAB in either of its formats.
 
-A column is an array with one dimension larger than 1; MATLAB keeps it as a column or a row.
+A column is an array with one dimension larger than 1; MATLAB keeps it as a column or a row. A
+matrix is as many columns as its shorter dimension: `pos` of 12001 x 2 is `pos.1` and `pos.2`, in
+HDF5 `pos/1` and `pos/2`. A single number is no column.
 """
 
 from __future__ import annotations
@@ -9,14 +11,14 @@ import struct
 import zlib
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile
+from counterspin.records.column_file import ColumnFile, quoted
 from counterspin.records.dialect import Dialect
 from counterspin.records.pieces import Columns, joined
 
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Rows read at a time (24 MB for three columns).
 _BATCH_ROWS = 1_000_000
+#: A matrix of more columns than these is none.
+_MOST_COLUMNS = 200
 #: The end of MATLAB's header -> the order of bytes; its length; the type of what is compressed.
 _BYTE_ORDERS = {b"IM": "<", b"MI": ">"}
 _MATLAB_HEADER = 128
@@ -39,6 +43,8 @@ class ArrayFile(ColumnFile):
     """A file of named arrays."""
 
     _full: dict[str, str]  # name, within its group or not -> its path
+    _parts: dict[str, int]  # name of a matrix's column -> which it is, from 0
+    _single: list[str]  # names of arrays that hold one value
 
     @abstractmethod
     def _arrays(self, wanted: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
@@ -49,12 +55,19 @@ class ArrayFile(ColumnFile):
         """Return an array's shape; RecordError unless it holds numbers, in this very file."""
 
     def _name(
-        self, paths: Sequence[str], group: str | None, *, mark: str, within: str = "/"
+        self,
+        shapes: Mapping[str, tuple[int, ...] | None],
+        group: str | None,
+        *,
+        mark: str,
+        within: str = "/",
     ) -> None:
         """Name the columns within a group: the one that is asked for, or the only one there is.
 
+        shapes: Path of an array -> its shape; None: it has none.
         group: Its path, its parts joined by `mark`; None: none is asked for.
         """
+        paths = list(shapes)
         if group is None:
             groups = {path.rpartition(within)[0] for path in paths}
             start = groups.pop() if len(groups) == 1 else ""
@@ -65,9 +78,27 @@ class ArrayFile(ColumnFile):
         short = {path[len(start) :].replace(within, mark): path for path in inside}
         if group is not None and not short:
             raise RecordError(f"{self.path}: there is no group '{group}' with columns in it.")
-        self.names = list(short)
         # The whole path does as well.
         self._full = {path.replace(within, mark): path for path in paths} | short
+        self.names, self._single, self._parts = [], [], {}
+        for name, path in list(self._full.items()):
+            count = _columns_of(shapes[path])
+            own = [name] if count == 1 else [f"{name}{mark}{n + 1}" for n in range(count)]
+            if count > 1:
+                self._full |= dict.fromkeys(own, path)
+                self._parts |= {part: place for place, part in enumerate(own)}
+            if name in short:
+                self.names += own
+                self._single += [name] if count == 0 else []
+
+    def single_numbers(self) -> dict[str, float]:
+        """Return arrays that hold one number."""
+        numbers = {}
+        for name in self._single:
+            with suppress(RecordError):
+                self._shape(name)  # refuses what holds no numbers
+                numbers[name] = float(next(self._batches([name]))[name][0])
+        return numbers
 
     def _has(self, name: str) -> bool:
         return name in self._full
@@ -76,11 +107,19 @@ class ArrayFile(ColumnFile):
         lengths = {}
         for name in wanted:
             shape = self._shape(name)
+            if shape is not None and name in self._parts:
+                shape = (max(shape),)
             size = 0 if shape is None else int(np.prod(shape, dtype=object))
             # HDF5 has datasets without any space, whose shape is None.
             if shape is None or size != max(shape, default=0):
+                own = [
+                    p
+                    for p in self._parts
+                    if self._full[p] == self._full[name] and p.startswith(name)
+                ]
+                hint = f": {quoted(own)}" if own else ""
                 raise RecordError(
-                    f"{self.path}: '{name}' has the shape {shape}; one column is needed."
+                    f"{self.path}: '{name}' has the shape {shape}; one column is needed{hint}."
                 )
             lengths[name] = size
         if len(set(lengths.values())) > 1:
@@ -98,13 +137,13 @@ class ArrayFile(ColumnFile):
                     )
                 if name not in self.stamps and array.dtype.kind not in "fiub":
                     raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
-            length = max((array.size for array in arrays.values()), default=0)
+            length = max((max(array.shape, default=1) for array in arrays.values()), default=0)
             for start in range(0, length, _BATCH_ROWS):
                 stop = min(start + _BATCH_ROWS, length)
                 yield {
                     name: self._moments(array, start, stop)
                     if name in self.stamps
-                    else _slice(array, start, stop)
+                    else _slice(array, start, stop, self._parts.get(name, 0))
                     for name, array in arrays.items()
                 }
 
@@ -133,15 +172,18 @@ class Hdf5File(ArrayFile):
         if not h5py.is_hdf5(path):
             raise RecordError(f"{path}: this is not an HDF5 file.")
         with h5py.File(path, "r") as file:
-            full: list[str] = []
+            found: dict[str, Any] = {}
             # Links are not followed, neither in the file nor out of it.
             file.visititems(
-                lambda name, item: full.append(name) if isinstance(item, h5py.Dataset) else None
+                lambda name, item: (
+                    found.update({name: item}) if isinstance(item, h5py.Dataset) else None
+                )
             )
-        if path.suffix.lower() == ".mat":
+            is_matlab = path.suffix.lower() == ".mat"
             # MATLAB's own are no columns; its structures are groups, whose fields it parts by dots.
-            full = [name for name in full if not name.startswith("#")]
-        self._name(full, dialect.group, mark="." if path.suffix.lower() == ".mat" else "/")
+            shapes = {n: d.shape for n, d in found.items() if not is_matlab or n[0] != "#"}
+            mark = "." if is_matlab else "/"
+            self._name(shapes, dialect.group, mark=mark)
 
     def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
@@ -194,7 +236,8 @@ class MatlabFile(ArrayFile):
         for name, (_, kind) in list(self._variables.items()):
             if kind == "struct":
                 self._open_structure(name)
-        self._name(list(self._variables), dialect.group, mark=".", within=".")
+        shapes = {name: shape for name, (shape, _) in self._variables.items()}
+        self._name(shapes, dialect.group, mark=".", within=".")
 
     def _open_structure(self, name: str) -> None:
         """Put the fields of a structure in its place, by their paths."""
@@ -239,13 +282,6 @@ class MatlabFile(ArrayFile):
         yield {name: self._loaded[self._full[name]] for name in wanted}
 
 
-def matlab_or_hdf5(path: Path, stream: BinaryIO, dialect: Dialect) -> ArrayFile:
-    """Open a .mat file, which from version 7.3 on is an HDF5 file."""
-    import h5py
-
-    return (Hdf5File if h5py.is_hdf5(path) else MatlabFile)(path, stream, dialect)
-
-
 def _inflated_bytes(stream: BinaryIO) -> int:
     """Return how long the compressed variables of a .mat file of version 5 to 7 say they are.
 
@@ -272,6 +308,19 @@ def _inflated_bytes(stream: BinaryIO) -> int:
     return total
 
 
-def _slice(array: Any, start: int, stop: int) -> np.ndarray:
-    index = tuple(slice(start, stop) if size > 1 else 0 for size in array.shape)
+def _columns_of(shape: tuple[int, ...] | None) -> int:
+    """Return how many columns an array is: those of a matrix, 1 of anything else but a number."""
+    wide = [size for size in shape or () if size > 1]
+    if shape is not None and not wide and 0 not in shape:
+        return 0
+    return min(wide) if len(wide) == 2 and min(wide) <= _MOST_COLUMNS else 1
+
+
+def _slice(array: Any, start: int, stop: int, column: int) -> np.ndarray:
+    """Return part of an array along its longest dimension; `column` counts along another."""
+    longest = int(np.argmax(array.shape)) if array.shape else 0
+    index = tuple(
+        slice(start, stop) if place == longest else (column if size > 1 else 0)
+        for place, size in enumerate(array.shape)
+    )
     return np.atleast_1d(np.asarray(array[index], dtype=float))

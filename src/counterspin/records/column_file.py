@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -67,7 +67,8 @@ class ColumnFile(ABC):
     delimiter = ","
     decimal = "."
     #: Column -> its unit by the file itself, in plain signs; empty text where it states none.
-    units: Mapping[str, str]
+    units: dict[str, str]
+    interval: float | None  #: Time between rows by the file, s; None where it states none.
     #: Whether they stand in a row of their own, or else in brackets behind the names.
     units_row: bool
     #: Columns that are to be read as time stamps: seconds after the first one. Set it before
@@ -81,7 +82,7 @@ class ColumnFile(ABC):
         self.names: list[str] = []
         self.identity: FileIdentity | None = FileIdentity.of(stream.fileno())
         self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
-        self.first_stamp = None
+        self.first_stamp, self.interval = None, None
         self._stream = stream
 
     def __enter__(self) -> Self:
@@ -157,6 +158,14 @@ class ColumnFile(ABC):
     def look_closely(self) -> bool:
         """Read with more patience from now on, if there is such a way that was not taken yet."""
         return False
+
+    def single_numbers(self) -> dict[str, float]:
+        """Return the single numbers that stand beside the columns, by name."""
+        return {}
+
+    def seen(self) -> str:
+        """Say what a text's first lines look like, a line each; empty text of other files."""
+        return ""
 
     def seconds(self, stamps: pl.Series) -> np.ndarray:
         """Return time stamps, ns with gaps, as seconds after the first one of the file."""

@@ -13,14 +13,19 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
 from counterspin.records.dialect import (
+    BLANKS,
     EMPTY_WORDS,
     HEAD_LINES,
     TO_BE_FOUND,
     Dialect,
+    Line,
+    described_lines,
     find_layout,
     is_plain,
     plain_layout,
+    split,
 )
+from counterspin.records.labview import labview_head
 from counterspin.records.pieces import Columns
 from counterspin.records.stamps import nanoseconds
 
@@ -33,12 +38,14 @@ _FORM = "A .csv file holds a line of column names and lines of numbers."
 
 
 class CsvFile(ColumnFile):
-    """A text table: names, perhaps units, then rows; '#' comments."""
+    """A text table: perhaps names and units, then rows; '#' comments."""
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect = TO_BE_FOUND) -> None:
         super().__init__(path, stream)
         self._closely = False
-        self._content: bytes | None = None  # where it is no superset of ASCII: as UTF-8
+        #: As UTF-8 and with tabs, where it is no superset of ASCII, or blanks part the cells.
+        self._content: bytes | None = None
+        self._head: list[Line] = []
         self._encoding = dialect.encoding or "utf-8"
         self._find_layout(dialect)
 
@@ -69,7 +76,7 @@ class CsvFile(ColumnFile):
     def _find_layout(self, dialect: Dialect) -> None:
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
-        lines = [(number, self._decoded(raw)) for number, raw in head]
+        lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
         layout = None
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
@@ -81,18 +88,40 @@ class CsvFile(ColumnFile):
             self._refuse_what_is_no_text(head)
         if layout is None:
             raise RecordError(f"{self.path}: the file has no header line and no rows.")
-        line = next(line for number, line in lines if number == layout.header)
         if all(_is_number(cell) for cell in layout.names):
+            line = next(line for number, line in lines if number == layout.header)
             raise RecordError(
                 f"{self.path}, line {layout.header}: the first line must name the columns, "
                 f"but it holds numbers: {line[:60]}"
             )
         self.delimiter, self.decimal = layout.delimiter, layout.decimal
+        self._named = layout.header > 0
         self._before_rows, self.names = layout.before_rows, list(layout.names)
         self.units = dict(zip(layout.names, layout.units, strict=True))
         self.units_row = layout.units_row
+        above = [split(line, self.delimiter) for number, line in lines if number < layout.header]
+        units, self.interval = labview_head(above, self.names, self.decimal)
+        self.units |= units
         if not is_plain(lines):
             self.found = layout.words(self._encoding)
+        if self.delimiter == BLANKS:
+            self._part_by_tabs()
+
+    def _part_by_tabs(self) -> None:
+        """Take the content with one tab for the blanks between two cells; lines stay lines."""
+        self.delimiter = "\t"
+        self._content = b"".join(b"\t".join(line.split()) + b"\n" for _, line in self._lines())
+
+    def _missing_words(self, missing: Sequence[str]) -> str:
+        words = super()._missing_words(missing)
+        if self._named:
+            return words
+        above = f"above the first numbers, line {self._before_rows + 1}"
+        return f"{words} They are numbered: no line {above}, would name the columns."
+
+    def seen(self) -> str:
+        """Say what the first lines look like, a line each."""
+        return described_lines(self._head)
 
     def _transcode(self, dialect: Dialect) -> None:
         """Take the content as UTF-8 where it is written in an encoding of wide characters."""

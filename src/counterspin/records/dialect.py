@@ -17,8 +17,12 @@ from typing import Final
 from counterspin.frozen import frozen
 from counterspin.units import check_unit
 
+#: Marks that may part the cells, the usual first.
+MARKS: Final = (",", ";", "\t")
+#: Blanks, any number of them, as one delimiter.
+BLANKS: Final = " "
 #: What may part the cells, the usual first.
-DELIMITERS: Final = (",", ";", "\t")
+DELIMITERS: Final = (*MARKS, BLANKS)
 #: Lines in which the rows must begin.
 HEAD_LINES: Final = 400
 #: Rows that show whether a file is plain, and how many are wanted to tell a layout.
@@ -34,6 +38,14 @@ _NUMBERS: Final = {
         rf"[+-]?(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?"
     )
     for mark in (".", ",")
+}
+#: A cell between blanks; a unit in brackets may stand one blank behind its name.
+_BETWEEN_BLANKS: Final = re.compile(r"\S+(?: ?[\[(][^\[\]()\s]+[\])])?")
+#: Delimiter -> how it is called.
+_DELIMITER_WORDS: Final = {
+    ";": "semicolon-separated",
+    "\t": "tab-separated",
+    BLANKS: "separated by blanks",
 }
 #: A unit in brackets at the end of a name.
 _IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
@@ -83,7 +95,7 @@ TO_BE_FOUND: Final = Dialect()
 class Layout:
     """Where things stand in a table of text; lines count from 1."""
 
-    header: int  #: Line of the names.
+    header: int  #: Line of the names; 0 where there is none, and columns are numbered.
     before_rows: int  #: Lines before the first row of numbers.
     names: tuple[str, ...]  #: Of the columns, without blanks around them.
     units: tuple[str, ...]  #: Of the columns, in plain signs; empty text where there is none.
@@ -95,12 +107,14 @@ class Layout:
     def words(self, encoding: str) -> str:
         """Say what is not plain; empty text of a plain file."""
         said = []
+        if not self.header:
+            said.append("columns without names")
         if self.header > 1:
             said.append(f"names in line {self.header}")
         if self.units_row:
             said.append("a row of units")
-        if self.delimiter != ",":
-            said.append("tab-separated" if self.delimiter == "\t" else "semicolon-separated")
+        if self.delimiter in _DELIMITER_WORDS:
+            said.append(_DELIMITER_WORDS[self.delimiter])
         if self.decimal == ",":
             said.append("decimal commas")
         if encoding != "utf-8":
@@ -118,23 +132,9 @@ def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
         parted = [(number, split(line, delimiter)) for number, line in lines]
         for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
-            found = find_rows(parted, dialect, decimal)
-            if found is None:
-                continue
-            score, layout = found
-            if best is None or score > best[0]:
-                best = (
-                    score,
-                    Layout(
-                        layout.header,
-                        layout.before_rows,
-                        layout.names,
-                        layout.units,
-                        layout.units_row,
-                        delimiter,
-                        decimal,
-                    ),
-                )
+            found = find_rows(parted, dialect, decimal, delimiter)
+            if found is not None and (best is None or found[0] > best[0]):
+                best = found
     return best and best[1]
 
 
@@ -143,10 +143,11 @@ def is_plain(lines: Sequence[Line]) -> bool:
     written = [line for _, line in lines if line.strip() and not line.startswith("#")]
     if len(written) < 2:
         return False
-    delimiter = max(DELIMITERS, key=written[0].count)
-    width = len(split(written[0], delimiter))
+    delimiter = max(MARKS, key=written[0].count)
+    names = split(written[0], delimiter)
+    width = len(names)
     rows = [split(line, delimiter) for line in written[1 : 1 + _PLAIN_ROWS]]
-    return all(len(row) <= width and _is_row(row, ".") for row in rows)
+    return not _is_row(names, ".") and all(len(row) <= width and _is_row(row, ".") for row in rows)
 
 
 def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
@@ -160,7 +161,7 @@ def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
         return None
     number, line = written[0]
     # The delimiter is the one that the header uses most; a lone column has none.
-    delimiter = dialect.delimiter or max(DELIMITERS, key=line.count)
+    delimiter = dialect.delimiter or max(MARKS, key=line.count)
     names = split(line, delimiter)
     # Among the rows a blank line is a row of empty cells; here it stops the parser.
     body = iter([place for place, below in lines if place > number and below.strip()])
@@ -178,9 +179,9 @@ def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
 
 
 def find_rows(
-    parted: Sequence[tuple[int, list[str]]], dialect: Dialect, decimal: str
+    parted: Sequence[tuple[int, list[str]]], dialect: Dialect, decimal: str, delimiter: str = ""
 ) -> tuple[int, Layout] | None:
-    """Return how many numbers the longest stretch of rows has, and where it stands."""
+    """Return how many numbers more than texts the longest stretch of rows has, and its layout."""
     skipped = dialect.skip_lines
     table = [(number, cells) for number, cells in parted if any(cells)]
     begin, end = _longest(table, decimal, after=skipped or 0)
@@ -196,21 +197,54 @@ def find_rows(
         above = above[:2]
     if any(len(cells) == width and _is_row(cells, decimal) for _, cells in above):
         return None  # a row like any other stands above: what parts the two is no row of names
+    rows = [cells for _, cells in table[begin:end]]
     head = _head(above, dialect, width, decimal)
-    if head is None:
+    if head is not None:
+        (header, names), below = head
+        if len(names) == width - 1 and _is_counted(rows, decimal):
+            names = ["column 1", *names]  # as R writes it: nothing above the numbers of the rows
+    elif all(2 * len(cells) <= width for _, cells in above[-1:]) and _need_no_names(
+        rows, decimal, delimiter
+    ):
+        header, names, below = 0, [], []
+    else:
         return None
-    (header, names), below = head
-    rows = table[begin:end]
-    if any(_is_number(cell, decimal) for _, cells in rows for cell in cells[len(names) :]):
+    if delimiter == "," and any(
+        _is_number(cell, decimal) for row in rows for cell in row[len(names) :] if names
+    ):
         return None  # a number that no name stands above is the rest of one: 1,25 has no two cells
     # A delimiter at the end of every row makes an empty cell that has no name.
-    names = [*names, *[""] * (width - len(names))]
+    names += [
+        f"column {place + 1}" if any(_is_number(row[place], decimal) for row in rows) else ""
+        for place in range(len(names), width)
+    ]
     units = [file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
-    numbers = sum(sum(_is_number(cell, decimal) for cell in cells) for _, cells in rows)
+    written = [cell for row in rows for cell in row if cell]
+    numbers = sum(_is_number(cell, decimal) for cell in written)
+    texts = sum(not STAMP.fullmatch(cell) for cell in written) - numbers
     before = table[begin][0] - 1
-    layout = Layout(header, before, tuple(names), tuple(units), bool(below), "", decimal)
-    return numbers, layout
+    layout = Layout(header, before, tuple(names), tuple(units), bool(below), delimiter, decimal)
+    return numbers - texts, layout
+
+
+def _is_counted(rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Return whether the first cells count the rows, and the last ones are numbers too."""
+    first = int(rows[0][0]) if rows[0][0] in ("0", "1") else None
+    return first is not None and all(
+        row[0] == str(first + place) and _is_number(row[-1], decimal)
+        for place, row in enumerate(rows)
+    )
+
+
+def _need_no_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
+    """Return whether rows of numbers alone are plain without names above them.
+
+    Where commas part cells, points must part decimals: 0,5,1,25 may be four numbers or two.
+    """
+    if not all(_is_row(row, decimal) for row in rows):
+        return False
+    return delimiter != "," or any("." in cell for row in rows for cell in row)
 
 
 def _head(
@@ -230,8 +264,9 @@ def _head(
     number, names = above[0] if stated else above[-1]
     values = [cell for cell in names if _is_number(cell, decimal)]
     damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
-    too_many = any(names[width:])  # names of columns that the rows do not have
-    if damaged or too_many or sum(map(bool, names)) < max(1, width - 1):
+    # Names of columns that the rows do not have; LabVIEW's rows may end before an empty remark.
+    too_many = any(name.lower() not in ("", "comment") for name in names[width:])
+    if damaged or too_many or 2 * sum(map(bool, names)) < max(2, width):
         return None
     return (number, names[:width]), above[1][1] if units_row else []
 
@@ -254,11 +289,25 @@ def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -
 
 def split(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line, without blanks around them."""
+    if delimiter == BLANKS:
+        return _BETWEEN_BLANKS.findall(line)
     cells = line.split(delimiter)
     if '"' in line:
         with suppress(csv.Error):  # a line that is no text
             cells = next(csv.reader([line], delimiter=delimiter))
     return [cell.strip() for cell in cells]
+
+
+def described_lines(lines: Sequence[Line], shown: int = 6) -> str:
+    """Say what the first lines look like, where no table was found among them."""
+    said = []
+    for number, line in [one for one in lines if one[1].strip()][:shown]:
+        mark = max(MARKS, key=line.count)
+        cells = split(line, mark if mark in line else BLANKS)
+        numbers = sum(any(_is_number(cell, each) for each in _NUMBERS) for cell in cells)
+        count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
+        said.append(f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}")
+    return "\n".join(said)
 
 
 def file_unit(text: str) -> str | None:

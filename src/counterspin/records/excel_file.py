@@ -16,6 +16,7 @@ from counterspin.records.dialect import (
     HEAD_LINES,
     TO_BE_FOUND,
     Dialect,
+    Layout,
     find_rows,
 )
 from counterspin.records.pieces import Columns
@@ -57,8 +58,8 @@ def excel_table(
         return table
 
 
-def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
-    """Return the workbook and the name of the sheet that is asked for."""
+def _opened(path: Path, content: bytes) -> Any:
+    """Return a workbook."""
     try:
         import fastexcel
     except ModuleNotFoundError:
@@ -67,18 +68,60 @@ def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
             f"it: {installing('excel')}."
         ) from None
     _require_size(path, content)
-    book = fastexcel.read_excel(content)
+    return fastexcel.read_excel(content)
+
+
+def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
+    """Return the workbook and the name of the sheet that is asked for, or of the only table."""
+    book = _opened(path, content)
     names = book.sheet_names
-    if sheet is None:
-        # A workbook may come with empty sheets.
-        full = [name for name in names if book.load_sheet(name).height > 0]
-        if len(full) != 1:
-            held = f"the sheets {quoted(full)} hold rows; name one" if full else "it has none"
-            raise RecordError(f"{path}: which sheet is the table: {held}.")
-        sheet = full[0]
-    elif sheet not in names:
-        raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {quoted(names)}.")
-    return book, sheet
+    if sheet is not None:
+        if sheet not in names:
+            raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {quoted(names)}.")
+        return book, sheet
+    # A workbook may come with empty sheets, and with one of remarks.
+    full = [name for name in names if book.load_sheet(name).height > 0]
+    found = full if len(full) == 1 else _tables_of(book, full)
+    if len(found) != 1:
+        held = f"the sheets {quoted(found or full)} hold rows; name one" if full else "it has none"
+        raise RecordError(f"{path}: which sheet is the table: {held}.")
+    return book, found[0]
+
+
+def table_sheets(path: Path) -> list[str]:
+    """Return the sheets of a workbook in which rows of numbers stand below names."""
+    with record_errors(path):
+        book = _opened(path, read_file(path))
+        return _tables_of(book, book.sheet_names)
+
+
+def has_numbers(path: Path, dialect: Dialect) -> bool:
+    """Return whether rows of numbers stand below names in the sheet that is asked for."""
+    with record_errors(path):
+        book, sheet = _sheet_of(path, dialect.sheet, read_file(path))
+        return _rows_of(book, sheet, dialect) is not None
+
+
+def _tables_of(book: Any, sheets: Sequence[str]) -> list[str]:
+    """Return the sheets that hold rows with more numbers than texts."""
+    return [sheet for sheet in sheets if (found := _rows_of(book, sheet)) and found[0] > 0]
+
+
+def _loaded(book: Any, sheet: str, kind: Any, skip: int, rows: int | None = None) -> pl.DataFrame:
+    """Return the cells of a sheet below `skip` rows, all of one kind."""
+    loaded = book.load_sheet(sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=kind)
+    frame: pl.DataFrame = loaded.to_polars()
+    return frame
+
+
+def _rows_of(book: Any, sheet: str, dialect: Dialect = TO_BE_FOUND) -> tuple[int, Layout] | None:
+    """Return how many numbers more than texts a sheet's rows have, and where they stand."""
+    head = _loaded(book, sheet, "string", 0, HEAD_LINES + (dialect.skip_lines or 0)).rows()
+    parted = [
+        (number, ["" if cell is None else cell.strip() for cell in row])
+        for number, row in enumerate(head, 1)
+    ]
+    return find_rows(parted, dialect, ".")
 
 
 class ExcelFile(ColumnFile):
@@ -87,13 +130,7 @@ class ExcelFile(ColumnFile):
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)
         self._book, self._sheet = _sheet_of(path, dialect.sheet, self.content())
-        lines = HEAD_LINES + (dialect.skip_lines or 0)
-        head = self._loaded("string", 0, lines).rows()
-        parted = [
-            (number, ["" if cell is None else cell.strip() for cell in row])
-            for number, row in enumerate(head, 1)
-        ]
-        found = find_rows(parted, dialect, ".")
+        found = _rows_of(self._book, self._sheet, dialect)
         if found is None:
             raise RecordError(
                 f"{path}: in the sheet '{self._sheet}' no rows of numbers stand below names."
@@ -104,16 +141,13 @@ class ExcelFile(ColumnFile):
         self.units_row = self._layout.units_row
         self.found = ", ".join(
             [f"sheet '{self._sheet}'"] * (len(self._book.sheet_names) > 1)
+            + ["columns without names"] * (self._layout.header == 0)
             + [f"names in row {self._layout.header}"] * (self._layout.header > 1)
             + ["a row of units"] * self.units_row
         )
 
-    def _loaded(self, kind: Any, skip: int, rows: int | None = None) -> pl.DataFrame:
-        sheet = self._book.load_sheet(
-            self._sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=kind
-        )
-        frame: pl.DataFrame = sheet.to_polars()
-        return frame
+    def _loaded(self, kind: Any, skip: int) -> pl.DataFrame:
+        return _loaded(self._book, self._sheet, kind, skip)
 
     def _require(self, wanted: Sequence[str]) -> None:
         for name in wanted:
@@ -151,6 +185,9 @@ class ExcelFile(ColumnFile):
 
     def _table(self) -> pl.DataFrame:
         layout = self._layout
+        if not layout.header:
+            rows = self._loaded("float", layout.before_rows)
+            return rows.rename(dict(zip(rows.columns, layout.names, strict=True)))
         place = Dialect(skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet)
         return excel_table(self.path, place, self.content())
 

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final
 
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity, open_file
-from counterspin.records.array_files import Hdf5File, matlab_or_hdf5
+from counterspin.records.array_files import Hdf5File, MatlabFile
 from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
@@ -23,16 +23,36 @@ from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.parquet_file import ParquetFile
 from counterspin.records.tdms_file import TdmsFile
 
+#: Bytes that show whether a file is text.
+_SHOWN_BYTES: Final = 4096
+
+
+def _matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
+    """Open a .mat file: HDF5 from version 7.3 on, MATLAB's own format before, or ``-ascii``."""
+    import h5py
+
+    if h5py.is_hdf5(path):
+        return Hdf5File(path, stream, dialect)
+    head = stream.read(_SHOWN_BYTES)
+    stream.seek(0)
+    # MATLAB's own begins with words too; numbers follow in bytes that no text has.
+    is_text = not head.startswith(b"MATLAB") and b"\0" not in head
+    return (CsvFile if is_text else MatlabFile)(path, stream, dialect)
+
+
 #: Ending of a record file, in lower case -> what opens it.
 RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFile]]] = {
     ".csv": CsvFile,
     ".txt": CsvFile,
     ".tsv": CsvFile,
     ".lvm": CsvFile,
+    ".log": CsvFile,
+    ".dat": CsvFile,
+    ".asc": CsvFile,
     ".parquet": ParquetFile,
     ".h5": Hdf5File,
     ".hdf5": Hdf5File,
-    ".mat": matlab_or_hdf5,
+    ".mat": _matlab,
     ".xlsx": ExcelFile,
     ".tdms": TdmsFile,
 }

@@ -63,7 +63,7 @@ class MemoryFile(ColumnFile):
         self.names = [*table.columns, *table.others]
         self.identity = None
         self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
-        self.first_stamp = None
+        self.first_stamp, self.interval = None, None
         self._table_in_memory = table
 
     def __exit__(

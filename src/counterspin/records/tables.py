@@ -14,7 +14,7 @@ from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.excel_file import excel_table
+from counterspin.records.excel_file import excel_table, has_numbers
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
 from counterspin.records.memory import MemoryTable
@@ -94,7 +94,7 @@ def _filed(file: ColumnFile) -> FiledTable:
 
 
 def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
-    if is_workbook(path):
+    if is_workbook(path) and not has_numbers(path, dialect):
         with record_errors(path):
             content = read_file(path)
         frame = excel_table(path, dialect, content)

@@ -58,7 +58,9 @@ class TdmsFile(ArrayFile):
             self._places = {path: (group, c.name) for path, (group, c) in channels.items()}
             self._shapes = {path: (len(channel),) for path, (_, channel) in channels.items()}
             units = {path: _unit(channel.properties) for path, (_, channel) in channels.items()}
-        self._name(list(channels), dialect.group, mark="/")
+            steps = {_step(channel.properties) for _, channel in channels.values()}
+            self.interval = steps.pop() if len(steps) == 1 else None
+        self._name(self._shapes, dialect.group, mark="/")
         self.units = {name: units[path] for name, path in self._full.items()}
 
     @contextmanager
@@ -87,6 +89,12 @@ class TdmsFile(ArrayFile):
                 group, channel = self._places[self._full[name]]
                 arrays[name] = _ChannelArray(file[group][channel])
             yield arrays
+
+
+def _step(properties: Mapping[str, Any]) -> float | None:
+    """Return the time between samples of a waveform, s; None: the channel states none."""
+    step = properties.get("wf_increment")
+    return float(step) if isinstance(step, int | float) and step > 0.0 else None
 
 
 def _unit(properties: Mapping[str, Any]) -> str:

@@ -1,0 +1,217 @@
+"""What is asked of a person about a recorder's files, and what an answer means."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Final
+
+from counterspin.campaign.quantity import BARE, parse
+from counterspin.campaign.settings import OBSERVABLES
+from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, UNUSED, FileGuess
+from counterspin.exports.looking import ALL_SHEETS
+from counterspin.frozen import frozen
+from counterspin.records.dialect import file_unit
+from counterspin.units import unit_factor
+
+SENSES: Final = ("counterclockwise", "clockwise")
+AXES: Final = ("east", "west", "north", "south", "up", "down")
+#: In the place of a unit: that of any signal.
+ANY_SIGNAL: Final = "any"
+#: Other words for answers that are chosen from a list, in lower case.
+_SYNONYMS: Final = {
+    "ccw": "counterclockwise",
+    "anticlockwise": "counterclockwise",
+    "anti-clockwise": "counterclockwise",
+    "counter-clockwise": "counterclockwise",
+    "positive": "counterclockwise",
+    "cw": "clockwise",
+    "negative": "clockwise",
+    "e": "east",
+    "o": "east",
+    "ost": "east",
+    "w": "west",
+    "n": "north",
+    "nord": "north",
+    "s": "south",
+    "süd": "south",
+    "sued": "south",
+    "u": "up",
+    "oben": "up",
+    "d": "down",
+    "unten": "down",
+    "position": "displacement",
+    "path": "displacement",
+    "weg": "displacement",
+    "speed": "velocity",
+    "geschwindigkeit": "velocity",
+    "specific force": "specific_force",
+    "force": "specific_force",
+    "ignore": UNUSED,
+    "nothing": UNUSED,
+}
+_DECIMAL_COMMA: Final = re.compile(r"(?<![\d.])(\d+),(\d+)(?![\d,])")
+
+
+@frozen
+class ExportQuestion:
+    """What files do not say, or what is guessed of them and may be overruled."""
+
+    key: str  #: By which it is answered.
+    text: str  #: The question.
+    example: str  #: An answer.
+    choices: tuple[str, ...] = ()  #: The answers there are; empty: any.
+    guess: str | None = None  #: What is taken without an answer; None: an answer is needed.
+    quantity: str = ""  #: The unit of a quantity that is asked for; empty: none is.
+    unit: str = ""  #: What a unit that is asked for must convert to; empty: none is asked for.
+
+    def judged(self, answer: str) -> str:
+        """Return an answer in the words of a description; ValueError if it is none."""
+        clean = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
+        if self.choices:
+            return self._chosen(answer.strip())
+        if self.quantity:
+            # A bare number is in the unit of the example, which stands beside the question.
+            *_, usual = self.example.split()
+            bare = BARE.fullmatch(clean) and self.key != "rate"
+            text = f"{clean} {usual}" if bare else clean
+            parse(text, self.quantity)
+            return text
+        if self.unit:
+            unit = file_unit(clean) or clean
+            wanted = OBSERVABLES.values() if self.unit == ANY_SIGNAL else (self.unit,)
+            errors = [error for one in wanted if (error := _unit_error(unit, one))]
+            if len(errors) == len(tuple(wanted)):
+                raise ValueError(errors[0])
+            return unit
+        if not float(clean) > 0.0:
+            raise ValueError(f"{answer!r} is not a positive number")
+        return clean
+
+    def _chosen(self, answer: str) -> str:
+        known = {choice.lower(): choice for choice in self.choices}
+        word = _SYNONYMS.get(answer.lower(), answer).lower()
+        if word in known:
+            return known[word]
+        close = get_close_matches(word, known, n=1)
+        hint = f"; did you mean {known[close[0]]!r}?" if close else ""
+        raise ValueError(f"{answer!r} is none of {', '.join(self.choices)}{hint}")
+
+
+def _unit_error(unit: str, wanted: str) -> str:
+    try:
+        unit_factor(unit, wanted, gravity=STANDARD_GRAVITY)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def questions_of(
+    common: FileGuess, sense: str | None, answered: Collection[str] = ()
+) -> Iterator[ExportQuestion]:
+    """Yield what may be answered: what is needed, and what is guessed.
+
+    answered: Keys that were answered before.
+    """
+    names = tuple(column.name for column in common.look.columns)
+    if common.look.sheets:
+        text = f"Which sheet is the table of a run ('{ALL_SHEETS}': each of them)?"
+        choices = (*common.look.sheets, ALL_SHEETS)
+        yield ExportQuestion("sheet", text, common.look.sheets[0], choices)
+    yield ExportQuestion(
+        "gravity", "What is gravity there?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
+    )
+    yield ExportQuestion("latitude", "At which latitude?", "45.75 deg", quantity="rad")
+    text = f"How far is the platform from the spindle's axis?{_size_seen(common)}"
+    yield ExportQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
+    yield from _time_questions(common, names)
+    yield from _angle_questions(common, names, sense)
+    if common.rate is None:
+        text = "At which rate does the centrifuge turn?"
+        yield ExportQuestion("rate", text, "0.25 rev/s", quantity="rad/s")
+    if not common.signals or "signal" in answered:
+        yield ExportQuestion("signal", "Which column has the signal?", names[-1], names)
+    yield from _signal_questions(common)
+
+
+def _size_seen(common: FileGuess) -> str:
+    for signal in common.signals:
+        if signal.observable == "displacement" and signal.unit and signal.amplitude > 0.0:
+            about = signal.amplitude * unit_factor(signal.unit, "m")
+            return f" The displacement swings by {about:.4g} m."
+    return ""
+
+
+def _time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[ExportQuestion]:
+    time = common.time
+    text = "Which column is the time?"
+    yield ExportQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
+    if time is not None and time.unit != "iso":
+        text = f"In which unit is the time, column '{time.column}'?"
+        yield ExportQuestion("time unit", text, "s", guess=time.unit, unit="s")
+    if time is None:
+        text = "No column has the time. How many rows are there a second?"
+        guess = f"{common.sampling:.12g} Hz" if common.sampling else None
+        yield ExportQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
+
+
+def _angle_questions(
+    common: FileGuess, names: tuple[str, ...], sense: str | None
+) -> Iterator[ExportQuestion]:
+    angle = common.angle
+    text = "Which column is the angle of the spindle?"
+    yield ExportQuestion("angle", text, names[0], (*names, NONE), angle.column if angle else NONE)
+    if angle is not None and not angle.pulses:
+        text = f"In which unit is the angle, column '{angle.column}'?"
+        # Counts are no unit of an angle, but a person may say that it is counted.
+        choices = ("deg", "rad", "rev", "mrad", "arcmin", "arcsec", "count")
+        yield ExportQuestion("angle unit", text, "deg", choices, guess=angle.unit)
+    if angle is not None and angle.unit == "count":
+        text = f"How many counts of column '{angle.column}' make a revolution?"
+        counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
+        yield ExportQuestion("per_revolution", text, "65536", guess=counts)
+    text = "In which sense does the angle grow, seen from above?"
+    if angle is None or angle.pulses:
+        text = "In which sense does the centrifuge turn, seen from above?"
+    yield ExportQuestion("sense", text, SENSES[0], SENSES, guess=sense)
+
+
+def _signal_questions(common: FileGuess) -> Iterator[ExportQuestion]:
+    signals = {signal.column: signal for signal in common.signals}
+    others = {part.column for part in (common.time, common.angle) if part}
+    for column in common.look.columns:
+        name = column.name
+        if name in others or column.stamps:
+            continue
+        signal = signals.get(name)
+        guess = signal.observable if signal else UNUSED
+        text = f"What is column '{name}'?"
+        choices = (*OBSERVABLES, UNUSED)
+        yield ExportQuestion(f"{name} is", text, choices[0], choices, guess)
+        if signal is None:
+            continue
+        usual = OBSERVABLES.get(signal.observable or "", "m")
+        text = f"In which unit is column '{name}'?"
+        wanted = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
+        yield ExportQuestion(f"{name} unit", text, usual, guess=signal.unit, unit=wanted)
+        text = f"Along which axis is column '{name}'?"
+        yield ExportQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
+
+
+def judged_answers(
+    questions: Sequence[ExportQuestion], answers: Mapping[str, str]
+) -> tuple[dict[str, str], list[str]]:
+    """Return answers in the words of a description, and what is wrong with the others."""
+    known = {question.key: question for question in questions}
+    taken, problems = {}, []
+    for key, answer in answers.items():
+        if key not in known:
+            needed = [one.key for one in questions if one.guess is None]
+            problems.append(f"{key}: is not asked; asked: {', '.join(needed) or 'nothing'}")
+            continue
+        try:
+            taken[key] = known[key].judged(answer)
+        except ValueError as error:
+            problems.append(f"{key}: {error}")
+    return taken, problems

@@ -1,0 +1,52 @@
+"""What an answer means."""
+
+import pytest
+
+from counterspin.exports.questions import AXES, SENSES, ExportQuestion, judged_answers
+
+GRAVITY = ExportQuestion("gravity", "?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2")
+RATE = ExportQuestion("rate", "?", "0.25 rev/s", quantity="rad/s")
+AXIS = ExportQuestion("axis", "?", "east", AXES)
+SENSE = ExportQuestion("sense", "?", "clockwise", SENSES)
+UNIT = ExportQuestion("unit", "?", "m", unit="m")
+COUNTS = ExportQuestion("counts", "?", "65536")
+
+
+@pytest.mark.parametrize(
+    ("question", "answer", "meaning"),
+    [
+        (GRAVITY, "9,8073", "9.8073 m/s^2"),
+        (GRAVITY, "9.8073 ± 1e-5", "9.8073 ± 1e-5 m/s^2"),
+        (GRAVITY, "980.73 cm/s^2", "980.73 cm/s^2"),
+        (AXIS, "North", "north"),
+        (AXIS, "O", "east"),
+        (AXIS, "n", "north"),
+        (SENSE, "ccw", "counterclockwise"),
+        (UNIT, "[mm]", "mm"),
+        (COUNTS, "4096", "4096"),
+    ],
+)
+def test_answers_as_people_write_them(question, answer, meaning):
+    assert question.judged(answer) == meaning
+
+
+@pytest.mark.parametrize(
+    ("question", "answer", "told"),
+    [
+        (GRAVITY, "9.8 m", "acceleration"),
+        (RATE, "30", "has no unit"),  # revolutions a minute as likely as degrees a second
+        (AXIS, "noth", "did you mean 'north'"),
+        (UNIT, "s", "is not a unit of length"),
+        (COUNTS, "-4", "positive"),
+        (COUNTS, "many", "could not convert"),
+    ],
+)
+def test_answers_that_are_none(question, answer, told):
+    with pytest.raises(ValueError, match=told):
+        question.judged(answer)
+
+
+def test_what_is_not_asked_is_a_mistake():
+    taken, problems = judged_answers([GRAVITY, AXIS], {"axis": "e", "gravty": "9.8"})
+    assert taken == {"axis": "east"}
+    assert problems == ["gravty: is not asked; asked: gravity, axis"]
