@@ -3,5 +3,6 @@
 - `looking`: what is in a file: its columns with their units and numbers
 - `waves`: the wave that a revolution makes in a column
 - `guessing`: which column is what, of every file
-- `description`: what is asked, and the description with what is guessed and answered
+- `questions`: what is asked, and what an answer means
+- `description`: the description that guesses and answers make
 """
