@@ -4,8 +4,7 @@
 - `record`: the columns asked for, the stated motion, and the record that comes out
 - `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`, `excel_file`, `tdms_file`:
   the files, by format
-- `dialect`, `labview`, `stamps`: how files of text are written, what LabVIEW states above them, and
-  time stamps in them
+- `dialect`, `labview`: how files of text are written, and what LabVIEW states above them
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
   the order in which a record passes them

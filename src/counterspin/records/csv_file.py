@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
+from counterspin.records.column_file import ColumnFile, frame_columns, nanoseconds, plain_path
 from counterspin.records.dialect import (
     BLANKS,
     EMPTY_WORDS,
@@ -27,7 +27,6 @@ from counterspin.records.dialect import (
 )
 from counterspin.records.labview import labview_head
 from counterspin.records.pieces import Columns
-from counterspin.records.stamps import nanoseconds
 
 if TYPE_CHECKING:
     import polars as pl

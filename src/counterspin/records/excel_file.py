@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from counterspin.errors import DamagedFileError, RecordError, installing
 from counterspin.input import read_file
-from counterspin.records.column_file import ColumnFile, quoted, record_errors
+from counterspin.records.column_file import ColumnFile, nanoseconds, quoted, record_errors
 from counterspin.records.dialect import (
     EMPTY_WORDS,
     HEAD_LINES,
@@ -20,7 +20,6 @@ from counterspin.records.dialect import (
     find_rows,
 )
 from counterspin.records.pieces import Columns
-from counterspin.records.stamps import nanoseconds
 
 if TYPE_CHECKING:
     import polars as pl

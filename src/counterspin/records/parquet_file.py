@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
+from counterspin.records.column_file import ColumnFile, frame_columns, nanoseconds, plain_path
 from counterspin.records.dialect import Dialect
 from counterspin.records.pieces import Columns
-from counterspin.records.stamps import nanoseconds
 
 if TYPE_CHECKING:
     import polars as pl

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from counterspin.records.stamps import nanoseconds
+from counterspin.records.column_file import nanoseconds
 
 
 def test_stamps_in_every_form_of_the_standard():
