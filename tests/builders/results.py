@@ -1,7 +1,7 @@
-"""Results made by hand for the tests of reports: every part filled, numbers easy to follow."""
+"""Results made by hand: with little in them, or every part filled; numbers easy to follow."""
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Correlation
+from counterspin.calibration.result_parts import AccelerometerResult, Correlation
 
 CONFORMITY = {
     "specification": "abs <= 5e-5 g/g^2",
@@ -33,6 +33,31 @@ def trace(**more):
         "quantiles": {"normal": [-1.2, 0.0, 1.2], "found": [-1.0, 0.1, 1.5]},
         **more,
     }
+
+
+def accelerometer(**parts):
+    """Return what is found of an accelerometer: these parts, and nothing else but a residual."""
+    residual = {"rms": 0.01, "unit": "m", "dof": 1000.0}
+    bare = {"coefficients": {}, "correlation": None, "residual": residual}
+    return AccelerometerResult.model_validate(bare | parts)
+
+
+def run(**changes):
+    """Return a run of which nothing is to be said."""
+    return {"rate": 3.0, "drift": 0.0, "samples": 1000, "rejected": 0} | changes
+
+
+def bare_result(**parts):
+    """Return a result with these parts, and nothing else but one run."""
+    bare = {
+        "method": "joint",
+        "model": "exact",
+        "accelerometers": {},
+        "runs": {"run1": run()},
+        "inputs": {"gravity": 9.8066, "latitude": 0.8, "radius": 2.5},
+        "provenance": {"version": "9.9", "inputs": {"campaign.toml": "sha256:" + "0f" * 32}},
+    }
+    return Result.model_validate(bare | parts)
 
 
 def result(**changes):
@@ -85,35 +110,18 @@ def result(**changes):
         "traces": {"slow": trace(), "fast": trace(left_out=[])},
         **changes,
     }
-    run = {
-        "rate": -3.0,
-        "u_rate": 1e-9,
-        "drift": 1e-9,
-        "u_drift": 1e-10,
-        "ripples": [
-            {
-                "harmonic": 1,
-                "amplitude": 3e-6,
-                "u_amplitude": 3e-7,
-                "phase": 0.1,
-                "u_phase": 0.01,
-            }
-        ],
-        "samples": 1000,
-        "rejected": 2,
-        "counts": {"outliers": 2},
-    }
-    return Result.model_validate(
-        {
-            "method": "joint",
-            "model": "exact",
-            "title": "By hand",
-            "accelerometers": {"Qx": qx},
-            "platform": {"platform.drift.north": coefficient(1e-8, 1e-9, "rad/s")},
-            "runs": {"slow": run, "fast": {**run, "rate": 6.0, "ripples": []}},
-            "inputs": {"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
-            "provenance": {"version": "9.9", "inputs": {"campaign.toml": "sha256:abc"}},
-        }
+    ripple = {"harmonic": 1, "amplitude": 3e-6, "u_amplitude": 3e-7, "phase": 0.1, "u_phase": 0.01}
+    found = {"u_rate": 1e-9, "drift": 1e-9, "u_drift": 1e-10, "rejected": 2}
+    found |= {"counts": {"outliers": 2}}
+    return bare_result(
+        title="By hand",
+        accelerometers={"Qx": qx},
+        platform={"platform.drift.north": coefficient(1e-8, 1e-9, "rad/s")},
+        runs={
+            "slow": run(rate=-3.0, ripples=[ripple], **found),
+            "fast": run(rate=6.0, ripples=[], **found),
+        },
+        inputs={"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
     )
 
 

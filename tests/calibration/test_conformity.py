@@ -2,13 +2,13 @@
 
 import pytest
 from campaigns import SMALL, write
+from results import accelerometer
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.conformity import conformity, with_conformity
 from counterspin.calibration.pages.conformity import conformity_blocks
 from counterspin.calibration.pages.sections import sections
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Residual
 from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.simulation import simulate
@@ -82,12 +82,8 @@ def test_a_campaign_without_specification_has_no_verdict(records, tmp_path):
     assert list(conformity_blocks(plain)) == []
 
 
-def accelerometer(**k_ii):
-    return AccelerometerResult(
-        coefficients={"K_II": Coefficient(unit="g/g^2", **k_ii)},
-        correlation=None,
-        residual=Residual(rms=0.01, unit="m", dof=10.0),
-    )
+def having(**k_ii):
+    return accelerometer(coefficients={"K_II": {"unit": "g/g^2", **k_ii}})
 
 
 def specified(**table):
@@ -100,7 +96,7 @@ def specified(**table):
 @pytest.mark.parametrize("value", [2e-5, None])
 def test_a_prior_is_no_measurement(value):
     stated = specified(K_II="abs <= 5e-5 g/g^2")
-    known = accelerometer(value=value, u=None if value is None else 1e-6, estimated=False)
+    known = having(value=value, u=None if value is None else 1e-6, estimated=False)
     verdict = conformity(known, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
     assert verdict.verdict == "undecided"
     assert verdict.reason == "the records do not determine K_II"
@@ -119,7 +115,7 @@ def test_a_prior_is_no_measurement(value):
 )
 def test_undecided_says_why(rule, reason):
     stated = specified(K_II="<= 5e-5 g/g^2", **rule)
-    near = accelerometer(value=4.8e-5, u=1e-6, dof=5.0, estimated=True)
+    near = having(value=4.8e-5, u=1e-6, dof=5.0, estimated=True)
     verdict = conformity(near, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
     assert verdict.verdict == "undecided"
     assert reason in verdict.reason

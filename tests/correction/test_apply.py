@@ -10,22 +10,21 @@ import h5py
 import numpy as np
 import polars as pl
 import pytest
+from results import accelerometer as found_of
+from results import bare_result
+from results import run as moved
 from scipy.io import savemat
 from workbooks import write_workbook
 
 import counterspin as cs
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.result import Result, described
+from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Correlation,
-    Inputs,
     Knowledge,
-    Provenance,
-    Residual,
-    RunResult,
 )
 from counterspin.correction.apply import ApplyOptions, apply, instrument_of
 from counterspin.correction.apply_file import apply_file
@@ -40,7 +39,6 @@ G = 9.8066
 
 MODEL = {"K_F": 0.0050, "K_I": 1.0020, "K_II": 2.7e-5, "K_III": 3e-6}
 CROSS = {"K_IP": 4e-5, "K_PP": -2e-5, "K_OO": 1e-5, "delta_O": 2e-4, "delta_P": -3e-4}
-RESIDUAL = Residual(rms=0.01, unit="m", dof=1000.0)
 MOUNTINGS = {"Qx": QX, "Qy": QY, "Qz": QZ}
 
 
@@ -52,22 +50,17 @@ def coefficient(symbol, value, u=0.0, estimated=True, **more):
 def accelerometer(values, mounting=QX, **changes):
     parts = {
         "coefficients": {s: coefficient(s, v) for s, v in values.items()},
-        "correlation": None,
-        "residual": RESIDUAL,
         "axes": list(mounting.axes),
         "observable": "displacement",
     }
-    return AccelerometerResult(**(parts | changes))
+    return found_of(**(parts | changes))
 
 
 def result(accelerometers=None, model="exact", rate=4 * math.pi):
-    return Result(
-        method="joint",
+    return bare_result(
         model=model,
         accelerometers=accelerometers or {"Qx": accelerometer(MODEL)},
-        runs={"run1": RunResult(rate=rate, drift=0.0, samples=1000, rejected=0)},
-        inputs=Inputs(gravity=G, latitude=0.8, radius=2.5),
-        provenance=Provenance(version="0.1.0", inputs={}),
+        runs={"run1": moved(rate=rate)},
     )
 
 
@@ -420,7 +413,7 @@ def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
     file.write_text(text.replace("g/g^3", "g/g^2", 1), encoding="utf-8")
     parts = described(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
     assert parts["known"] == {"K_OO": coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
-    found = AccelerometerResult(coefficients={}, correlation=None, residual=RESIDUAL, **parts)
+    found = found_of(**parts)
     assert found.axes == list(QX.axes)
     assert AccelerometerResult.model_validate_json(found.model_dump_json()) == found
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from campaigns import changed
 from mistaken_campaigns import NOISE, SOUND, Mistake, make_records, mistaken
+from results import accelerometer
 
 from counterspin.calibration.diagnosis import search
 from counterspin.calibration.joint_checks import residual_findings
@@ -16,7 +17,6 @@ from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
-from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.estimation import estimate
@@ -65,9 +65,7 @@ class Campaigns:
 
 
 def result_of(view):
-    return AccelerometerResult(
-        coefficients={},
-        correlation=None,
+    return accelerometer(
         residual=residual(view),
         noise=noise_lines(view),
         jackknife=view.jackknife(),

@@ -1,14 +1,13 @@
 """Kinds of test beside each other: the page says what the finding says."""
 
 import pytest
-from results import coefficient
+from results import accelerometer, coefficient
 
 from counterspin.calibration.pages.kinds import kind_blocks
-from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.reports.blocks import Paragraph
 
 
-def accelerometer(p):
+def kinds(p):
     """Two kinds, each with one shift, so that four tests share the significance of 0.01."""
     kind = {
         "count": 1,
@@ -18,17 +17,13 @@ def accelerometer(p):
         "dof": 2,
         "p": p,
     }
-    return AccelerometerResult.model_validate(
-        {
-            "coefficients": {"K_F": coefficient(0.005, 1e-6, "g")},
-            "correlation": {"terms": ["K_F"], "matrix": [[1.0]]},
-            "residual": {"rms": 0.01, "unit": "m", "dof": 100.0},
-            "kinds": [{"kind": "at rest", **kind}, {"kind": "arm", **kind}],
-        }
+    return accelerometer(
+        coefficients={"K_F": coefficient(0.005, 1e-6, "g")},
+        kinds=[{"kind": "at rest", **kind}, {"kind": "arm", **kind}],
     )
 
 
 @pytest.mark.parametrize(("p", "verdict"), [(0.0013, "agrees"), (0.0012, "does not agree")])
 def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
-    (words,) = [b.text for b in kind_blocks(accelerometer(p)) if isinstance(b, Paragraph)]
+    (words,) = [b.text for b in kind_blocks(kinds(p)) if isinstance(b, Paragraph)]
     assert words.startswith(f"Each kind of test against the others: at rest: {verdict} (chi")

@@ -1,6 +1,6 @@
 """What a report says of each kind of test: sentences, the table, the forces."""
 
-from types import SimpleNamespace
+from results import accelerometer, bare_result, coefficient, run
 
 from counterspin.calibration.pages.motions import lines_of_tests, reading_blocks, table_of_tests
 from counterspin.calibration.result_parts import ReadingResult
@@ -30,10 +30,13 @@ ARM = [
 
 
 def result(readings, runs=()):
-    return SimpleNamespace(
-        accelerometers={"A": SimpleNamespace(readings=readings)},
-        runs=dict.fromkeys(runs),
-        platform={"centrifuge.radius.in": None, "centrifuge.stretch": None},
+    return bare_result(
+        accelerometers={"A": accelerometer(readings=readings)},
+        runs=dict.fromkeys(runs, run()),
+        platform={
+            "centrifuge.radius.in": coefficient(2.5, 1e-5, "m"),
+            "centrifuge.stretch": coefficient(4e-9, 1e-9, "s^2/m"),
+        },
     )
 
 
