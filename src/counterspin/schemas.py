@@ -17,6 +17,7 @@ from typing import Any, Final, Literal, get_args, get_type_hints
 from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
+from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.settings import (
@@ -135,6 +136,7 @@ def _sections(to: _Definitions) -> dict[str, Json]:
         "campaign": to(CampaignSettings),
         "site": to(SiteSettings),
         "centrifuge": to(CentrifugeSettings),
+        "fixture": to(FixtureSettings),
         "records": to(RecordsSettings),
         "readings": to(ReadingsSettings),
         "accelerometers": to.named(AccelerometerSettings) | {"minProperties": 1},

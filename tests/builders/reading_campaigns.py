@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.readings import Readings
+from counterspin.inference.linear_readings import Readings
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site

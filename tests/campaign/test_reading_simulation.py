@@ -9,6 +9,7 @@ from campaigns import campaign_of
 from counterspin.campaign.reading_simulation import (
     head_errors,
     simulate_mean_record,
+    true_machine,
     true_readings,
 )
 
@@ -163,3 +164,45 @@ def test_a_record_on_the_arm_has_the_wave_of_the_earths_rate(tmp_path):
     up = 1.0 + 2.0 * R * -6.0 * OMEGA * math.cos(LATITUDE) * np.sin(angle) / G
     expected = K_F + K_I * A_IN + K_II * A_IN**2 + 1e-3 * A_IN * up
     np.testing.assert_allclose(force / G, expected, rtol=1e-14)
+
+
+# Positions that are set by hand
+
+SET = '[fixture]\nposition = "0 ± 1 deg"\n'
+
+
+def face(name, attitude):
+    return f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "{attitude}"\nreading = "?"\n'
+
+
+def test_a_position_is_off_for_all_that_is_read_there_and_another_by_itself(tmp_path):
+    level = "90 deg about north"
+    first, again, upside = values(
+        tmp_path, SET + face("a", level) + face("b", level) + face("c", "-90 deg about north")
+    )
+    assert first == again
+    assert first != pytest.approx(values(tmp_path, face("a", level))[0], abs=1e-4)
+    # Were both turned by the same angle, their mean would be the bias and a square.
+    assert 0.5 * (first + upside) != pytest.approx(K_F, abs=1e-4)
+
+
+def test_a_setting_error_turns_the_instrument_about_its_axis(tmp_path):
+    """Half way over, an input axis that points east is turned down about north."""
+    true = (
+        '[truth.machine]\n"fixture.position.1" = "0 rad"\n"fixture.position.1.north" = "0.01 rad"\n'
+    )
+    (found,) = values(tmp_path, SET + true + face("a", "90 deg about north"))
+    a = -math.sin(0.01)
+    assert found == pytest.approx(K_F + K_I * a + K_II * a**2 + K_III * a**3, abs=1e-12)
+
+
+def test_setting_errors_have_the_stated_size(tmp_path):
+    text = HEAD + SET + "".join(face(str(k), f"{3.6 * k} deg about north") for k in range(100))
+    drawn = [
+        size
+        for symbol, size in true_machine(campaign_of(tmp_path, text)).items()
+        if "position" in symbol
+    ]
+    assert len(drawn) == 200
+    # Four standard deviations of the estimate of so many.
+    assert np.std(drawn) == pytest.approx(math.radians(1.0), rel=4.0 / math.sqrt(2 * 200))

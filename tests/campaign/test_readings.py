@@ -186,3 +186,55 @@ def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):
     terms = model.replace("stretch", "axis_tilt")
     machine = read(tmp_path, HEAD + ARM + more + terms + ON_ARM).machine
     assert machine.terms == ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
+
+
+# Positions that are set by hand
+
+SET = '[fixture]\nposition = "0 ± 0.5 deg"\n'
+FACES = (
+    at_rest("up", "level", "1 ± 2e-6 mA")
+    + at_rest("up again", "360 deg about north", "1 ± 2e-6 mA")
+    + at_rest("half over", "90 deg about north", "0 ± 2e-6 mA")
+    + at_rest("elsewhere", "level", "1 ± 2e-6 mA", 'mounting = "m"\n')
+)
+
+
+def test_readings_of_one_attitude_and_mounting_are_of_one_position(tmp_path):
+    campaign = read(tmp_path, HEAD + SET + FACES)
+    assert [reading.position for reading in campaign.readings] == ["1", "1", "2", "3"]
+    symbols = [f"fixture.position.{k}.{axis}" for axis in ("east", "north") for k in (1, 2, 3)]
+    assert {s for s in campaign.machine.priors if "position" in s} == set(symbols)
+    assert {campaign.machine.priors[s].u for s in symbols} == {math.radians(0.5)}
+
+
+def test_accelerometers_of_one_body_share_their_positions(tmp_path):
+    other = ACCELEROMETER.replace("accelerometers.A", "accelerometers.B")
+    text = HEAD + other.replace('"west"', '"north"') + SET
+    for name, attitude in (("up", "level"), ("over", "90 deg about north")):
+        run = at_rest(name, attitude, "X")
+        text += run.replace('"X"', '{ A = "1 ± 1e-6 mA", B = "1 ± 1e-6 mA" }')
+    assert [(r.accelerometer, r.position) for r in read(tmp_path, text).readings] == [
+        ("A", "1"),
+        ("B", "1"),
+        ("A", "2"),
+        ("B", "2"),
+    ]
+
+
+def test_without_a_stated_error_positions_have_no_name(tmp_path):
+    campaign = read(tmp_path, HEAD + FACES)
+    assert {reading.position for reading in campaign.readings} == {""}
+    assert not any("position" in symbol for symbol in campaign.machine.priors)
+
+
+def test_what_is_known_of_one_position_takes_precedence(tmp_path):
+    known = '[model.priors]\n"fixture.position.2.north" = "3 ± 1 arcmin"\n'
+    priors = read(tmp_path, HEAD + SET + known + FACES).machine.priors
+    assert priors["fixture.position.2.north"].value == pytest.approx(math.radians(0.05))
+    assert priors["fixture.position.2.east"].u == math.radians(0.5)
+
+
+@pytest.mark.parametrize("error", ["1 ± 0.5 deg", "0.5 deg", "0 deg"])
+def test_a_setting_error_is_about_nothing_and_has_a_size(tmp_path, error):
+    (line,) = problems(tmp_path, HEAD + SET.replace("0 ± 0.5 deg", error) + FACES)
+    assert line.startswith("fixture.position: ")

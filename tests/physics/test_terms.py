@@ -178,7 +178,9 @@ def test_each_row_says_whose_it_is():
         "platform",
         "machine",
         "mounting",
+        "position",
         "input",
     }
     assert all(row.per_mounting == ("MOUNTING" in symbol) for symbol, row in TABLE.items())
+    assert all((row.scope == "position") == ("POSITION" in s) for s, row in TABLE.items())
     assert all(0.0 < row.typical < row.limit for row in TABLE.values())

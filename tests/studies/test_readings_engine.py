@@ -72,6 +72,17 @@ considered = ["centrifuge.stretch", "fixture.misalignment.inward.forward"]
 "fixture.misalignment.inward.forward" = { normal = "0 ± 2 arcsec" }
 """
 ESTIMATED = ON_ARM.replace('K_II"]\nconsidered = [', 'K_II", ')
+SET_BY_HAND = """[fixture]
+position = "0 ± 20 arcsec"
+[model]
+assume = "all"
+terms = ["K_F", "K_I", "K_II", "delta_O"]
+hold = ["K_PP"]
+[model.priors]
+"K_PP" = "0 ± 2 ug/g^2"
+[study.vary]
+"K_PP" = { normal = "0 ± 2 ug/g^2" }
+"""
 BOTH = """[model]
 assume = "all"
 terms = ["K_F", "K_I", "K_II", "delta_O", "centrifuge.radius"]
@@ -85,6 +96,11 @@ terms = ["K_F", "K_I", "K_II", "delta_O", "centrifuge.radius"]
 STUDIES = {
     "tumble, noise stated": (AT_REST, tumble()),
     "tumble, noise estimated": (AT_REST + NOISE, tumble("")),
+    "tumble, positions set by hand": (SET_BY_HAND, tumble()),
+    "tumble, set by hand, noise estimated": (
+        SET_BY_HAND + NOISE,
+        tumble(", ?").replace('"?, ?"', '["?", "?"]'),
+    ),
     "arm, noise stated": (ON_ARM, arm()),
     "arm, noise estimated": (ESTIMATED + NOISE, arm("")),
     "arm, considered, noise estimated": (ON_ARM + NOISE, arm("")),

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
+from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.settings import (
@@ -42,6 +43,7 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "campaign": CampaignSettings,
     "site": SiteSettings,
     "centrifuge": CentrifugeSettings,
+    "fixture": FixtureSettings,
     "records": RecordsSettings,
     "accelerometers": AccelerometerSettings,
     "noise": NoiseSettings,

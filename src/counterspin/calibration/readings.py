@@ -28,10 +28,10 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
+from counterspin.inference.linear_readings import LinearReadings, Readings
 from counterspin.inference.readings import (
     FEWEST_FREEDOM,
     Position,
-    Readings,
     ReadingsFit,
     judge,
     solve_readings,
@@ -70,8 +70,8 @@ class AccelerometerReadings:
     dof: float  #: Of an estimated noise; infinite where it was stated.
     freedom: float  #: Readings less what the fit follows of them.
     #: As of `ReadingsFit`.
-    positions: tuple[Position, ...] = ()
-    linear: Any = None
+    positions: tuple[Position, ...]
+    linear: LinearReadings
     #: What was found in the records whose means are readings, by the reading's name.
     means: Mapping[str, RecordMean] = field(default_factory=dict)
 

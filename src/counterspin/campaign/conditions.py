@@ -12,7 +12,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Run
 from counterspin.frozen import frozen
-from counterspin.inference.readings import Readings
+from counterspin.inference.linear_readings import Readings
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.station import Station
 
@@ -114,5 +114,6 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         time=np.array([(start if r.time is None else r.time) - start for r in readings]),
         repeats=np.array([float(r.repeats) for r in readings]),
         scatter=np.array([r.scatter for r in readings]),
+        position=tuple(r.position for r in readings),
         in_si=np.array([float(r.in_si) for r in readings]),
     )

@@ -10,7 +10,12 @@ from typing import Any
 
 from counterspin.campaign.accelerometers import AccelerometersReader
 from counterspin.campaign.checking import M, Problems
-from counterspin.campaign.machine import MachineModel, errors_of_the_path, resolve_machine
+from counterspin.campaign.machine import (
+    FixtureSettings,
+    MachineModel,
+    errors_of_the_path,
+    resolve_machine,
+)
 from counterspin.campaign.memory.changes import change_campaign
 from counterspin.campaign.memory.joining import join_campaigns
 from counterspin.campaign.memory.source import Source, keep, source_of
@@ -20,6 +25,7 @@ from counterspin.campaign.readings import (
     Output,
     Reading,
     is_reading,
+    positioned,
     read_temperature,
     resolve_reading,
 )
@@ -111,8 +117,7 @@ class Campaign:
     simulation
         None if the file has neither [simulation] nor [truth].
     details
-        What else [campaign] states (`serial_number`, `date`, `laboratory`, `operator`,
-        `comment`), only what is there.
+        What else [campaign] states, such as `serial_number` and `date`; only what is there.
     specifications
         Tolerance limits of the coefficients; None if the file states none.
     tables, table_checksums
@@ -366,6 +371,7 @@ class _DescriptionReader:
         info = problems.check(CampaignSettings, self._table("campaign"), ("campaign",))
         centrifuge = self._required(CentrifugeSettings, "centrifuge")
         records = self._required(RecordsSettings, "records")
+        fixture = self._required(FixtureSettings, "fixture") or FixtureSettings()
         noise = self._noise()
         mountings = self.accelerometers.mountings()
         tables = self.accelerometers.tables()
@@ -374,7 +380,7 @@ class _DescriptionReader:
         settings = problems.check(ModelSettings, self._table("model"), ("model",))
         runs = self._runs()
         outputs = self.accelerometers.outputs(tables)
-        readings = self._readings(mountings, outputs)
+        readings = positioned(self._readings(mountings, outputs), fixture.position)
         self._check_sections(readings)
         if not self.raw_runs and "readings" not in self.raw:
             said = "must have at least one entry" if "runs" in self.raw else "is missing"
@@ -391,7 +397,12 @@ class _DescriptionReader:
             attitudes = [run.attitude for run in runs]
             if readings:
                 settings, machine = resolve_machine(
-                    settings, centrifuge, readings, problems, recorded=bool(runs)
+                    settings,
+                    centrifuge,
+                    readings,
+                    problems,
+                    setting=fixture.position,
+                    recorded=bool(runs),
                 )
             model, priors = resolve_model(
                 settings,

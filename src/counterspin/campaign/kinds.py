@@ -135,6 +135,13 @@ def a_latitude(value: Quantity) -> Quantity:
     return value
 
 
+def an_error(value: Quantity) -> Quantity:
+    """Refuse what is not about zero, or has no uncertainty."""
+    if value.value != 0.0 or not value.u > 0.0:
+        raise ValueError('is as likely to either side, and has a size; write "0 ± 0.5 deg"')
+    return value
+
+
 def turning(value: float) -> float:
     """Return a rate that is not zero."""
     if value == 0.0:

@@ -1,12 +1,15 @@
-"""The machine's terms in a campaign with readings: those of [model] and of [centrifuge]."""
+"""The machine's terms in a campaign with readings: those of [model], [centrifuge] and [fixture]."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import AfterValidator
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.kinds import SettingsSection, an_error, described, known
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
@@ -34,9 +37,23 @@ _AXES: Final = {
     "counter-rotating": ("east", "north", "up"),
 }
 
+#: What the setting errors of all positions begin with.
+POSITION: Final = "fixture.position"
+
 #: What is estimated of readings where [model] names no terms: at rest, and on a machine.
 _TERMS_AT_REST: Final = ["K_F", "K_I"]
 _TERMS_ON_A_MACHINE: Final = [*_TERMS_AT_REST, "K_II"]
+
+
+class FixtureSettings(SettingsSection):
+    """[fixture]: how well positions at rest are set."""
+
+    position: Annotated[Quantity, known("rad"), AfterValidator(an_error)] | None = described(
+        "error of setting a [position at rest](readings.md#positions-that-are-set-by-hand), about"
+        " east and about north each; one for all readings of it",
+        "0 ± 0.5 deg",
+        None,
+    )
 
 
 @frozen
@@ -61,11 +78,13 @@ def resolve_machine(
     readings: Sequence[Reading],
     problems: Problems,
     *,
+    setting: Quantity | None = None,
     recorded: bool = False,
 ) -> tuple[ModelSettings, MachineModel]:
     """Take the machine's terms out of [model].
 
     centrifuge: The machine, if there is one; its stretch, droop and tilt are priors.
+    setting: Error of setting a position, where one is stated.
     recorded: Whether there are records of a double turntable beside the readings.
     """
     known = symbols_shown(readings, recorded=recorded)
@@ -81,6 +100,8 @@ def resolve_machine(
     # The centrifuge's radius is known of a mounting whose own is asked for or held.
     own = [s for s in known if s in (*terms, *held) or not s.startswith("centrifuge.radius.")]
     priors = _of_centrifuge(centrifuge, own) | _given(settings.priors, known, centrifuge, problems)
+    if setting is not None:
+        priors = dict.fromkeys(expand(POSITION, known), setting) | priors
     for index, symbol in enumerate(held):
         if symbol not in priors:
             problems.add(
@@ -185,6 +206,10 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
     symbols: dict[str, None] = {}
     for row in READING_TERMS.values():
         if not motions & set(row.motions):
+            continue
+        if row.scope == "position":
+            positions = dict.fromkeys(r.position for r in readings if r.position)
+            symbols |= {row.symbol.replace("POSITION", name): None for name in positions}
             continue
         if not row.per_mounting:
             symbols[row.symbol] = None

@@ -11,9 +11,10 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.machine import POSITION
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import sample_count
-from counterspin.inference.readings import Readings
+from counterspin.inference.linear_readings import Readings
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
@@ -64,6 +65,20 @@ def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> 
     return errors
 
 
+def setting_spread(campaign: Campaign) -> dict[str, float]:
+    """Return how far off positions may be set, rad, by symbol: one for all that is read there."""
+    priors = campaign.machine.priors.items()
+    return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION}.")}
+
+
+def true_machine(campaign: Campaign) -> dict[str, float]:
+    """Return what is true of the machine, drawn errors of setting positions among it."""
+    assert campaign.simulation is not None
+    generator, spread = stream(campaign, 0, 1), setting_spread(campaign)
+    errors = {symbol: u * float(generator.standard_normal()) for symbol, u in spread.items()}
+    return errors | dict(campaign.simulation.truth.machine)
+
+
 def numbered_groups(campaign: Campaign) -> list[tuple[Readings, list[int]]]:
     """Return the groups of a campaign's readings, and the places of each in the campaign."""
     numbered = [replace(r, name=str(place)) for place, r in enumerate(campaign.readings)]
@@ -78,26 +93,26 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     assert campaign.simulation is not None
     truth, readings = campaign.simulation.truth, campaign.readings
     errors = head_errors(readings, stream(campaign, 0))
-    values = np.zeros(len(readings))
+    values, machine = np.zeros(len(readings)), true_machine(campaign)
     for group, places in numbered_groups(campaign):
         coefficients = truth.coefficients.get(group.accelerometer, {})
-        values[places] = indications(group, coefficients, truth.machine, errors[places])
+        values[places] = indications(group, coefficients, machine, errors[places])
     return tuple(
         reading if reading.record else replace(reading, value=value)
         for reading, value in zip(readings, values.tolist(), strict=True)
     ), errors
 
 
-def stream(campaign: Campaign, which: int) -> np.random.Generator:
+def stream(campaign: Campaign, *which: int) -> np.random.Generator:
     """Return random numbers that no run of the double turntable has.
 
     So a run that is added changes no reading, and the other way round.
 
-    which: 0 of the head, 1 of the readings' noise, from 2 on of records.
+    which: 0 of the head, 0 and 1 of positions, 1 of the readings' noise, from 2 on of records.
     """
     assert campaign.simulation is not None
     return np.random.default_rng(
-        np.random.SeedSequence(campaign.simulation.seed, spawn_key=(0, which))
+        np.random.SeedSequence(campaign.simulation.seed, spawn_key=(0, *which))
     )
 
 
@@ -115,7 +130,8 @@ def simulate_mean_record(
     time = np.arange(sample_count(reading.duration, rate)) / rate
     angle = reading.rate * time
     (group,) = groups_of(campaign, [reading])
-    (station,) = group.turned(group.stations_with(truth.machine), np.array([head_error]))
+    stations = group.stations_with(true_machine(campaign))
+    (station,) = group.turned(stations, np.array([head_error]))
     (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
     return time, angle, _instantaneous(station, group, effective, angle)
 

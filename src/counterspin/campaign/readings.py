@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -29,7 +30,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     record_file,
 )
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES, MotionKind
@@ -151,6 +152,9 @@ class Reading:
     scatter: float = 0.0  #: Sum of squares of the repeats about their mean, g^2.
     #: Whether it was written in m/s^2, so that its value in g depends on the gravity assumed.
     in_si: bool = False
+    #: Name of the position at rest, the same for all that are set alike; empty where errors of
+    #: setting it are no matter.
+    position: str = ""
 
 
 def is_reading(raw: object) -> bool:
@@ -216,7 +220,7 @@ def resolve_reading(
         axes = problems.attempt(path, _axes, settings, mountings[name], attitude)
         if read is None or axes is None or attitude is None:
             continue
-        _, head, u_head = attitude
+        rows, head, u_head = attitude
         readings.append(
             Reading(
                 name=settings.name,
@@ -236,9 +240,30 @@ def resolve_reading(
                 repeats=read.repeats,
                 scatter=read.scatter,
                 in_si=read.in_si,
+                position=_position(settings, rows),
             )
         )
     return readings if len(problems.lines) == before else []
+
+
+def positioned(readings: Sequence[Reading], setting: Quantity | None) -> tuple[Reading, ...]:
+    """Return readings with their positions at rest numbered, where an error of setting is stated.
+
+    setting: That error.
+    """
+    keys = dict.fromkeys(r.position for r in readings if setting and r.motion == "static")
+    numbers = {key: str(number) for number, key in enumerate(keys, start=1)}
+    return tuple(replace(r, position=numbers.get(r.position, "")) for r in readings)
+
+
+def _position(settings: ReadingRunSettings, attitude: Array) -> str:
+    """Return what two readings have in common that are taken at one position of the fixture."""
+    if settings.motion != "static":
+        return ""
+    if settings.axes is not None:
+        return f"{settings.mounting}: {settings.axes.input}, {settings.axes.pendulous}"
+    # Adding zero makes -0 the same as 0.
+    return f"{settings.mounting}: {(np.round(attitude, 9) + 0.0).tolist()}"
 
 
 def _check_station(settings: ReadingRunSettings, path: KeyPath, problems: Problems) -> None:

@@ -68,6 +68,7 @@ class DocumentSettings(SettingsSection):
         {},
         None,
     )
+    fixture: dict[str, Any] | None = described("[how well positions are set](#fixture)", {}, None)
     records: dict[str, Any] | None = described(
         "[how to read the files](#records); required where a run has a record", {}, None
     )

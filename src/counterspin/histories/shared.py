@@ -10,7 +10,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
-from counterspin.physics.terms import is_term, term
+from counterspin.physics.terms import is_term, mounting_of, term
 
 #: How a budget names what is common: an input of the campaign -> where the result has its value.
 _INPUTS: Final = {
@@ -57,7 +57,7 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
             continue
         if source in _INPUTS:
             identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
-        elif is_term(source) and not (term(source).per_run or term(source).per_mounting):
+        elif is_term(source) and not (term(source).per_run or mounting_of(source)):
             identity = repr(line.u)
         else:
             continue

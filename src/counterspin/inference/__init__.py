@@ -10,7 +10,8 @@ What stands in this room:
 - `conformity`: whether a quantity meets a specification, and the risk of being wrong
 - `noise`: models of a record's noise, whitening, estimation of its size
 - `joint`: full records of all runs and accelerometers, solved together
-- `readings`: single values at rest, on an arm or on a turntable, beside records or alone
+- `linear_readings`: single values at rest, on an arm or on a turntable, as rows
+- `readings`: their fit, alone or beside records
 - `reading_tests`: what their residuals follow
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 

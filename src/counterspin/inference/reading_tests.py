@@ -22,7 +22,7 @@ from counterspin.inference.diagnostics import LEAST_PART_LEFT, SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.readings import Readings
+from counterspin.inference.linear_readings import Readings
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.

@@ -38,7 +38,7 @@ class Term(Generic[Does_co]):
     """One row of the table: something that may differ from what is assumed."""
 
     #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. Of a
-    #: mounting's own it has ``MOUNTING`` for the name.
+    #: mounting's own it has ``MOUNTING`` for the name, of a position's ``POSITION``.
     symbol: str
     effect: Does_co  #: What it does to an output.
     words: str  #: What it is called.
@@ -49,8 +49,8 @@ class Term(Generic[Does_co]):
     #: Standard uncertainty to assume where nothing is known of it; of an accelerometer's likewise.
     typical: float
     source: str  #: What `typical` rests on, or that it is an order of magnitude.
-    #: Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``; or it is
-    #: one for all, of the ``platform``, the ``machine`` or the ``input``.
+    #: Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``, each
+    #: ``position``; or it is one for all, of the ``platform``, the ``machine`` or the ``input``.
     scope: str
     nominal: float = 0.0  #: The value of a perfect system.
     #: The motions in which a reading shows it, where it is of the machine or a slope.
@@ -267,11 +267,24 @@ def _displacements() -> Iterator[Term[Displacement]]:
             )
             for axis in ("east", "north", "outward", "forward", "up")
         ),
+        *(
+            (
+                f"fixture.position.POSITION.{axis}",
+                f"setting error about {axis}, position",
+                "rad",
+                0.2,
+                2.5e-5,
+                f"{_NO_SOURCE}: 5 arcsec",
+                ("static",),
+            )
+            for axis in ("east", "north")
+        ),
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):
-        scope = "mounting" if "MOUNTING" in symbol else "machine"
-        of = symbol.split(".")[1]
-        effect = Displacement(of, symbol.rpartition(".")[2] if of == "misalignment" else "")
+        scope = next((own for own in ("mounting", "position") if own.upper() in symbol), "machine")
+        of, about = symbol.split(".")[1], symbol.rpartition(".")[2]
+        turned = symbol.startswith("fixture.")
+        effect = Displacement("misalignment", about) if turned else Displacement(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
 
 
@@ -324,15 +337,18 @@ READING_TERMS: Final = {symbol: row for symbol, row in TABLE.items() if row.moti
 #: What files call the terms that everybody knows by a name.
 COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
-_MOUNTED: Final = [row for row in TABLE.values() if row.per_mounting]
+#: Rows of which several have one of their own, and what stands in the symbol for its name.
+_NAMED: Final = [
+    (row, row.scope.upper()) for row in TABLE.values() if row.scope in ("mounting", "position")
+]
 
 
 def _find(symbol: str) -> tuple[Term[Effect] | None, str]:
-    """Return the row that a symbol belongs to, if there is one, and the mounting that it names."""
+    """Return the row that a symbol belongs to, if any, and the mounting or position it names."""
     if symbol in TABLE:
         return TABLE[symbol], ""
-    for row in _MOUNTED:
-        before, _, after = row.symbol.partition("MOUNTING")
+    for row, placeholder in _NAMED:
+        before, _, after = row.symbol.partition(placeholder)
         name = symbol.removeprefix(before).removesuffix(after)
         if name and "." not in name and symbol == f"{before}{name}{after}":
             return row, name
@@ -345,7 +361,7 @@ def is_term(symbol: str) -> bool:
 
 
 def mounting_of(symbol: str) -> str:
-    """Return the mounting that a symbol names; empty if it names none."""
+    """Return the mounting, or position, that a symbol names; empty if it names none."""
     return _find(symbol)[1]
 
 

@@ -30,8 +30,8 @@ from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.linear_readings import blocks_at
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.inference.readings import blocks_at
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, angle_error_to_come
 from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS

@@ -157,6 +157,9 @@ class ReadingPlanDocument(SettingsSection):
     centrifuge: dict[str, Any] | None = described(
         "its size, as in a campaign; needed where a station turns", {}, None
     )
+    fixture: dict[str, Any] | None = described(
+        "how well positions are set, as in a campaign", {}, None
+    )
     accelerometers: dict[str, Any] = described(
         "one table for each, as in a campaign", {"A": {}}, min_length=1
     )

@@ -15,7 +15,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.readings import blocks_at
+from counterspin.inference.linear_readings import blocks_at
 from counterspin.planning.faults import Fault
 from counterspin.planning.forecast import Forecast, expected_values
 from counterspin.planning.relaxation import Places

@@ -6,8 +6,8 @@ Records of a double turntable, if there are any, are simulated and analysed besi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
 from typing import Final
 
 import numpy as np
@@ -15,14 +15,19 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.reading_simulation import head_errors, indications, numbered_groups
+from counterspin.campaign.reading_simulation import (
+    head_errors,
+    indications,
+    numbered_groups,
+    setting_spread,
+)
 from counterspin.campaign.readings import Reading
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.readings import Readings, blocks_at
+from counterspin.inference.linear_readings import Readings, blocks_at
 from counterspin.physics.terms import shown_by_readings
 from counterspin.records.mean import stretches
 from counterspin.studies.analyses import JointRequest
@@ -46,6 +51,8 @@ class ReadingsEngine:
     #: Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
     #: is; infinite where it is stated; shape (m,).
     scattered: Array
+    #: Symbol -> standard uncertainty of setting each position, drawn anew in each trial, rad.
+    setting: Mapping[str, float] = field(default_factory=dict)
     records: FullEngine | None = None  #: Trials of the records beside them; None: there are none.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
@@ -70,7 +77,8 @@ class ReadingsEngine:
         errors = head_errors(self.readings, generator)
         noise = self.noise * generator.standard_normal(self.noise.size)
         true = {key: float(value.mean()) for key, value in draws.values.items()}
-        machine = {
+        machine = {symbol: u * generator.standard_normal() for symbol, u in self.setting.items()}
+        machine |= {
             symbol: value
             for (owner, symbol), value in true.items()
             if not owner and shown_by_readings(symbol)
@@ -132,6 +140,7 @@ def readings_engine(
         tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
         np.array(noise),
         np.array(scattered),
+        setting_spread(campaign),
         records,
     )
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -148,6 +149,24 @@ def test_two_accelerometers_share_a_reading(written):
     result = plan(written(TUMBLE, second)).result
     assert {reading.accelerometer for reading in result.readings} == {"A", "B"}
     assert u_of(result, "K_I") == pytest.approx(result.accelerometers["B"].coefficients["K_I"].u)
+
+
+def test_positions_that_are_set_by_hand_are_many_and_read_once(written, tmp_path):
+    """More readings of one position tell its error, and not the misalignment."""
+    changes = (
+        ("[limits]", '[fixture]\nposition = "0 ± 20 arcsec"\n[limits]'),
+        ("readings = 24", "readings = 400"),
+        (SOUGHT, 'target = { delta_O = "7 arcsec" }'),
+        ('criterion = "determinant"', ""),
+    )
+    planned = plan(written(TUMBLE, *changes))
+    times = Counter(reading.axes for reading in planned.result.readings)
+    assert set(times.values()) == {1}
+    assert len(times) == math.ceil((20.0 / 7.0) ** 2)
+    file = write_campaign(planned, tmp_path / "planned")
+    filled = file.read_text(encoding="utf-8").replace('"? ', '"0.001 ')
+    file.write_text(filled, encoding="utf-8")
+    assert u_of(check(file.parent), "delta_O") == pytest.approx(u_of(planned.result, "delta_O"))
 
 
 # From the plan to the calibration

@@ -19,7 +19,7 @@ from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns, unit_of
-from counterspin.inference.readings import rows_at
+from counterspin.inference.linear_readings import rows_at
 from counterspin.planning.design import Criterion
 from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.predicted import accelerometers_of, planned_readings, platform_of

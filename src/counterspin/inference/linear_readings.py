@@ -1,0 +1,389 @@
+"""Readings: single values at rest, on an arm or on a turntable, and how they follow the unknowns.
+
+A reading is linear in the coefficients and nearly so in what the machine does. Linearised at an
+estimate they are rows of square-root information, as records are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block, reduce_block
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.least_squares import Solution
+from counterspin.physics.motion import Site
+from counterspin.physics.station import Station, mean_products, moved
+from counterspin.physics.terms import CONDITION_TERMS, TABLE, TERMS, is_term, mounting_of, term
+
+#: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
+_STEP: Final = 1e-2
+
+#: Uncertain inputs that readings feel, and the step of each derivative: m, m/s^2, rad.
+_INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
+
+#: Step of the derivative by the dividing head's angle, rad.
+_HEAD_STEP: Final = 1e-5
+
+_SYMBOLS: Final = tuple(TERMS)
+
+
+@frozen
+class Readings:
+    """Readings of one accelerometer in one motion, n of them, with noise of one kind."""
+
+    #: Its name, and the motion of every station.
+    accelerometer: str
+    motion: str
+    names: tuple[str, ...]  #: Of the readings.
+    site: Site  #: Where they were taken.
+    stations: tuple[Station, ...]  #: Axes and machine of each.
+    mountings: tuple[str, ...]  #: Name of each reading's mounting; empty where it has none.
+    #: Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero without
+    #: one.
+    head: Array
+    #: Random standard uncertainty of the head's angle at each position, rad, shape (n,).
+    u_head: Array
+    #: Indication in g by the nominal sensitivity, and its standard uncertainty, shape (n,); None:
+    #: one for all, estimated from the residuals.
+    value: Array
+    u: Array | None
+    #: K from the reference temperature, s from the first reading, shape (n,).
+    temperature: Array
+    time: Array
+    #: How many repeats at one setting each value is the mean of, and the sum of their squares about
+    #: it, g^2, shape (n,). Where `u` is None.
+    repeats: Array
+    scatter: Array
+    #: Name of the position of each whose setting error is an unknown; empty where none is.
+    position: tuple[str, ...] = ()
+    #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
+    in_si: Array | float = 0.0
+
+    def products(self, machine: Mapping[str, float]) -> Array:
+        """Return every term's mean product at each reading, shape (n, number of `TERMS`).
+
+        machine: The machine's terms that move stations, less nominal, by symbol.
+        """
+        return mean_products(self.stations_with(machine), self.site)
+
+    def stations_with(self, machine: Mapping[str, float]) -> list[Station]:
+        """Return where the readings were taken, with the machine's terms as given."""
+        stations = list(self.stations)
+        for symbol, size in machine.items():
+            if size != 0.0:
+                stations = self.moved(stations, symbol, size)
+        return stations
+
+    def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
+        """Return the readings' stations, moved already, with one more of the machine's terms."""
+        return [
+            moved(station, symbol, size, head) if acting else station
+            for station, acting, head in zip(stations, self.acting(symbol), self.head, strict=True)
+        ]
+
+    def turned(self, stations: Sequence[Station], by: Array) -> list[Station]:
+        """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
+        every = zip(stations, by.tolist(), self.head, strict=True)
+        return [moved(station, "head.zero", angle, head) for station, angle, head in every]
+
+    @property
+    def read_again(self) -> tuple[tuple[int, ...], ...]:
+        """Places of the readings of each position that was read more than once."""
+        same: dict[tuple[object, ...], list[int]] = {}
+        for place, (station, mounting) in enumerate(
+            zip(self.stations, self.mountings, strict=True)
+        ):
+            # Where an axis points is known to rounding only.
+            axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
+            same.setdefault((axes, station.rate, mounting), []).append(place)
+        return tuple(tuple(places) for places in same.values() if len(places) > 1)
+
+    @property
+    def size(self) -> int:
+        """The number of readings."""
+        return len(self.stations)
+
+    def acting(self, symbol: str) -> Array:
+        """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
+        if not is_term(symbol) or self.motion not in term(symbol).motions:
+            return np.zeros(self.size)
+        name = mounting_of(symbol)
+        if not name:
+            return np.ones(self.size)
+        names = self.mountings if term(symbol).per_mounting else self.position
+        return np.array([float(own == name) for own in names or ("",) * self.size])
+
+    def lever(self, symbol: str) -> Array:
+        """Return what a slope of a coefficient is multiplied with: K, s or g^2, shape (n,)."""
+        condition = CONDITION_TERMS[symbol].effect.condition
+        if condition == "force":
+            g = self.site.gravity
+            forces = [station.radius * station.rate**2 / g for station in self.stations]
+            return np.asarray(np.square(forces))
+        return self.temperature if condition == "temperature" else self.time
+
+
+@frozen
+class LinearReadings:
+    """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
+
+    design: Array  # (n, p)
+    fixed: Array  # (n, q)
+    target: Array  # (n,), g, less what a perfect system indicates
+    stated: Array | None  # (n,), g, without the head's part
+    repeats: Array  # (n,)
+    head: Array  # (n,), what the head and squares of setting errors add, g
+    sigma: Array  # (n,), g, both together
+
+    @classmethod
+    def of(
+        cls, group: Readings, model: Unknowns, estimate: Array, variance: Array | None = None
+    ) -> LinearReadings:
+        """Return the columns at an estimate; considered terms that it lacks are as assumed.
+
+        variance: What is left open of each unknown, as far as it is known; else its prior's.
+        """
+        everything = [*model.unknowns, *model.considered]
+        left_open = np.array([term.prior[1] ** 2 for term in everything])
+        if variance is not None:
+            left_open[: variance.size] = variance
+        at = np.append(estimate, [term.prior_mean for term in everything[len(estimate) :]])
+        own = {
+            index: unknown.symbol
+            for index, unknown in enumerate(everything)
+            if unknown.owner in ("", group.accelerometer)
+        }
+        machine = {
+            symbol: float(at[index])
+            for index, symbol in own.items()
+            if not everything[index].owner and group.acting(symbol).any()
+        }
+        levers = dict(_levers(group, own))
+        here = _Here.at(group, group.stations_with(machine), at, levers)
+        columns = np.zeros((group.size, len(everything)))
+        for index, (place, lever) in levers.items():
+            columns[:, index] = here.products[:, place] * lever
+        rows: dict[str, list[int]] = {}
+        for index, symbol in own.items():
+            if symbol in machine:
+                rows.setdefault(term(symbol).symbol, []).append(index)
+        shift, unseen = np.zeros(group.size), here.variance_of_head()
+        for row, indices in rows.items():
+            # Each of the mountings, or positions, of a row has readings of its own.
+            whose = np.full(group.size, -1)
+            for index in indices:
+                whose[group.acting(own[index]) > 0.0] = index
+            there = np.flatnonzero(whose >= 0)
+            whose, step = whose[there], _STEP * everything[indices[0]].limit
+            more, less = here.both_ways(there, own[indices[0]], step)
+            columns[there, whose] = here.slope(more, less, step, there)
+            if TABLE[row].scope == "position":
+                # A cosine falls whichever way a position is off: a square has a mean and a
+                # variance. It is common to all readings there, whose mean is to have it whole.
+                bend = here.curve(more, less, step, there) * left_open[whose]
+                shift[there] += bend
+                unseen[there] += np.bincount(whose)[whose] * 2.0 * bend**2
+        indicated = np.sum(here.products * here.effective, axis=1)
+        perfect = indicated - columns @ at
+        # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
+        for index, symbol in own.items():
+            if symbol in _INPUT_STEPS:
+                step = _INPUT_STEPS[symbol]
+                ahead, behind = (_with_input(group, symbol, s, machine) for s in (step, -step))
+                both = ahead.products(machine), behind.products(machine)
+                columns[:, index] = here.slope(*both, step)
+            if symbol == "site.gravity":
+                columns[:, index] += group.in_si * indicated / group.site.gravity
+        head = np.sqrt(unseen)
+        return cls(
+            columns[:, : len(model.unknowns)],
+            columns[:, len(model.unknowns) :],
+            group.value - perfect - shift,
+            group.u,
+            group.repeats,
+            head,
+            head,
+        )
+
+    def with_noise(self, noise: float) -> LinearReadings:
+        """Return the same with a noise, of one repeat, for readings that state none."""
+        own = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
+        return replace(self, sigma=np.hypot(own, self.head))
+
+    def relaxed(self) -> LinearReadings:
+        """Return the same with what is considered among the unknowns, after the others."""
+        every = np.hstack([self.design, self.fixed])
+        return replace(self, design=every, fixed=self.fixed[:, :0])
+
+    def block(self) -> Block:
+        """Return the square-root information of the readings."""
+        weight = 1.0 / self.sigma[:, None]
+        return reduce_block(
+            self.design * weight, self.target / self.sigma, None, self.fixed * weight
+        )
+
+    def left(self, solution: Solution, model: Unknowns) -> Array:
+        """Return the residuals, the considered terms at their assumed values."""
+        means = np.array([term.prior_mean for term in model.considered])
+        left: Array = self.left_at(solution.estimate) - self.fixed @ means
+        return left
+
+    def left_at(self, estimate: Array) -> Array:
+        """Return the residuals beside held terms of nothing, at an estimate."""
+        left: Array = self.target - self.design @ estimate
+        return left
+
+    def squares(self, solution: Solution, model: Unknowns) -> float:
+        """Return chi-square of the residuals, whose covariance the considered terms are part of.
+
+        A considered term that is not what was assumed is no misfit as long as its u allows it: the
+        least sum of squares of what is left and of the considered terms over their u (Searle,
+        Matrix Algebra Useful for Statistics, 1982, section 10.7, has the identity).
+        """
+        left = self.left(solution, model) / self.sigma
+        moved = self.fixed + self.design @ solution.sensitivity_considered
+        moved = moved / self.sigma[:, None] * model.considered_sizes
+        found = np.linalg.lstsq(
+            np.vstack([moved, np.eye(moved.shape[1])]),
+            np.append(left, np.zeros(moved.shape[1])),
+            rcond=None,
+        )[0]
+        rest = left - moved @ found
+        return float(rest @ rest + found @ found)
+
+    def leverages(self, solution: Solution) -> Array:
+        """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
+        rows = self.design / self.sigma[:, None]
+        followed: Array = np.sum((rows @ solution.least_covariance) * rows, axis=1)
+        clipped: Array = np.clip(followed, 0.0, 1.0)
+        return clipped
+
+    def freedom(self, solution: Solution) -> float:
+        """Return the readings less what the fit follows of them."""
+        return float(np.sum(1.0 - self.leverages(solution)))
+
+    def freedom_of_noise(self, solution: Solution) -> float:
+        """Return the degrees of freedom of an estimated noise that the residuals give it.
+
+        Twice Fisher's information of the logarithm of its variance in the restricted likelihood
+        (Searle, Casella and McCulloch, Variance Components, 1992, section 6.6): the readings less
+        the unknowns where nothing is known beforehand and the head adds nothing.
+        """
+        rows, share = self.design / self.sigma[:, None], self.noise_share
+        weighed = solution.least_covariance @ (rows.T @ (share[:, None] * rows))
+        once = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
+        return once + float(np.sum(weighed * weighed.T))
+
+    @property
+    def noise_share(self) -> Array:
+        """The part that noise has in the variance of each reading, the head having the rest."""
+        share: Array = 1.0 - (self.head / self.sigma) ** 2
+        return share
+
+    def left_of(self, column: Array, solution: Solution) -> Array:
+        """Return what the fit leaves of a column over the standard uncertainties, shape (n,)."""
+        rows = self.design / self.sigma[:, None]
+        left: Array = column - rows @ (solution.least_covariance @ (rows.T @ column))
+        return left
+
+
+def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) -> list[Block]:
+    """Return the square-root information of readings whose noise is stated.
+
+    estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
+    """
+    parts = (LinearReadings.of(group, model, estimate) for group in readings)
+    return [part.with_noise(math.nan).block() for part in parts]
+
+
+def rows_at(
+    readings: Sequence[Readings], model: Unknowns, estimate: Array
+) -> list[tuple[Array, Array]]:
+    """Return the rows of `blocks_at`, reading by reading, with unit variance."""
+    parts = [LinearReadings.of(group, model, estimate).with_noise(math.nan) for group in readings]
+    return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
+
+
+#: Of an unknown of the accelerometer: the place of its product, and what that is times, (n,).
+_Levers = dict[int, tuple[int, Array]]
+
+
+def _levers(group: Readings, own: Mapping[int, str]) -> Iterator[tuple[int, tuple[int, Array]]]:
+    """Yield for each coefficient, or slope of one, its index and as of `_Levers`."""
+    for index, symbol in own.items():
+        if symbol in TERMS:
+            yield index, (_SYMBOLS.index(symbol), np.ones(group.size))
+        elif symbol in CONDITION_TERMS:
+            changing = CONDITION_TERMS[symbol].effect.coefficient
+            yield index, (_SYMBOLS.index(changing), group.lever(symbol))
+
+
+@frozen
+class _Here:
+    """A group of readings at the point where derivatives are taken."""
+
+    group: Readings
+    stations: Sequence[Station]  #: As the machine has moved them.
+    products: Array  #: Of every term, shape (n, number of `TERMS`).
+    effective: Array  #: The coefficients under each reading's conditions, of the same shape.
+
+    @classmethod
+    def at(cls, group: Readings, stations: Sequence[Station], at: Array, levers: _Levers) -> _Here:
+        effective = np.tile([row.nominal for row in TERMS.values()], (group.size, 1))
+        for index, (place, lever) in levers.items():
+            effective[:, place] += at[index] * lever
+        return cls(group, stations, mean_products(stations, group.site), effective)
+
+    def both_ways(self, there: Any, symbol: str, step: float) -> tuple[Array, Array]:
+        """Return the products where some readings are moved by a step of a term, and back."""
+        heads = self.group.head
+        more, less = (
+            mean_products(
+                [moved(self.stations[k], symbol, size, heads[k]) for k in there], self.group.site
+            )
+            for size in (step, -step)
+        )
+        return more, less
+
+    def slope(self, more: Array, less: Array, step: float, there: Any = slice(None)) -> Array:
+        """Return the derivative of the indications, of products a step ahead and behind."""
+        found: Array = np.sum((more - less) * self.effective[there], axis=1) / (2.0 * step)
+        return found
+
+    def curve(self, more: Array, less: Array, step: float, there: Any) -> Array:
+        """Return half the second derivative of the indications."""
+        return self.slope(more + less, 2.0 * self.products[there], step, there) / step
+
+    def variance_of_head(self) -> Array:
+        """Return what the random error of the head's angle adds, g^2, shape (n,)."""
+        group = self.group
+        if not group.u_head.any():
+            return np.zeros(group.size)
+        turn = np.full(group.size, _HEAD_STEP)
+        both = (group.turned(self.stations, by) for by in (turn, -turn))
+        more, less = (mean_products(each, group.site) for each in both)
+        return np.square(self.slope(more, less, _HEAD_STEP) * group.u_head)
+
+
+def _with_input(group: Readings, name: str, by: float, machine: Mapping[str, float]) -> Readings:
+    """Return readings with an input changed; a mounting whose radius is a term keeps its own."""
+    if name == "site.gravity":
+        return replace(group, site=replace(group.site, gravity=group.site.gravity + by))
+    if name == "site.latitude":
+        return replace(group, site=replace(group.site, latitude=group.site.latitude + by))
+    return replace(
+        group,
+        stations=tuple(
+            station
+            if f"centrifuge.radius.{mounting}" in machine
+            else replace(station, radius=station.radius + by)
+            for station, mounting in zip(group.stations, group.mountings, strict=True)
+        ),
+    )
