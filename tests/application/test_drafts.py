@@ -3,6 +3,7 @@
 import os
 import stat
 
+import numpy as np
 import pytest
 from served import ANSWERS
 
@@ -99,6 +100,30 @@ def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
         assert bring(page, name, b"time_s\n1\n").status_code == status
     assert (folder / "three" / "slow.csv").read_bytes() == kept
     assert sorted(folder.rglob("*")) == before
+
+
+def test_the_same_file_may_be_brought_again(page, folder):
+    content = (folder / "three" / "slow.csv").read_bytes()
+    before = sorted(folder.rglob("*"))
+    assert bring(page, "three/slow.csv", content).json() == {
+        "name": "three/slow.csv",
+        "bytes": len(content),
+    }
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_draft_shows_columns_and_what_is_wrong(page, brought):
+    told = page.post("/api/draft", json={"names": brought}).json()
+    names = [column["name"] for column in told["columns"]]
+    assert names[:2] == ["time_s", "angle_rad"]
+    assert [len(column["first"]) for column in told["columns"]] == [4] * len(names)
+    low, high = np.array(told["columns"][0]["extent"]).T
+    assert (low[0], sorted(low)) == (0.0, low.tolist())
+    assert (low < high).all()
+    answers = {"gravity": "9,81", "east_m unit": "s"}
+    told = page.post("/api/draft", json={"names": brought, "answers": answers}).json()
+    (problem,) = told["problems"]
+    assert problem.startswith("east_m unit: 's' is not a unit of")
 
 
 def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):

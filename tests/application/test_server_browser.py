@@ -19,6 +19,12 @@ pytestmark = needs_chromium
 
 #: In the example of a plan: u is then that of the runs, which a plan can change.
 
+#: What no file says.
+PLACE = (
+    ("What is gravity", "9.8066 m/s^2"),
+    ("At which latitude", "45.75 deg"),
+    ("How far is the platform", "2.5 ± 1e-5 m"),
+)
 PHONE = {"width": 360, "height": 740}
 
 
@@ -84,11 +90,26 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     assert "token" not in tab.url
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
     tab.get_by_label("The recorder's files").set_input_files(records)
-    for question, said in (
-        ("What is gravity", "9.8066 m/s^2"),
-        ("At which latitude", "45.75 deg"),
-        ("How far is the platform", "2.5 ± 1e-5 m"),
-    ):
+    for question, said in PLACE:
+        tab.get_by_label(question).fill(said)
+    # What is guessed of a column may be changed, and changed back, before anything is written.
+    what = tab.get_by_label("What is column north_m?")
+    what.select_option("velocity")
+    tab.get_by_label("In which unit is column 'north_m'?").wait_for()
+    tab.get_by_role("button", name="Write the campaign").click()
+    tab.get_by_text("Needed, such as m/s.").wait_for()
+    assert not (folder / "mine" / "campaign.toml").exists()
+    assert tab.get_by_label("At which latitude").input_value() == "45.75 deg"
+    what.select_option("displacement")
+    tab.get_by_text("Needed, such as m/s.").wait_for(state="detached")
+    tab.get_by_label("At which latitude").fill("45.75 degs")
+    tab.get_by_role("button", name="Write the campaign").click()
+    tab.get_by_text("unknown unit 'degs'").wait_for()
+    # The files may be brought once more: they are the same.
+    with tab.expect_response(lambda answer: answer.url.endswith("/api/draft")):
+        tab.get_by_label("The recorder's files").set_input_files(records[::-1])
+    tab.get_by_label("At which latitude").wait_for()
+    for question, said in PLACE:
         tab.get_by_label(question).fill(said)
     tab.get_by_role("button", name="Write the campaign").click()
     # Loaded again in the middle of it, the page finds its calibration; as if another one went on,

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from counterspin.application.commands import export_command
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import OutsideError
-from counterspin.errors import CounterspinError
 from counterspin.exports.description import Draft, draft, write_description
-from counterspin.exports.looking import look_at
+from counterspin.exports.looking import FileColumn, look_at
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
 from counterspin.records.formats import RECORD_FORMATS
 
 _LOOKS: Final = Remembered(2)
+#: Rows, and parts of a column, that are shown before a campaign is written.
+_PREVIEW_ROWS: Final = 4
+_PREVIEW_PARTS: Final = 90
 
 
 @frozen
@@ -42,17 +47,18 @@ def place_for(desk: Desk, name: str) -> Arrival:
     if path.suffix.lower() not in RECORD_FORMATS:
         known = ", ".join(RECORD_FORMATS)
         raise OutsideError(f"{name}: only records are taken here; they end in {known}")
-    if path.exists():
-        raise CounterspinError(f"{name} exists, and is not replaced; name another folder")
     folders = tuple(folder for folder in path.parents if not folder.exists())
     make_folder(path.parent)
     return Arrival(path, begin(path), folders)
 
 
 def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
-    """Give a complete upload its name; CounterspinError if another file has it by now."""
+    """Give a complete upload its name; CounterspinError if a file of other content has it."""
     size = arrival.part.stat().st_size
-    finish(arrival.part, arrival.path)
+    if arrival.path.is_file() and filecmp.cmp(arrival.part, arrival.path, shallow=False):
+        arrival.part.unlink()  # brought once more, after a mistake
+    else:
+        finish(arrival.part, arrival.path)
     return {"name": desk.folder.name(arrival.path), "bytes": size}
 
 
@@ -65,12 +71,25 @@ def _draft(desk: Desk, names: Sequence[str], answers: dict[str, str] | None) -> 
 
 
 def drafted(desk: Desk, names: list[str], answers: dict[str, str] | None = None) -> dict[str, Any]:
-    """Return what files show, in sentences, what has to be asked, and what is wrong so far."""
+    """Return what files show, in sentences and columns, what may be answered, and what is wrong."""
     found = _draft(desk, names, answers)
     return {
         "statements": list(found.statements),
         "questions": [vars(question) for question in found.questions],
         "problems": list(found.problems),
+        "file": found.common.look.path.name,
+        "columns": [_preview(column) for column in found.common.look.columns],
+    }
+
+
+def _preview(column: FileColumn) -> dict[str, Any]:
+    """Return a column's first values, and least and greatest value of each part of it."""
+    parts = np.array_split(column.values, min(_PREVIEW_PARTS, len(column.values)))
+    known = [part[np.isfinite(part)] for part in parts]
+    return {
+        "name": column.name,
+        "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
+        "extent": [[float(part.min()), float(part.max())] if part.size else None for part in known],
     }
 
 

@@ -19,6 +19,14 @@ SENSES: Final = ("counterclockwise", "clockwise")
 AXES: Final = ("east", "west", "north", "south", "up", "down")
 #: In the place of a unit: that of any signal.
 ANY_SIGNAL: Final = "any"
+#: SI unit -> the usual ones that convert to it.
+_UNITS: Final = {
+    "s": ("s", "ms", "us", "min"),
+    "m": ("m", "mm", "cm", "um", "km"),
+    "m/s": ("m/s", "mm/s", "cm/s", "km/h"),
+    "m/s^2": ("m/s^2", "g", "mg", "ug"),
+}
+_UNITS[ANY_SIGNAL] = _UNITS["m"][:2] + _UNITS["m/s"][:2] + _UNITS["m/s^2"][:3]
 #: Other words for answers that are chosen from a list, in lower case.
 _SYNONYMS: Final = {
     "ccw": "counterclockwise",
@@ -61,7 +69,8 @@ class ExportQuestion:
     key: str  #: By which it is answered.
     text: str  #: The question.
     example: str  #: An answer.
-    choices: tuple[str, ...] = ()  #: The answers there are; empty: any.
+    #: The answers there are, of a unit the usual ones; empty: any.
+    choices: tuple[str, ...] = ()
     guess: str | None = None  #: What is taken without an answer; None: an answer is needed.
     quantity: str = ""  #: The unit of a quantity that is asked for; empty: none is.
     unit: str = ""  #: What a unit that is asked for must convert to; empty: none is asked for.
@@ -69,7 +78,7 @@ class ExportQuestion:
     def judged(self, answer: str) -> str:
         """Return an answer in the words of a description; ValueError if it is none."""
         clean = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
-        if self.choices:
+        if self.choices and not self.unit:
             return self._chosen(answer.strip())
         if self.quantity:
             # A bare number is in the unit of the example, which stands beside the question.
@@ -149,7 +158,7 @@ def _time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[Expor
     yield ExportQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
     if time is not None and time.unit != "iso":
         text = f"In which unit is the time, column '{time.column}'?"
-        yield ExportQuestion("time unit", text, "s", guess=time.unit, unit="s")
+        yield ExportQuestion("time unit", text, "s", _UNITS["s"], time.unit, unit="s")
     if time is None:
         text = "No column has the time. How many rows are there a second?"
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
@@ -191,10 +200,10 @@ def _signal_questions(common: FileGuess) -> Iterator[ExportQuestion]:
         yield ExportQuestion(f"{name} is", text, choices[0], choices, guess)
         if signal is None:
             continue
-        usual = OBSERVABLES.get(signal.observable or "", "m")
         text = f"In which unit is column '{name}'?"
         wanted = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
-        yield ExportQuestion(f"{name} unit", text, usual, guess=signal.unit, unit=wanted)
+        units = _UNITS[wanted]
+        yield ExportQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
         text = f"Along which axis is column '{name}'?"
         yield ExportQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
 

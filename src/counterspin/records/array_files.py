@@ -244,12 +244,13 @@ class MatlabFile(ArrayFile):
         from scipy.io import loadmat
 
         self._stream.seek(0)
-        inside = {name: loadmat(self._stream, variable_names=[name])[name]}
+        inside = [(name, loadmat(self._stream, variable_names=[name])[name])]
         del self._variables[name]
         while inside:
-            path, value = inside.popitem()
+            path, value = inside.pop()
             if value.dtype.names is not None and value.size == 1:
-                inside |= {f"{path}.{key}": value[key].item() for key in value.dtype.names}
+                fields = [(f"{path}.{key}", value[key].item()) for key in value.dtype.names]
+                inside += reversed(fields)
             elif value.dtype.kind in "fiub":
                 self._variables[path] = (value.shape, "double")
                 self._loaded[path] = value

@@ -1,48 +1,25 @@
 // @ts-check
-// Exports of a recorder, dragged in: what is guessed of them is said, what they do not say is asked.
+// Exports of a recorder, dragged in: what is guessed of them is shown and may be changed, what they
+// do not say is asked, and nothing is written before.
 
 import { campaignAddress } from "./addresses.js";
-import { bring, send } from "./api.js";
+import { bring, Refused, send } from "./api.js";
 import { labelled, make, say, warning } from "./dom.js";
+
+/**
+ * What may be answered.
+ * @typedef {{key: string, text: string, example: string, choices: string[], guess: string|null}} Question
+ */
+
+/** What a column may be, beside the time and the angle. */
+const PARTS = ["time", "angle"];
+const NONE = "none";
 
 /** What begins a campaign from files. */
 export function exportsPart() {
   const folder = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
   const files = make("input", { type: "file", multiple: true, id: "exports" });
-  const place = make("div", { "aria-live": "polite" });
-
-  /** @param {string[]} names */
-  const draft = async (names) => {
-    const told = await send("POST", "draft", { names });
-    /** @type {Record<string, HTMLInputElement | HTMLSelectElement>} */
-    const answers = {};
-    const asked = told.questions.map(/** @param {any} question */ (question) => {
-      const control = question.choices.length
-        ? make("select", {}, ...question.choices.map(/** @param {string} one */ (one) =>
-          make("option", { value: one }, one)))
-        : make("input", { placeholder: question.example, autocomplete: "off", required: true });
-      answers[question.key] = control;
-      return labelled(question.text, control);
-    });
-    const wrong = make("div");
-    place.replaceChildren(
-      make("h3", {}, "Guessed from the files"),
-      make("ul", {}, ...told.statements.map(/** @param {string} one */ (one) => make("li", {}, one))),
-      make("form", {
-        onsubmit: async (/** @type {Event} */ event) => {
-          event.preventDefault();
-          const said = Object.fromEntries(Object.entries(answers).map(([key, one]) => [key, one.value]));
-          try {
-            const made = await send("POST", "drafted", { folder: folder.value, names, answers: said });
-            say(`Wrote ${made.name}/campaign.toml.`);
-            location.hash = campaignAddress(made.name);
-          } catch (error) {
-            wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
-          }
-        },
-      }, make("div", { class: "grid" }, ...asked), make("button", { class: "main" }, "Write the campaign")),
-      wrong);
-  };
+  const place = make("div");
 
   /** @param {File[]} some */
   const take = async (some) => {
@@ -59,7 +36,7 @@ export function exportsPart() {
         names.push((await bring(`${folder.value.trim()}/${file.name}`, file)).name);
       }
       place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
-      await draft(names);
+      await new Preview(place, names, () => folder.value).update();
     } catch (error) {
       place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
@@ -79,4 +56,211 @@ export function exportsPart() {
     take([...event.dataTransfer?.files ?? []]);
   });
   return zone;
+}
+
+/** What is in the files, with a field for all that may be answered. */
+class Preview {
+  /**
+   * @param {HTMLElement} place
+   * @param {string[]} names of the files
+   * @param {() => string} folder of the new campaign
+   */
+  constructor(place, names, folder) {
+    this.place = place;
+    this.names = names;
+    this.folder = folder;
+    /** @type {Record<string, string>} what a person has said, by the keys of questions */
+    this.answers = {};
+    /** @type {Map<string, HTMLInputElement|HTMLSelectElement>} kept, so that nothing typed is lost */
+    this.fields = new Map();
+    this.asked = 0;
+  }
+
+  /** Ask what the files show with the answers so far, and show it. */
+  async update() {
+    const asked = ++this.asked;
+    const told = await send("POST", "draft", { names: this.names, answers: this.answers });
+    if (asked === this.asked) this.show(told, told.problems);
+  }
+
+  /**
+   * @param {any} told
+   * @param {string[]} problems a line each, which begins with the key of a question
+   */
+  show(told, problems) {
+    /** @type {Map<string, Question>} */
+    const questions = new Map(told.questions.map((/** @type {Question} */ one) => [one.key, one]));
+    const wrong = new Map(problems.map((line) => {
+      const key = [...questions.keys()].find((one) => line.startsWith(`${one}: `)) ?? "";
+      const open = key && !(key in this.answers);
+      return [key, open ? `Needed, such as ${questions.get(key)?.example}.` : line.slice(key ? key.length + 2 : 0)];
+    }));
+    const active = /** @type {HTMLElement} */ (document.activeElement);
+    const table = this.table(told, questions, wrong);
+    const shown = new Set(table.keys);
+    const rest = [...questions.values()].filter((one) => !shown.has(one.key) && !one.key.endsWith(" is"));
+    this.place.replaceChildren(
+      make("h3", {}, `What is in ${told.file}${this.names.length > 1 ? " and the others" : ""}`),
+      make("div", { class: "scroll", tabindex: "0" }, table.element),
+      make("form", { onsubmit: (/** @type {Event} */ event) => this.write(event, told), novalidate: true },
+        make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
+        wrong.has("") ? warning(/** @type {string} */ (wrong.get(""))) : null,
+        make("button", { class: "main" }, "Write the campaign")),
+      make("details", {}, make("summary", {}, "What is guessed, in words"),
+        make("ul", {}, ...told.statements.map((/** @type {string} */ one) => make("li", {}, one)))));
+    if (active?.isConnected) active.focus();
+  }
+
+  /**
+   * The columns, with what each is taken for above its first values.
+   * @param {any} told
+   * @param {Map<string, Question>} questions
+   * @param {Map<string, string>} wrong
+   */
+  table(told, questions, wrong) {
+    const keys = new Set(PARTS);
+    /** @type {Record<string, (Node|null)[]>} */
+    const rows = { is: [], unit: [], axis: [], picture: [] };
+    for (const { name, extent } of told.columns) {
+      const part = PARTS.find((one) => (this.answers[one] ?? questions.get(one)?.guess) === name);
+      const own = part ? [null, `${part} unit`, null] : ["is", "unit", "axis"].map((one) => `${name} ${one}`);
+      const [unit, axis] = own.slice(1).map((key) => {
+        const question = key && questions.get(key);
+        if (!question) return null;
+        keys.add(question.key);
+        return this.field(question, wrong, true);
+      });
+      rows.is.push(this.kind(name, part, questions.get(`${name} is`), wrong));
+      rows.unit.push(unit);
+      rows.axis.push(axis);
+      rows.picture.push(picture(name, extent));
+    }
+    const line = (/** @type {string} */ head, /** @type {(Node|string|null)[]} */ cells) =>
+      make("tr", {}, make("th", { scope: "row" }, head), ...cells.map((cell) => make("td", {}, cell)));
+    const count = Math.max(...told.columns.map((/** @type {any} */ one) => one.first.length));
+    const element = make("table", { class: "preview" },
+      make("thead", {}, make("tr", {}, make("td"),
+        ...told.columns.map((/** @type {any} */ one) => make("th", { scope: "col" }, one.name)))),
+      make("tbody", {}, line("is", rows.is), line("in", rows.unit), line("along", rows.axis), line("over time", rows.picture),
+        ...Array.from({ length: count }, (_, row) =>
+          line(`row ${row + 1}`, told.columns.map((/** @type {any} */ one) => one.first[row] ?? "")))));
+    return { element, keys };
+  }
+
+  /**
+   * What a column is, as a choice.
+   * @param {string} name
+   * @param {string|undefined} part
+   * @param {Question|undefined} question
+   * @param {Map<string, string>} wrong
+   */
+  kind(name, part, question, wrong) {
+    const value = part ?? this.answers[`${name} is`] ?? question?.guess ?? "";
+    const choices = [...PARTS, "displacement", "velocity", "specific_force", "unused"];
+    const control = make("select", {
+      "aria-label": `What is column ${name}?`,
+      onchange: () => {
+        for (const one of PARTS) {
+          if (control.value === one) this.answers[one] = name;
+          else if (one === part) this.answers[one] = NONE;
+        }
+        delete this.answers[`${name} is`];
+        if (control.value && !PARTS.includes(control.value)) this.answers[`${name} is`] = control.value;
+        this.changed();
+      },
+    }, ...(value ? [] : [""]).concat(choices).map((one) =>
+      make("option", { value: one }, one.replace("_", " ") || "choose")));
+    control.value = value;
+    return withMistake(control, wrong.get(`${name} is`));
+  }
+
+  /**
+   * A field for an answer.
+   * @param {Question} question
+   * @param {Map<string, string>} wrong
+   * @param {boolean} bare without its label
+   */
+  field(question, wrong, bare = false) {
+    const { key, text, choices, example, guess } = question;
+    const kept = this.fields.get(key);
+    const made = kept ?? (choices.length
+      ? make("select", {}, ...(guess === null ? [""] : []).concat(choices).map((one) =>
+        make("option", { value: one }, one || "choose")))
+      : make("input", { placeholder: example, autocomplete: "off", spellcheck: "false" }));
+    if (!kept) {
+      this.fields.set(key, made);
+      made.addEventListener("change", () => {
+        if (made.value.trim()) this.answers[key] = made.value;
+        else delete this.answers[key];
+        this.changed();
+      });
+    }
+    if (!(key in this.answers) && made !== document.activeElement) made.value = guess ?? "";
+    if (bare) made.setAttribute("aria-label", text);
+    return bare ? withMistake(made, wrong.get(key)) : withMistake(labelled(text, made), wrong.get(key), made);
+  }
+
+  /** Look again after a change; what is wrong with it is said beside its field. */
+  async changed() {
+    try {
+      await this.update();
+    } catch (error) {
+      this.place.append(warning(/** @type {Error} */ (error).message));
+    }
+  }
+
+  /**
+   * @param {Event} event
+   * @param {any} told
+   */
+  async write(event, told) {
+    event.preventDefault();
+    // What has just been typed counts, though its field was not left.
+    for (const [key, field] of this.fields) {
+      const guess = told.questions.find((/** @type {Question} */ one) => one.key === key)?.guess;
+      if (field.isConnected && field.value.trim() && field.value !== guess) this.answers[key] = field.value;
+    }
+    try {
+      const said = { folder: this.folder(), names: this.names, answers: this.answers };
+      const made = await send("POST", "drafted", said);
+      say(`Wrote ${made.name}/campaign.toml.`);
+      location.hash = campaignAddress(made.name);
+    } catch (error) {
+      const lines = error instanceof Refused ? error.told.problems : null;
+      if (lines) this.show(told, lines);
+      else this.place.append(warning(/** @type {Error} */ (error).message));
+    }
+  }
+}
+
+/**
+ * A field with what is wrong with its answer.
+ * @param {HTMLElement} element
+ * @param {string|undefined} mistake
+ * @param {HTMLElement} control
+ */
+function withMistake(element, mistake, control = element) {
+  if (mistake) control.setAttribute("aria-invalid", "true");
+  else control.removeAttribute("aria-invalid");
+  return mistake ? make("div", {}, element, make("p", { class: "wrong", role: "alert" }, mistake)) : element;
+}
+
+/**
+ * A small drawing of a column.
+ * @param {string} name
+ * @param {([number, number]|null)[]} extent least and greatest value of each part
+ */
+function picture(name, extent) {
+  const space = "http://www.w3.org/2000/svg";
+  const drawing = document.createElementNS(space, "svg");
+  const known = extent.flatMap((part) => part ?? []);
+  const [low, high] = [Math.min(...known), Math.max(...known)];
+  const height = (/** @type {number} */ value) => 30 - 28 * (high > low ? (value - low) / (high - low) : 0.5);
+  const line = document.createElementNS(space, "path");
+  line.setAttribute("d", extent.map((part, place) =>
+    part ? `M${place} ${height(part[0]) + 0.5}L${place} ${height(part[1]) - 0.5}` : "").join(""));
+  for (const [key, value] of Object.entries({ viewBox: `0 0 ${extent.length} 32`, role: "img", preserveAspectRatio: "none",
+    "aria-label": `${name}, from ${low.toPrecision(4)} to ${high.toPrecision(4)}` })) drawing.setAttribute(key, value);
+  drawing.append(line);
+  return drawing;
 }
