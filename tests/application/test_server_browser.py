@@ -184,7 +184,7 @@ def test_a_plan_is_made_by_a_job_and_its_search_can_be_stopped(opened, desk, fol
     tab.get_by_text("The search was stopped.").wait_for()
     desk.live.ask = ask
     tab.get_by_text("with its forecast in full").click()
-    tab.get_by_role("heading", name="What limits it").wait_for()
+    tab.get_by_role("heading", name="What limits the plan").wait_for()
     tab.get_by_label("Folder of the planned campaign").fill("new")
     tab.get_by_role("button", name="Write these limits and the campaign").click()
     tab.wait_for_url("**#/campaign/new")
@@ -422,7 +422,7 @@ def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
     assert saved.value.suggested_filename == "result.html"
     assert b"K_II" in saved.value.path().read_bytes()
     tab.get_by_role("link", name="Try out").press("Enter")
-    tab.get_by_role("heading", name="What the centrifuge must be for it").wait_for()
+    tab.get_by_role("heading", name="Requirements for the centrifuge").wait_for()
     tab.get_by_label("Trials").fill("4")
     tab.keyboard.press("Enter")
     tab.get_by_role("heading", name="Verdict").wait_for()

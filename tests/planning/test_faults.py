@@ -210,7 +210,7 @@ def test_report_and_result_name_what_is_not_noticed(starter, capsys):
     console.width = 140
     console.print(result)
     printed = " ".join(capsys.readouterr().out.split())
-    assert "What these runs cannot notice of Qx" in printed
+    assert "Effects on Qx that the plan cannot detect" in printed
     assert "second-order output-axis coefficient (K_OO) 2 ug/g^2" in printed
     assert "Less than 0.1 % of K_II rests on its second harmonic" in printed
 

@@ -94,7 +94,7 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
     assert joint.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n) + 1e-4)
     good = {name: one.trustworthy for name, one in result.analyses.items()}
     assert good == {"joint": True, "two-stage": True, "as-printed": False}
-    assert result.verdict[0].startswith("joint is trustworthy here and has the smallest errors")
+    assert result.verdict[0].startswith("joint: no fault found, and the smallest errors")
     assert "0.5 times the truth" in result.verdict[-1]
     first = next(iter(result.analyses))
     assert coefficient(result, first, "Qx.K_II").efficiency == pytest.approx(1.0, abs=0.02)

@@ -1,4 +1,4 @@
-"""`counterspin plan`: which runs to make, and what a campaign will tell."""
+"""`counterspin plan`: the best campaign within limits, or the forecast of one."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from counterspin.frozen import frozen
 
 @group
 @frozen
-class Unsaid:
-    """What a campaign that is checked does not say itself.
+class RecordingDetails:
+    """How the records of a campaign that is checked will be made, where it does not say so.
 
     Parameters
     ----------
     sampling_rate
-        With --check: of the records, such as "50 Hz", where the campaign does not say it.
+        With --check: sampling rate of the records, such as "50 Hz", where the campaign has none.
     revolutions
-        With --check: of each run for which the campaign says no length.
+        With --check: revolutions of each run for which the campaign has no length.
     """
 
     sampling_rate: str | None = None
     revolutions: float | None = None
 
 
-_NOTHING = Unsaid()
+_UNKNOWN = RecordingDetails()
 
 
 def plan(
@@ -37,23 +37,22 @@ def plan(
     output: OutputFile = None,
     saved: Saved = NOT_SAVED,
     figures: Path | None = None,
-    unsaid: Unsaid = _NOTHING,
+    recording: RecordingDetails = _UNKNOWN,
 ) -> None:
-    """Choose rates, lengths, senses and attitudes of the runs, and predict what they will tell.
+    """Choose rates, lengths, senses and attitudes of the runs, and predict the uncertainties.
 
     Parameters
     ----------
     file
-        The plan: limits and goal.
+        The plan's file, with its limits and goal.
     check
-        In place of a plan: a campaign's folder, to predict what it will tell without its records.
+        In place of a plan: the folder of a campaign whose uncertainties are predicted.
     init
         In place of a plan: write a commented example to this file.
     output
-        Folder, without a campaign.toml as yet, for that of the planned campaign, ready for
-        recording and for `simulate`.
+        Folder for the campaign.toml of the planned campaign; there must be none yet.
     figures
-        Folder for figures: u against time, against the highest rate, and its sources.
+        Folder for figures: the uncertainty against time and the highest rate, and its sources.
     """
     from counterspin.campaign.kinds import exact
     from counterspin.planning.figures import FIGURE, FIGURES, save_figures
@@ -80,11 +79,11 @@ def plan(
         if output is not None or figures is not None:
             raise CampaignError("plan", ["--output and --figures need a plan, not --check"])
         try:
-            typed = unsaid.sampling_rate
+            typed = recording.sampling_rate
             rate = None if typed is None else exact(typed, "Hz")
         except ValueError as error:
             raise CampaignError("--sampling-rate", [str(error)]) from error
-        result = forecast(check, sampling_rate=rate, revolutions=unsaid.revolutions)
+        result = forecast(check, sampling_rate=rate, revolutions=recording.revolutions)
     else:
         assert file is not None  # one of the three is
         words = ("Searching", "Points of the figures", "Points of the figures")
@@ -96,10 +95,10 @@ def plan(
         drawn = figures and save_figures(result, figures, overwrite=saved.overwrite)
         report_console().print(result)
     if output is not None and result.readings:
-        say("", f"Wrote {written}. Put what is read in the place of each ?, then:")
+        say("", f"Wrote {written}. Replace each ? by the value that is read, then:")
         say(f"  counterspin calibrate {shell_word(output)}")
     elif output is not None and written is not None:
-        say("", f"Wrote {written}. Record its runs, or try them:")
+        say("", f"Wrote {written}. Record its runs, or simulate them:")
         say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
     if drawn:
         say("", f"Wrote {', '.join(path.name for path in drawn)} to {figures}.")

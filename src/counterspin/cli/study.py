@@ -18,9 +18,9 @@ class TrialSettings:
     Parameters
     ----------
     trials
-        How many, in place of the study's own number.
+        Number of trials, in place of the study's own.
     seed
-        Of the random numbers, in place of the study's own.
+        Seed of the random numbers, in place of the study's own.
     engine
         How trials are made; auto takes the fastest that is valid.
     """
@@ -33,12 +33,12 @@ class TrialSettings:
 @group
 @frozen
 class StudyWorkers:
-    """Who makes them.
+    """The processes that make the trials.
 
     Parameters
     ----------
     workers
-        Processes; the result is the same for any number.
+        Number of processes; the result does not depend on it.
     cluster
         Address of a Dask scheduler, such as tcp://HOST:8786.
     """
@@ -61,7 +61,7 @@ def study(
     resume: bool = False,
     saved: Saved = NOT_SAVED,
 ) -> None:
-    """Try analyses on many simulated campaigns: bias, scatter, and whether claims hold.
+    """Try analyses on many simulated campaigns: bias, scatter and coverage of the intervals.
 
     Parameters
     ----------

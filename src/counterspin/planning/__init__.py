@@ -1,4 +1,4 @@
-"""Which runs to make for a goal, and what a campaign will tell before it is recorded.
+"""Which runs to make for a goal, and which uncertainties a campaign will have.
 
 - `plan`: the whole way, from ``PLAN.toml`` to a plan and back to a campaign
 - `plan_sections`, `plan_file`: what may stand in ``PLAN.toml``; `read_plan`
@@ -10,7 +10,7 @@
 - `search`, `feasibility`: the plan's problem, solved; whether its goal can be had
 - `readings`: the same for readings: what may be read, how often to read it, and in which order
 - `faults`, `watching`: what may be wrong, and what a campaign would notice of it
-- `predicted`, `requirements`: what the runs will tell, and what the centrifuge must be for it
+- `predicted`, `requirements`: the expected uncertainties, and requirements for the centrifuge
 - `figure_curves`: the curves of the figures
 - `result`: what planning found, its JSON
 - `page`, `figures`: a plan as a person reads it

@@ -354,7 +354,7 @@ class Predictor:
     def _share(
         self, types: Sequence[RunType], blocks: Array, inner: Array, spread: Array, c: Array
     ) -> Array:
-        """Return, for each run, what has the criterion's derivative with everything else fixed.
+        """Return for each run a quantity whose difference quotient is the criterion's derivative.
 
         With v = P c, s = spread' c and B the considered moments, d(c' S c) is
         -v' dM v - 2 s' (dB' v) - 2 s' B' dP c; shape (..., runs).

@@ -133,9 +133,9 @@ class InformationTable:
 
 
 def _to_whole_numbers(counts: npt.NDArray[np.int64], phases: int) -> Array:
-    """Return what takes factors after a part of a revolution to whole numbers of revolutions.
+    """Return matrices that carry factors tabulated at a phase to whole revolutions.
 
-    At a given part of a revolution at the end, a factor is a smooth function of the number.
+    At one phase of the end a factor is a smooth function of the number of revolutions.
 
     Returns: for each part a matrix over the numbers, shape (phases, c, c).
     """

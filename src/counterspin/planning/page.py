@@ -1,4 +1,4 @@
-"""A plan as a person reads it: what to run, what it will tell, what limits it."""
+"""A plan as a person reads it: what to run, the uncertainties expected, what limits them."""
 
 from __future__ import annotations
 
@@ -81,27 +81,25 @@ def _answer(result: PlanResult) -> Iterator[Block]:
 def _optimality(goal: GoalResult, timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "How much better another plan could be is not known: with noise of the time stamps no "
-            "theorem bounds it."
+            "How much better another plan could be is not known: no theorem bounds it where the "
+            "time stamps have noise."
         )
     less = 100.0 * (1.0 - goal.efficiency)
-    what = "smaller u" if goal.kind == "minimise" else "shorter time"
-    if goal.kind == "target" and not timed:
-        what = "smaller number of readings"
-    if goal.kind == "minimise" and goal.criterion == "determinant":
-        what = "smaller mean u (of the ellipsoid's volume)"
     if less < 0.05:
-        return "No plan within these limits is better, to 0.05 %."
-    return (
-        f"No plan within these limits can have a {what} by more than {format_number(less, 2)} % "
-        "(equivalence theorem, with numbers that need not be whole)."
-    )
+        return "No plan within these limits is better by more than 0.05 %."
+    by = f"more than {format_number(less, 2)} %"
+    if goal.kind == "minimise":
+        what = "uncertainty" if goal.criterion == "sum" else "mean uncertainty (by volume)"
+        return f"No plan within these limits can reduce the {what} by {by}."
+    if timed:
+        return f"No plan within these limits can be {by} shorter."
+    return f"No plan within these limits can do with {by} fewer readings."
 
 
 def _runs(result: PlanResult) -> Iterator[Block]:
     planned = all(run.start is not None for run in result.runs)
     several = len({run.attitude for run in result.runs}) > 1
-    yield Heading("Runs, in this order" if planned else "Runs")
+    yield Heading("Runs, in order" if planned else "Runs")
     columns = [
         Column("Run"),
         Column("Rate, rad/s", "right"),
@@ -151,25 +149,25 @@ def _readings(result: PlanResult) -> Iterator[Block]:
         Column("g", "right"),
         Column("Input, pendulous axis", wraps=True),
         Column("u, ug", "right"),
-        Column("Times", "right"),
+        Column("Number", "right"),
     ]
     yield Table(
-        ((Column("Of"),) if several else ()) + tuple(columns),
+        ((Column("Accelerometer"),) if several else ()) + tuple(columns),
         tuple((*row, str(count)) for row, count in places.items()),
     )
     words = {
-        "mirrored": "In mirrored order, so that what changes evenly with time cancels",
-        "random": "In random order, so that what changes with time is noise",
-        "listed": "In the order of the list",
+        "mirrored": "in mirrored order, so that a linear drift cancels",
+        "random": "in random order, so that a drift acts as noise",
+        "listed": "in the order of the stations",
     }
     if result.order:
-        yield Paragraph(f"{words[result.order]}: as the runs of the planned campaign.")
+        yield Paragraph(f"The planned campaign has them {words[result.order]}.")
 
 
 def _accelerometer(
     result: PlanResult, name: str, accelerometer: PlannedAccelerometer
 ) -> Iterator[Block]:
-    yield Heading(f"What they will tell of {name}")
+    yield Heading(f"Expected uncertainties for {name}")
     rows, quiet = [], set()
     shown = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, predicted) in enumerate(shown.items()):
@@ -180,8 +178,8 @@ def _accelerometer(
         (
             Column("Coefficient"),
             Column("u"),
-            Column("Known before to"),
-            Column("From", wraps=True),
+            Column("Known beforehand"),
+            Column("Sources", wraps=True),
         ),
         tuple(rows),
         frozenset(quiet),
@@ -202,7 +200,7 @@ def _advice(result: PlanResult, terms: Sequence[str]) -> str:
     """Return what would separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:
-        return "They need other stations, or knowledge of one of them beforehand."
+        return "Other stations would separate them, or a stated value of one of them."
     platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
     own = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
@@ -214,18 +212,18 @@ def _advice(result: PlanResult, terms: Sequence[str]) -> str:
         )
     ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
-        return "The other sense of the spin separates them."
+        return "The other sense of the spin would separate them."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
     if one_rate and len({len(row.effect.factors) for row in own}) > 1:
-        return "Other rates separate them."
+        return "Other rates would separate them."
     if not platform and len({run.attitude for run in result.runs}) == 1:
-        return "They need a second attitude, or knowledge of one of them beforehand."
-    return "They need knowledge of one of them beforehand."
+        return "A second attitude would separate them, or a stated value of one of them."
+    return "A stated value of one of them would separate them."
 
 
 def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine]) -> Iterator[Block]:
     unit, factor = field_unit(result.accelerometers[name].coefficients[symbol].unit)
-    yield Heading(f"Where u({symbol}) of {name} will come from")
+    yield Heading(f"Expected uncertainty budget of {symbol} of {name}")
     gathered: dict[str, list[BudgetLine]] = {}
     runs = {run.name for run in result.runs}
     for line in lines:
@@ -244,7 +242,7 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
     yield Table(
         (
             Column("Source", wraps=True),
-            Column("Its u", "right"),
+            Column("Std. uncertainty", "right", wraps=True),
             Column(f"Contribution, {unit}", "right", wraps=True),
             Column("Share of u^2", "right", wraps=True),
         ),
@@ -253,47 +251,48 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
 
 
 def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
-    """Say what would move K_II unseen, and how much of it rests on a harmonic."""
+    """List what would shift K_II undetected, and say how much of it rests on a harmonic."""
     if accelerometer.faults is None:
         return
-    yield Heading(f"What these runs cannot notice of {name}")
+    yield Heading(f"Effects on {name} that the plan cannot detect")
     unseen = [effect for effect in accelerometer.faults if not effect.noticed]
     seen = [effect for effect in accelerometer.faults if effect.noticed]
     if unseen:
         yield Paragraph(
-            "Assumed to be perfect; at typical sizes, each by itself, it moves K_II by more than "
-            "its u, and the residuals look like noise. Found or open: if it were a term of the fit."
+            "Each of these is taken as perfect. Alone and of typical size, it would shift K_II by "
+            "more than the standard uncertainty, and the residuals would still look like noise."
         )
         yield Table(
             (
-                Column("What", wraps=True),
-                Column("Of", "right"),
-                Column("K_II by", "right"),
-                Column("As a term"),
+                Column("Effect", wraps=True),
+                Column("Typical size", "right"),
+                Column("Shift of K_II", "right"),
+                Column("If estimated"),
             ),
             tuple(
                 (
                     f"{effect.words} ({effect.symbol})",
                     _in_field_unit(effect.size, effect.unit),
                     f"{effect.ratio:.3g} u" if effect.ratio < 1e3 else f"{effect.ratio:.0f} u",
-                    "found" if effect.deviation > _DETECTION_DEVIATIONS else "open",
+                    "determined" if effect.deviation > _DETECTION_DEVIATIONS else "not determined",
                 )
                 for effect in unseen
             ),
         )
         yield Paragraph(
-            "State what is known of them in [model.priors], or take them out of model.assume, and "
+            "Take them out of model.assume, state what is known of them in [model.priors], and "
             "plan again."
         )
     else:
         yield Paragraph(
-            "Nothing that is assumed to be perfect moves K_II by more than its u unnoticed."
+            "Nothing that is taken as perfect would shift K_II undetected by more than its "
+            "standard uncertainty."
             if result.assumed
-            else "Nothing is assumed to be perfect: what is not stated is in u at a typical size."
+            else "Nothing is taken as perfect: what is not stated contributes at its typical size."
         )
     if seen:
         named = ", ".join(effect.symbol for effect in seen)
-        yield Paragraph(f"The residuals would show: {named}.")
+        yield Paragraph(f"The residuals would show {named}.")
     share = accelerometer.harmonic_share
     if share is None:
         return
@@ -307,11 +306,12 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
 def _limits(result: PlanResult) -> Iterator[Block]:
     if result.goal is None:
         return
-    yield Heading("What limits it")
-    what = "u" if result.goal.kind == "minimise" else "time"
+    yield Heading("What limits the plan")
+    what = "Uncertainty" if result.goal.kind == "minimise" else "Time"
     if not result.limits:
         yield Paragraph(
-            f"A tenth more of any limit gains nothing: {what} is what the priors leave."
+            f"Relaxing any limit by 10 % gains nothing: the {what.lower()} is limited by what is "
+            "known beforehand."
         )
         return
     rows = []
@@ -322,7 +322,7 @@ def _limits(result: PlanResult) -> Iterator[Block]:
     yield Table(
         (
             Column("Limit", wraps=True),
-            Column("If"),
+            Column("Change"),
             Column(f"{what} falls by", "right"),
         ),
         tuple(rows),
@@ -332,7 +332,7 @@ def _limits(result: PlanResult) -> Iterator[Block]:
 def _others(result: PlanResult) -> Iterator[Block]:
     if not result.others:
         return
-    yield Heading("Other plans in the same time")
+    yield Heading("Other plans of the same length")
     rows = []
     for other in result.others:
         for name, u in other.u.items():
@@ -347,20 +347,23 @@ def _others(result: PlanResult) -> Iterator[Block]:
     yield Table(
         (
             Column("Plan", wraps=True),
-            Column("Its u"),
-            Column("This plan's u over it", "right", wraps=True),
+            Column("Std. uncertainty"),
+            Column("Ratio", "right"),
         ),
         tuple(rows),
     )
+    yield Paragraph("Ratio: uncertainty of this plan over that of the other.", "quiet")
 
 
 def _requirements(result: PlanResult) -> Iterator[Block]:
     if not result.requirements:
         return
-    yield Heading("What the centrifuge must be for it")
+    yield Heading("Requirements for the centrifuge")
     rows = tuple((line.words, _size(line)) for line in result.requirements)
-    yield Table((Column("What", wraps=True), Column("To", "right")), rows)
-    yield Paragraph(f"Each by itself would make u grow by 5 %, {result.requirements_for}.", "quiet")
+    yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
+    yield Paragraph(
+        f"Each alone would increase the uncertainty by 5 %, {result.requirements_for}.", "quiet"
+    )
 
 
 def _size(line: Requirement) -> str:

@@ -1,4 +1,4 @@
-"""`counterspin plan`: how to spend a day at the centrifuge, and what limits it."""
+"""`counterspin plan`: the best campaign within limits, and what limits it."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ _COMMENTS: Final = {
 def check(
     where: Path | str, *, sampling_rate: float | None = None, revolutions: float | None = None
 ) -> PlanResult:
-    """Forecast what a campaign will tell, without its records.
+    """Forecast the uncertainties of a campaign without its records.
 
     Parameters
     ----------

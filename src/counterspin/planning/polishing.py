@@ -85,7 +85,7 @@ def polish(
         return value, variables.gradient(by_rate, by_turns)
 
     x = variables.solve(objective, [variables.time_left])
-    improved = _not_over(variables.design(x), limits)
+    improved = _shortened_to_fit(variables.design(x), limits)
     candidates = [improved]
     if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
         candidates.append(design)
@@ -174,7 +174,7 @@ class _Variables:
         return slopes @ x - math.log(self.limits.apart), slopes
 
 
-def _not_over(design: Design, limits: Limits) -> Design:
+def _shortened_to_fit(design: Design, limits: Limits) -> Design:
     """Return the design, shortened where rounding has put it over the time there is."""
     if limits.time(design) <= limits.total_time:
         return design

@@ -32,7 +32,7 @@ _DETECTION_PROBABILITY: Final = 0.95
 
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
-    """Return what a campaign will tell of each accelerometer."""
+    """Return what a campaign is expected to give for each accelerometer."""
     asked = prediction.fit.model.asked
     places = {
         name: {u.symbol: i for i, u in enumerate(asked) if u.owner == name and u.symbol in TERMS}
@@ -96,7 +96,7 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
 
 
 def platform_of(prediction: Forecast) -> dict[str, Predicted]:
-    """Return what a campaign will tell of the platform's terms that all runs share."""
+    """Return the expected uncertainties of the platform's terms that all runs share."""
     return {
         unknown.symbol: _predicted(prediction, index)
         for index, unknown in enumerate(prediction.fit.model.asked)

@@ -1,4 +1,4 @@
-"""What the centrifuge must be for a plan: how large each of its faults may become."""
+"""Requirements for the centrifuge: how large each of its faults may become."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def requirements_of(
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
-    words = f"at the {name} expected"
+    words = f"at the value expected of {name}"
     if expected[place] == 0.0:
         expected[place] = unknown.limit
         unit = unit_of(unknown.symbol)
-        words = f"should {name} be as large as is credible, {unknown.limit:.3g} {unit}"
+        words = f"if {name} were as large as is credible, {unknown.limit:.3g} {unit}"
     rotation = tuple(
         Considered(run.name, symbol, (0.0, 1.0), 1.0)
         for run in campaign.runs
@@ -77,18 +77,18 @@ def requirements_of(
     machine = watch(replace(prediction, fit=fit), faults)
     eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
-        ("radius known to", of_input["centrifuge.radius"], "m"),
+        ("radius", of_input["centrifuge.radius"], "m"),
         (
-            "rate stable, where the recorded angle does not show it: drift",
+            "drift of the rate that the recorded angle does not show",
             _norm(of_run[:, 2]),
             "1/s",
         ),
-        ("rate known to, relative, the same for all runs", float(of_run[:, 1] @ rates), "1"),
-        ("angle's zero, a new one in each run", _norm(of_run[:, 0]), "rad"),
-        ("angle noise, a sample", _angle_noise(campaign, of_run, sampling_rate), "rad"),
+        ("rate, relative, the same error in all runs", float(of_run[:, 1] @ rates), "1"),
+        ("zero of the angle, new in each run", _norm(of_run[:, 0]), "rad"),
+        ("noise of the angle, per sample", _angle_noise(campaign, of_run, sampling_rate), "rad"),
         (f"{faults[0].words}, the same in all runs", eccentricity, "rad"),
         (faults[1].words, imbalance, "m"),
-        ("clock of the angle against that of the output", of_input[TIMING], "s"),
+        ("delay between the clocks of angle and output", of_input[TIMING], "s"),
     ]
     largest = {**_LARGEST_SIZES, "m": _LARGEST_SIZES["1"] * campaign.radius.value}
     return words, [

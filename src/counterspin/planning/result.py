@@ -1,4 +1,4 @@
-"""What planning found: one object, its JSON.
+"""The result of a plan or a forecast: one object, its JSON.
 
 Units are SI, coefficients in g-units of the stated gravity, as in the result of a calibration.
 """
@@ -75,7 +75,7 @@ class FaultEffect(ResultPart):
 
 
 class PlannedAccelerometer(ResultPart):
-    """What the campaign will tell of one accelerometer.
+    """What is expected of one accelerometer.
 
     `harmonic_share` is the part of K_II's estimate that rests on the second harmonic of the
     revolution, the rest being the mean of a_I^2, and None where there are readings; `faults`, the

@@ -1,4 +1,4 @@
-"""Many simulated trials of a campaign and its analyses: bias, scatter, whether claims hold.
+"""Many simulated trials of a campaign and its analyses: bias, scatter, coverage.
 
 - `study`: the whole way, from a study's file to its result
 - `description`: what may stand in ``[study]``

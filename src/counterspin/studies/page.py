@@ -62,15 +62,18 @@ def study_blocks(result: StudyResult) -> list[Block]:
             listed = ", ".join(analysis.undetermined)
             blocks.append(Paragraph(f"Not determined by the records: {listed}.", "quiet"))
     blocks.append(Heading("Verdict"))
-    judged = all(analysis.trustworthy is not None for analysis in result.analyses.values())
+    trusted = [analysis.trustworthy for analysis in result.analyses.values()]
+    judged = None not in trusted
+    good = trusted.count(True) if judged else 0  # their lines come first
     for place, line in enumerate(result.verdict):
-        style: Style = "answer" if "is trustworthy" in line else "warning"
+        style: Style = "answer" if place < good else "warning"
         blocks.append(Paragraph(line, style if judged or place == 0 else "quiet"))
     blocks.append(
         Paragraph(
-            "Bias with its standard error. In 68, 95, 99 %: share of the trials whose interval of "
-            "that level held the truth, with its binomial 95 % interval. Efficiency: the "
-            "Cramér-Rao bound of all samples over the mean square error.",
+            "Bias is given with its standard error. The columns In 68, 95, 99 % give the share of "
+            "trials whose interval of that level contained the truth, with its binomial 95 % "
+            "interval. Efficiency is the Cramér-Rao bound of all samples over the mean square "
+            "error.",
             "quiet",
         )
     )
@@ -107,7 +110,7 @@ def _coverage(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
 
 
 def z_plots(result: StudyResult) -> Iterator[Plot]:
-    """Yield how each coefficient's error over claimed u is distributed, and the normal curve."""
+    """Yield how each coefficient's error over its stated u is distributed, and the normal curve."""
     edges = np.linspace(-Z_EDGE, Z_EDGE, Z_BINS + 1)
     centres = tuple((0.5 * (edges[1:] + edges[:-1])).tolist())
     fine = tuple(np.linspace(-Z_EDGE, Z_EDGE, 241).tolist())
@@ -118,7 +121,7 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
         beyond = 100.0 * (counts[0] + counts[-1]) / counts.sum()
         yield Plot(
             title=f"{name}: {beyond:.3g} % beyond ± {Z_EDGE:g}",
-            x_label="error over claimed standard uncertainty",
+            x_label="error / stated standard uncertainty",
             y_label="density",
             series=(
                 PlotSeries("", centres, tuple(density.tolist()), kind="columns", colour=0),
@@ -130,13 +133,13 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
 
 
 def coverage_plots(result: StudyResult) -> Iterator[Plot]:
-    """Yield for each level how often the intervals held the truth; bars: binomial, 95 %."""
+    """Yield for each level how often the intervals contained the truth; bars: binomial, 95 %."""
     names, coefficients = zip(*_coefficients(result), strict=True)
     for index, level in enumerate(LEVELS):
         low, high = zip(*(c.intervals[index] for c in coefficients), strict=True)
         share = tuple(c.covered[index] for c in coefficients)
         yield Plot(
-            title=f"Trials whose {100 * level:.0f} % interval held the truth; bars: 95 %",
+            title=f"Trials whose {100 * level:.0f} % interval contained the truth; bars: 95 %",
             x_label="",
             y_label="share, %",
             series=(

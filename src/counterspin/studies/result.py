@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Final
 
 from counterspin.reports.shown import ShownResult, loaded, on_axes
@@ -14,10 +14,10 @@ from counterspin.studies.tally import LEVELS, Summary
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
 _GOOD_COVERAGE: Final = (0.94, 0.96)
 
-#: With fewer trials the share of intervals that hold the truth is known too badly to judge.
+#: With fewer trials the share of intervals that contain the truth is known too badly to judge.
 FEWEST_TRIALS: Final = 200
 
-#: A bias below this part of the claimed u leaves the coverage within 0.4 % of 95 %.
+#: A bias below this part of the stated u leaves the coverage within 0.4 % of 95 %.
 _LARGEST_BIAS: Final = 0.2
 
 
@@ -51,7 +51,7 @@ class CoefficientResult(ResultPart):
     bound: float | None  #: The Cramer-Rao bound of the standard uncertainty, or None.
     #: The bound's variance over the mean square error; None without a bound.
     efficiency: float | None
-    #: Whether its intervals hold the truth as often as they say; None with too few trials.
+    #: Whether its intervals contain the truth as often as they should; None with too few trials.
     trustworthy: bool | None
     finding: str  #: The same in words.
     against: dict[str, BiasAgainst]  #: By what varied: the bias against it.
@@ -148,67 +148,70 @@ def _numbers(values: Any) -> list[float | None]:
 
 
 def judge(reported: Reported, summary: Summary) -> tuple[bool | None, str]:
-    """Return whether a coefficient's claims hold, and why or why not; None: too few trials."""
+    """Return whether a coefficient's uncertainty holds, and why; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
         abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _LARGEST_BIAS * summary.u
     )
-    claimed = f"the 95 % intervals hold the truth in {100.0 * share:.4g} % of the trials"
+    covered = f"its 95 % intervals contain the truth in {100.0 * share:.4g} % of the trials"
     if summary.trials < FEWEST_TRIALS:
-        return None, f"of {reported.symbol}, {claimed}"
+        return None, f"{reported.symbol}: {covered}"
     if low <= _GOOD_COVERAGE[1] and high >= _GOOD_COVERAGE[0] and not biased:
-        return True, f"{reported.symbol} is unbiased and {claimed}"
+        return True, f"{reported.symbol} is unbiased, and {covered}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
         times = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
         return False, (
-            f"{reported.symbol} is biased by {abs(summary.bias) / summary.u:.3g} of its standard "
-            f"uncertainties{times}, and {claimed}"
+            f"{reported.symbol} is biased by {abs(summary.bias) / summary.u:.3g} standard "
+            f"uncertainties{times}, and {covered}"
         )
     ratio = summary.sd / summary.u
     if high < _GOOD_COVERAGE[0]:
         return False, (
-            f"{reported.symbol} claims too little: it scatters {ratio:.3g} times as much as its "
-            f"standard uncertainty says, and {claimed}"
+            f"{reported.symbol}: the scatter is {ratio:.3g} times the stated uncertainty, and "
+            f"{covered}"
         )
     return True, (
-        f"{reported.symbol} claims more uncertainty than it has, {1.0 / ratio:.3g} times its "
-        f"scatter, and {claimed}: safe"
+        f"{reported.symbol}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
+        f"(conservative), and {covered}"
     )
 
 
 def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
-    """Say which analyses are trustworthy, the best of them first, and why not the others."""
+    """Return a line for each analysis: the best first, then others without fault, the rest."""
     if any(analysis.trustworthy is None for analysis in analyses.values()):
         return _unjudged(analyses)
     good = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
     if not good:
-        lines.append("No analysis is trustworthy here.")
+        lines.append("Every analysis has a fault.")
     else:
         best = min(good, key=lambda name: _mean_square_error(good[name]))
         lines.append(
-            f"{best} is trustworthy here"
-            + (" and has the smallest errors" if len(good) > 1 else "")
-            + ": "
-            + "; ".join(c.finding for c in good[best].coefficients.values())
-            + "."
+            f"{best}: no fault found"
+            + (", and the smallest errors" if len(good) > 1 else "")
+            + ". "
+            + _findings(good[best].coefficients.values())
         )
-        lines += [f"{name} is trustworthy too." for name in good if name != best]
+        lines += [f"{name}: no fault found either." for name in good if name != best]
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
-            findings = (c.finding for c in analysis.coefficients.values() if not c.trustworthy)
-            lines.append(f"{name} is not: {'; '.join(findings)}.")
+            faulty = [c for c in analysis.coefficients.values() if not c.trustworthy]
+            lines.append(f"{name}: not to be trusted. {_findings(faulty)}")
     return lines
 
 
+def _findings(coefficients: Iterable[CoefficientResult]) -> str:
+    return "; ".join(c.finding for c in coefficients) + "."
+
+
 def _unjudged(analyses: Mapping[str, AnalysisResult]) -> list[str]:
-    """Say what too few trials gave."""
+    """Return what too few trials gave."""
     trials = min(c.trials for one in analyses.values() for c in one.coefficients.values())
     return [
-        f"{trials} trials are too few for a verdict, which takes {FEWEST_TRIALS}; 1000 tell more.",
+        f"{trials} trials are too few for a verdict: run at least {FEWEST_TRIALS}, better 1000.",
         *(
-            f"{name}: {'; '.join(c.finding for c in analysis.coefficients.values())}."
+            f"{name}. {_findings(analysis.coefficients.values())}"
             for name, analysis in analyses.items()
         ),
     ]

@@ -252,16 +252,17 @@ def test_stretch_of_the_arm(ways, written, tmp_path):
     assert shift == pytest.approx(expected, rel=1e-4, abs=1e-11)
 
 
-def test_report_and_json_of_readings(written, tmp_path, capsys):
+def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
     out = tmp_path / "planned"
     file = written(ARM, ("[limits]", REST))
     assert cli.main(["plan", str(file), "-o", str(out), "--json", str(tmp_path / "p.json")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "24 readings" in printed
-    assert "In mirrored order" in printed
-    assert "What these runs cannot notice of A" in printed
+    assert "in mirrored order" in printed
+    assert "Effects on A that the plan cannot detect" in printed
     assert "every reading equally often" in printed or "spread evenly" in printed
-    assert "Put what is read in the place of each ?" in printed
+    assert "Replace each ? by the value that is read" in printed
     told = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
     assert told["runs"] == []
     assert told["sampling_rate"] is None

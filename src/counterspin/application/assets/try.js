@@ -74,7 +74,7 @@ export async function tryView(name) {
         simulated),
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "What these runs will tell, without their records."), forecast),
+        make("p", { class: "quiet" }, "Expected uncertainties, predicted without records."), forecast),
     ],
   };
 }
