@@ -71,8 +71,9 @@ docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest -q tests/test_docs_browser.py
 
-violations: $(READY) ## Make the table of what violations of the model do again
+violations: $(READY) ## Make the tables of what violations of the model do again
 	$(BIN)/python docs/violations.py
+	$(BIN)/python docs/incredible.py
 
 fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md
 	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \

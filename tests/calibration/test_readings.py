@@ -179,8 +179,9 @@ def test_an_input_of_the_arm_is_held_to_its_readings(tmp_path):
     known = '[model.priors]\nK_I = "1.0005 ± 2e-6 g/g"\n'
     result = calibrated(tmp_path, model(*TRUTH, more=known), arm_runs(test, values))
     first = result.findings[0]
-    assert (first.code, first.subject) == ("prior-conflict", "A.K_I")
-    assert "would fit as well with another radius of the centrifuge" in first.text
+    assert (first.code, first.subject) == ("wrong-input", "centrifuge.radius")
+    assert "A radius of the centrifuge of 1.0002" in first.text
+    assert first.as_well[0] == "A.K_I"
     assert result.state == "contradicted"
 
 

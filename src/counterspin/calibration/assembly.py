@@ -82,7 +82,7 @@ def calibration(
         rests_on=found.rests_on,
         assumed=list(assumed(campaign)),
         details=dict(campaign.details),
-        warnings=[*_remarks(campaign), *_removed(campaign, observed)],
+        warnings=[*_remarks(campaign), *_removed(campaign, observed), *found.remarks],
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums),

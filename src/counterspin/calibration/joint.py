@@ -10,6 +10,7 @@ from counterspin.calibration.diagnosis.credible import (
     incredible,
     incredible_shared,
 )
+from counterspin.calibration.diagnosis.mountings import other_mountings, unseen_axes
 from counterspin.calibration.diagnosis.reading_findings import outliers_of_means, outlying_readings
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
@@ -92,6 +93,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
     }
+    mountings = other_mountings(views)
     rests_on = knowledge(estimated, inputs_of(campaign))
     units = {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()}
     return Outcome(
@@ -114,7 +116,8 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
             *beyond,
             *beyond_typical(rests_on),
         ],
-        causes=causes_of(views, accelerometers),
+        causes=causes_of(views, accelerometers, mountings),
+        remarks=tuple(unseen_axes(mountings)),
         residuals=residuals_of(estimated.fit, units),
     )
 

@@ -26,7 +26,7 @@ from counterspin.inference.joint.unknowns import ROTATION
 
 @frozen
 class Outcome:
-    """What a method has found; attributes are those of `Result`, but for the last two."""
+    """What a method has found; attributes are those of `Result`, but for the last three."""
 
     model: str
     accelerometers: dict[str, AccelerometerResult]
@@ -37,6 +37,7 @@ class Outcome:
     rests_on: list[Knowledge] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     causes: tuple[Cause, ...] = ()  #: What may be behind a misfit, the likeliest first.
+    remarks: tuple[str, ...] = ()  #: What the result warns of, beside the campaign's own remarks.
     residuals: tuple[RunResiduals, ...] = ()  #: Whole ones, which no file keeps.
 
 

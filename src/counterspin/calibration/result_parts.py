@@ -176,6 +176,8 @@ class Finding(ResultPart):
     contradicts: bool = False
     #: Of a cause: what else was found and would not be if this were put right.
     explains: list[Finding] = []
+    #: Of a cause: subjects of others that would explain the records as well, the likeliest first.
+    as_well: list[str] = []
 
 
 class Fold(ResultPart):

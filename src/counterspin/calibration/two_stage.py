@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -39,6 +39,7 @@ from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import VarianceComponents
@@ -47,10 +48,13 @@ from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT
 from counterspin.inference.two_stage.second_stage import SecondStage, resolve
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import OWN_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.
 _ESTIMATED: Final = ("K_II", "K_F")
+
+#: Part of a column's square that rounding leaves where there is no wave.
+_NO_WAVE: Final = 1e-12
 
 
 @frozen
@@ -75,6 +79,7 @@ def two_stage(
     """
     view, second = two_stage_view(campaign, observed, accelerometer, options, found)
     name, model = accelerometer.name, second.fit.model
+    records = (r for r in series_of(campaign, observed) if r.accelerometer == name)
     unknowns = {
         unknown.symbol: coefficient(view.estimate, view.assessment, index)
         for index, unknown in enumerate(model.unknowns)
@@ -98,7 +103,7 @@ def two_stage(
         },
         findings=[
             *findings(view, second, coefficients, options.model),
-            *incredible(campaign, name, coefficients),
+            *incredible(campaign, name, {**coefficients, "K_I": _shown_by_waves(records)}),
         ],
         **described(accelerometer, coefficients),
     )
@@ -205,6 +210,27 @@ def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
         unit=unit_of(symbol),
         estimated=False,
     )
+
+
+def _shown_by_waves(records: Iterable[Series]) -> Coefficient:
+    """Return the K_I of the records' waves, which strobes at whole revolutions do not see.
+
+    Other terms add some 1e-5 to a wave: it is near enough to tell whether it is credible.
+    """
+    columns, whole = [], 0.0
+    for record in records:
+        slow = np.vander(record.time / record.time[-1], 4)
+        both = np.column_stack([record.columns(["K_I"], 1.0)[:, 0], record.error])
+        columns.append(both - slow @ np.linalg.lstsq(slow, both, rcond=None)[0])
+        whole += float(both[:, 0] @ both[:, 0])
+    wave, error = np.concatenate(columns).T
+    strength = float(wave @ wave)
+    unit = unit_of("K_I")
+    if strength <= _NO_WAVE * whole:  # the input axis lies along the spindle
+        return Coefficient(value=None, u=None, unit=unit, estimated=False)
+    step = float(wave @ error) / strength
+    u = float(np.std(error - step * wave)) / math.sqrt(strength)
+    return Coefficient(value=TERMS["K_I"].nominal + step, u=u, unit=unit, estimated=True)
 
 
 def _residual(parabolas: Sequence[Parabola], components: VarianceComponents | None) -> Residual:

@@ -152,6 +152,7 @@ class Input:
     """A quantity that the description states, and that enters the reference or its units."""
 
     of: str  #: ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
+    between: tuple[float, float]  #: Which values are possible, SI.
 
 
 #: What a term can do.

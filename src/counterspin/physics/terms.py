@@ -290,23 +290,35 @@ def _displacements() -> Iterator[Term[Displacement]]:
 
 def _inputs() -> Iterator[Term[Input]]:
     radius = "4e-6 of 2.5 m, the larger of what measured radii reach"
-    # An absolute gravimeter does better by 1000. On Earth it is between 9.76 and 9.84 m/s^2.
+    # An absolute gravimeter does better by 1000.
     gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
-    for symbol, words, unit, limit, typical, source in (
-        ("centrifuge.radius", "radius of the centrifuge", "m", 0.1, 1e-5, radius),
-        ("site.gravity", "gravity of the site", "m/s^2", 0.08, 1e-4, gravity),
-        ("site.latitude", "latitude of the site", "rad", math.pi, 5e-6, "30 m on the ground"),
+    delay = "delay of the recorded angle"
+    # symbol, words, unit, what is possible, largest credible and typical error, source
+    for symbol, words, unit, between, limit, typical, source in (
+        ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radius),
+        # On Earth, from Huascaran to the Arctic Ocean.
+        ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity),
         (
-            "records.timing_offset",
-            "delay of the recorded angle",
-            "s",
-            10.0,
-            1e-5,
-            "one row at 100 kHz",
+            "site.latitude",
+            "latitude of the site",
+            "rad",
+            (-0.5 * math.pi, 0.5 * math.pi),
+            math.pi,
+            5e-6,
+            "30 m on the ground",
         ),
-        ("records.clock", "error of the recorder's clock", "1", 1e-2, 2e-5, "a free quartz"),
+        ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one row at 100 kHz"),
+        (
+            "records.clock",
+            "error of the recorder's clock",
+            "1",
+            (-1e-2, 1e-2),
+            1e-2,
+            2e-5,
+            "a free quartz",
+        ),
     ):
-        effect = Input(symbol.partition(".")[2])
+        effect = Input(symbol.partition(".")[2], between)
         yield Term(symbol, effect, words, unit, limit, typical, source, "input")
 
 

@@ -14,7 +14,7 @@ from counterspin.campaign.simulation import simulate
 
 SIGMA = 2e-6
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
-SIGN = "the sign of the output, or the sense of the input axis"
+SIGN = "the sign of the output, the sense of the input axis and of the attitudes"
 
 
 def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):

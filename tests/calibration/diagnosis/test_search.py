@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from campaigns import changed
-from mistaken_campaigns import NOISE, SOUND, Mistake, make_records, mistaken
+from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_records, mistaken
 from results import accelerometer
 
 from counterspin.calibration.diagnosis import search
@@ -19,7 +19,11 @@ from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint import mistakes
+from counterspin.inference.joint.alternatives import of_priors
 from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.unknowns import Considered
 from counterspin.physics.simulation import accelerometer_walk
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
@@ -102,3 +106,43 @@ def test_where_nothing_is_suspicious_nothing_is_tried(tmp_path, monkeypatch):
     monkeypatch.setattr(search, "_is_suspicious", lambda *_: False)
     for seed in range(3):
         assert campaigns.drawn(np.random.default_rng(seed)) == ()
+
+
+def test_every_alternative_has_a_credible_limit(tmp_path):
+    """What an input would be is possible: no latitude beyond the poles, no gravity but Earth's."""
+    given = Campaigns(tmp_path, SOUND, 0.0)
+    found = estimate(given.clean, given.model, noise_of(given.campaign))
+    now = replace(found, fit=relax(found.fit), core=None)
+    names = [unknown.name for unknown in given.model.asked]
+    views = [
+        AccelerometerView(given.campaign, found, assess(found.fit.solution, names), name)
+        for name in given.campaign.accelerometers
+    ]
+    others = [*of_priors(now.fit), *search._others(views, now)]
+    every = search._possible(given.campaign, others)
+    assert len(every) > 100
+    assert all(math.isfinite(end) for other in every for end in other.between)
+    latitude, gravity = (
+        next(other for other in every if other.symbol == symbol)
+        for symbol in ("site.latitude", "site.gravity")
+    )
+    assert latitude.credible(math.radians(44.0))
+    assert not latitude.credible(math.radians(45.0))
+    assert not latitude.credible(math.radians(-4200.0))
+    assert not gravity.credible(0.05)
+    assert gravity.credible(-0.04)
+
+
+def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):
+    given = Campaigns(tmp_path, SOUND, 0.0)
+    found = estimate(given.clean, given.model, noise_of(given.campaign))
+    terms = {
+        Considered(run, "platform.tilt.up", (0.0, 0.0), 1e-2): 5e-5
+        for run in ("slow", "middle", "fast")
+    }
+    *single, together = mistakes.of_terms(relax(found.fit), terms)
+    assert [other.name for other in single] == [f"{run}.platform.tilt.up" for run in RUNS]
+    assert together.name == "platform.tilt.up"
+    for i, column in together.columns.items():
+        (own,) = (other.columns[i] for other in single if i in other.columns)
+        np.testing.assert_array_equal(column, own)

@@ -131,7 +131,9 @@ def test_what_is_unstated_is_no_prior_but_a_term_or_an_input_of_another_size(ser
         *("Qx.K_F", "Qx.K_I", "Qx.K_III", "run2.platform.tilt.north", "run3.platform.tilt.north"),
         "platform.tilt.north",
     }
-    assert [other.limit for other in alternatives] == [1e-2, 1e-4, math.inf]
+    between = [(-1e-2, 1e-2), (-1e-4, 1e-4), (-0.1, 0.1)]
+    assert [other.between for other in alternatives] == between
+    assert [other.typical for other in alternatives] == [ARCSEC, 1e-6, 1e-5]
     held = scores(relaxed, alternatives, noise_given=True)
     for k, other in enumerate(alternatives):
         (place,) = other.priors

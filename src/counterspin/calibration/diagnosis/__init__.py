@@ -3,6 +3,7 @@
 - `search`: the likely causes of a misfit, each tried on the records
 - `causes`: one finding for each cause, the others below it
 - `words`: what is said of a cause
+- `mountings`: whether an accelerometer is mounted as it is stated
 - `credible`: estimates that no instrument has, whatever the fit
 - `attitude_findings`: whether drift and tilts are small enough for the theory
 - `reading_findings`: what speaks against readings

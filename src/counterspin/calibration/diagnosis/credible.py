@@ -119,7 +119,7 @@ def _finding(
     grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
     text = (
         f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: beyond "
-        f"{format_number(limit)} {c.unit}{about}. The records cannot show why; likely is "
+        f"{format_number(limit)} {c.unit}{about}. What was recorded cannot show why. Check "
         f"{likely}. If it is true,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
@@ -143,7 +143,7 @@ def _of_scale(value: float, limit: float) -> str:
     explained = abs(abs(value) / near - 1.0) <= _ALIKE
     causes = []
     if value < -limit or (value < 0.0 and explained):
-        causes.append("the sign of the output, or the sense of the input axis")
+        causes.append("the sign of the output, the sense of the input axis and of the attitudes")
     if explained and near in factors:
         causes.append(factors[near])
     elif abs(value) <= limit:

@@ -17,14 +17,16 @@ import numpy as np
 
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
 from counterspin.calibration.diagnosis.credible import incredible
+from counterspin.calibration.diagnosis.mountings import OtherMounting, better, wrong_mounting
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import residual_findings
 from counterspin.calibration.joint_parts import coefficient, noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import assumed_inputs, assumed_of
+from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
+from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import (
     CHI_SQUARE_SIGNIFICANCE,
@@ -48,10 +50,11 @@ from counterspin.inference.joint.estimation import (
 )
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.plausible import log_evidence
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import INPUTS, OWN_TERMS
 from counterspin.reports.numbers import format_number
 
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
@@ -88,39 +91,38 @@ _OUTSIZE: Final = 10.0
 #: Steps that are tried in each record, and again about the best of them.
 _STEPS: Final = 24
 
-#: The likelier kinds come first, for where the records cannot tell.
-_KINDS_BY_PLAUSIBILITY: Final = (
-    mistakes.CORIOLIS,  # which is all or nothing, and so seldom as large by chance
-    "prior",
-    "priors",
-    "input",
-    mistakes.SCALE,
-    mistakes.ANGLE,
-    "term",
-    mistakes.RUN_SCALE,
-    mistakes.BIAS,
-    mistakes.JUMP,
-    mistakes.SLOPE,
-)
 _KINDS_OF_PRIORS: Final = ("prior", "priors")
+
+#: What comes first where the records cannot tell: what is stated is checked at no cost, and the
+#: velocity of the Coriolis acceleration, all or nothing, is seldom as large by chance.
+_FIRST_KINDS: Final = (mistakes.CORIOLIS, *_KINDS_OF_PRIORS)
 _KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE)  # in a record
 
 
 def causes_of(
-    views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
+    views: Sequence[AccelerometerView],
+    results: Mapping[str, AccelerometerResult],
+    mountings: Sequence[OtherMounting] = (),
 ) -> tuple[Cause, ...]:
-    """Return the causes of what is found against a joint fit, the main one first."""
+    """Return the causes of what is found against a joint fit, the main one first.
+
+    mountings: The other mountings of accelerometers whose stated terms rest on them.
+    """
     estimated = views[0].estimate
     read = [part for view in views for part in view.readings]
     given = not estimated.components and all(math.isinf(part.dof) for part in read)
     now = replace(estimated, fit=relax(estimated.fit), core=None)
     priors = of_priors(now.fit)
-    if not _is_suspicious(views, results) and (
-        not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICION_P
+    turned = better(mountings)
+    if (
+        not _is_suspicious(views, results)
+        and turned is None
+        and (not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICION_P)
     ):
         return ()
     others = tuple(_others(views, now)) if now.fit.prepared else of_unstated(now.fit)
-    return _causes(views, now, priors, others, given) if priors or others else ()
+    priors, others = (_possible(views[0].campaign, every) for every in (priors, others))
+    return _causes(views, now, priors, others, given, turned) if priors or others else ()
 
 
 def _causes(
@@ -129,11 +131,23 @@ def _causes(
     priors: Sequence[Alternative],
     others: Sequence[Alternative],
     given: bool,
+    turned: OtherMounting | None,
 ) -> tuple[Cause, ...]:
-    """Return the causes among some alternatives, one beside the other."""
+    """Return the causes among some alternatives, one beside the other.
+
+    turned: A mounting that fits better than the stated one; it has no parameter that could fit.
+    """
     campaign = views[0].campaign
     causes: list[Cause] = []
     first = 0.0
+    if turned is not None:
+        explained = _best(now, priors, others, given)
+        if explained is None or turned.gain >= _least_as_good(explained.size**2):
+            now = replace(now, fit=turned.fit)
+            views = [turned.seen_by(view) for view in views]
+            own = (turned.view.name,)
+            causes.append(Cause(wrong_mounting(turned), own, _remaining(views, now)))
+            first = math.sqrt(turned.gain)
     for _ in range(_MAX_CAUSES):
         explained = _best(now, priors, others, given)
         if explained is None or (causes and explained.size < _FIRST_ORDER_PART * first):
@@ -148,6 +162,10 @@ def _causes(
                 after, explained = _put_right(now, again, views)
             if not _is_clear(now, explained):
                 break
+        if not explained.outsized and not explained.head.credible(explained.value):
+            # At its own size, beyond first order, it is not what it seemed to be.
+            others = [other for other in others if other != explained.head]
+            continue
         described = Explanation(
             campaign, now.fit, explained.head, explained.value, explained.u
         ).described()
@@ -240,22 +258,46 @@ def _wave(power: np.ndarray, rows: int, rate: float, interval: float, scale: flo
 # The alternatives
 
 
+def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
+    """Return alternatives with what an input may be, which hangs on what is stated of it."""
+    inputs = inputs_of(campaign)
+    possible = {
+        symbol: (least - known.value, most - known.value)
+        for symbol, known in inputs.items()
+        for least, most in [INPUTS[symbol].effect.between]
+    }
+    return tuple(
+        replace(
+            other,
+            between=possible[other.symbol],
+            stated=inputs[other.symbol].value != 0.0,
+        )
+        if other.symbol in possible
+        else other
+        for other in alternatives
+    )
+
+
 def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alternative]:
     campaign, fit = views[0].campaign, now.fit
     angle = campaign.angle is not None
     yield from of_unstated(fit)
     # Of what acts on readings too, the records alone tell half of it.
-    inputs = [s for s in assumed_inputs(campaign) if s == TIMING or not campaign.readings]
+    inputs = {
+        s: campaign.typical_of(s)
+        for s in assumed_inputs(campaign)
+        if s == TIMING or not campaign.readings
+    }
     yield from mistakes.of_inputs(fit, inputs)
     yield from mistakes.of_records(fit, angle_recorded=angle)
     yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
-    terms = dict.fromkeys(
-        other
+    terms = {
+        other: campaign.typical_of(other.symbol, other.owner)
         for view in views
         for other in assumed_of(campaign, view.name)
         if not (campaign.readings and other.symbol in OWN_TERMS)
-    )
-    yield from mistakes.of_terms(fit, list(terms))
+    }
+    yield from mistakes.of_terms(fit, terms)
     yield from mistakes.jumps(fit, _STEPS)
 
 
@@ -270,6 +312,7 @@ class _Explained:
     rivals: tuple[tuple[Alternative, float], ...]
     tests: int
     dof: float | None
+    outsized: bool
 
 
 def _best(
@@ -310,7 +353,7 @@ def _outsized(held: Scores, place: int) -> int:
 def _is_outsized(held: Scores, place: int) -> bool:
     other = held.alternatives[place]
     size = abs(float(held.value[place]))
-    return other.kind == "term" and other.limit < size <= _OUTSIZE * other.limit
+    return other.kind == "term" and other.between[1] < size <= _OUTSIZE * other.between[1]
 
 
 def _least_as_good(best: float) -> float:
@@ -318,10 +361,10 @@ def _least_as_good(best: float) -> float:
     return max(best * (1.0 - _DECISIVE_PART) - _DECISIVE_CHI2, 0.0)
 
 
-def _largest(held: Scores, kinds: Sequence[str] = _KINDS_BY_PLAUSIBILITY) -> int:
-    """Return which credible alternative of some kinds explains most."""
+def _largest(held: Scores, kinds: Sequence[str] = ()) -> int:
+    """Return which credible alternative, of some kinds or of any, explains most."""
     asked = [
-        size if other.kind in kinds and _credible(held, k) else -1.0
+        size if (not kinds or other.kind in kinds) and _credible(held, k) else -1.0
         for k, (other, size) in enumerate(zip(held.alternatives, held.size.tolist(), strict=True))
     ]
     return int(np.argmax(asked))
@@ -355,8 +398,13 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
         place
     ]
 
-    def plausible(k: int) -> tuple[bool, int, int]:
-        return _is_outsized(held, k), _KINDS_BY_PLAUSIBILITY.index(every[k].kind), k
+    slack = float(held.size[place]) ** 2 - least
+
+    def plausible(k: int) -> tuple[bool, bool, float, int]:
+        # What is short of the best by all that is allowed is short of it by a decisive chi-square.
+        short = _DECISIVE_CHI2 * (float(held.size[place]) ** 2 - float(held.size[k]) ** 2) / slack
+        evidence = log_evidence(every[k], float(held.value[k]), float(held.u[k])) - 0.5 * short
+        return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, -evidence, k
 
     first, *rivals = sorted(as_good, key=plausible)
     return _Explained(
@@ -367,6 +415,7 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
         tuple((every[k], float(held.value[k])) for k in rivals),
         _tests(held, first),
         None if given else held.dof,
+        _is_outsized(held, first),
     )
 
 
@@ -387,10 +436,7 @@ def _is_clear(now: Estimate, explained: _Explained) -> bool:
 
 def _credible(held: Scores, place: int) -> bool:
     """Return whether an alternative would be no larger than it may credibly be."""
-    value, other = float(held.value[place]), held.alternatives[place]
-    if other.kind == mistakes.CORIOLIS:  # all or nothing
-        return abs(value - 1.0) <= other.limit - 1.0
-    return abs(value) <= other.limit
+    return held.alternatives[place].credible(float(held.value[place]))
 
 
 def _put_right(
@@ -449,11 +495,14 @@ def _cause(
                 continue
             shift = float(after.fit.solution.estimate[place] - before.fit.solution.estimate[place])
             moved = max(moved, abs(shift) / float(view.fit.solution.u[place]))
-    if explained.rivals:
-        names = [
-            Explanation(campaign, before.fit, other, value, 1.0).described().name
-            for other, value in explained.rivals[:_MAX_RIVALS]
-        ]
+    rivals = [
+        Explanation(campaign, before.fit, other, value, 1.0).described()
+        for other, value in explained.rivals
+    ]
+    if rivals:
+        names = [rival.name for rival in rivals[:_MAX_RIVALS]]
+        more = len(rivals) - len(names)
+        names += [f"{more} more" if more > 1 else "one more"] if more else []
         text += f" The records would fit as well with another {' or '.join(names)}."
     far = normal_equivalent(explained.size, explained.dof) > CONTRADICTION_SIGMAS
     contradicts = far and (moved > 1.0 or explained.head.kind == "prior")
@@ -464,14 +513,22 @@ def _cause(
             text=text,
             size=explained.size,
             contradicts=contradicts,
+            as_well=list(dict.fromkeys(rival.subject for rival in rivals)),
         ),
         concerned,
-        {
-            (finding.code, finding.subject): finding.size or math.inf
-            for view in views
-            for finding in _checked(_seen_again(view, after))
-        },
+        _remaining(views, after),
     )
+
+
+def _remaining(
+    views: Sequence[AccelerometerView], after: Estimate
+) -> Mapping[tuple[str, str], float]:
+    """Return code, subject and size of what the checks still find in another fit."""
+    return {
+        (finding.code, finding.subject): finding.size or math.inf
+        for view in views
+        for finding in _checked(_seen_again(view, after))
+    }
 
 
 def _concerned(

@@ -13,7 +13,7 @@ from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.physics.terms import INPUTS
+from counterspin.physics.terms import INPUTS, term
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: What a quantity is off by where its unit was mistaken, and the words.
@@ -100,14 +100,24 @@ class Explanation:
     def _input(self) -> Described:
         known = INPUTS[self.other.symbol]
         stated = inputs_of(self.campaign)[known.symbol].value
+        found, as_stated = (
+            _in_degrees(value, u) if known.unit == "rad" else _shown(value, u, known.unit)
+            for value, u in ((stated + self.value, self.u), (stated, 0.0))
+        )
+        article, taken = (
+            ("An" if known.words[0] in "aeiou" else "A"),
+            as_stated.split(" (exact)")[0],
+        )
         text = (
-            f"A {known.words} of {_shown(stated + self.value, self.u, known.unit)} would fit; "
-            f"{_shown(stated, 0.0, known.unit).removesuffix(' (exact)')} is stated. Check it."
+            f"{article} {known.words} of {found} would fit; {taken} is "
+            f"{'stated' if stated else 'taken'}. Check it."
         )
         return Described(code="wrong-input", subject=known.symbol, text=text, name=known.words)
 
     def _term(self) -> Described:
-        name, limit = self.other.name, self.other.limit
+        name, limit = self.other.name, self.other.between[1]
+        if not self.other.owner and term(self.other.symbol).per_run:
+            name += " in all runs"
         text = (
             f"{name} of {self._estimate(unit_of(self.other.symbol))} would explain the records; "
             "the model leaves it out. "
@@ -124,7 +134,7 @@ class Explanation:
             called += " and would be larger than is credible"
         else:
             text += "Add it to the terms, or say what is known of it."
-        return Described(code="term-missing", subject=name, text=text, name=called)
+        return Described(code="term-missing", subject=self.other.name, text=text, name=called)
 
     @property
     def _place(self) -> str:
@@ -213,7 +223,11 @@ def conflict(
 
 def _shown(value: float, u: float, unit: str) -> str:
     shown, factor = field_unit(unit)
-    return format_estimate(value * factor, u * factor, shown)
+    return format_estimate(value * factor, u * factor, "" if shown == "1" else shown).strip()
+
+
+def _in_degrees(value: float, u: float) -> str:
+    return format_estimate(math.degrees(value), math.degrees(u), "deg")
 
 
 def _mistaken(found: float, stated: float) -> str:

@@ -13,6 +13,8 @@
   without a run
 - `relaxed`, `alternatives`, `mistakes`: what is assumed taken as unknown; what else would explain
   the records; mistakes that are likely
+- `turned`: an accelerometer turned about its input axis
+- `plausible`: which of several explanations is the likelier one
 - `slow_parts`: whether noise that was found is alike in all runs
 - `thinning`: residuals for pictures
 """

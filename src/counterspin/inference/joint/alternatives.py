@@ -29,7 +29,7 @@ from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.relaxed import widened
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Solution
-from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
+from counterspin.physics.terms import INPUTS
 
 
 @frozen
@@ -47,7 +47,15 @@ class Alternative:
     #: shape (n,).
     beside: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
     at: float | None = None  #: Where in a run, s; None where it has no place.
-    limit: float = math.inf  #: Largest credible size of the parameter.
+    #: Between which sizes the parameter is credible.
+    between: tuple[float, float] = (-math.inf, math.inf)
+    #: Its typical size; None of a mistake, which is of any size.
+    typical: float | None = None
+    stated: bool = False  #: Whether a value of it was written down, perhaps by mistake.
+
+    def credible(self, value: float) -> bool:
+        """Return whether the parameter may be as large as that."""
+        return self.between[0] <= value <= self.between[1]
 
     @property
     def name(self) -> str:
@@ -86,8 +94,10 @@ def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
     anew, and one for all its components: they are off alike if one mistake made them so.
     """
     known = [(place, unknown) for place, unknown in _known(fit) if not unknown.unstated]
-    single = [Alternative("prior", *_named(u), priors={k: 1.0}, limit=_reach(u)) for k, u in known]
-    return (*single, *_together(fit, known, "priors"))
+    single = (
+        Alternative("prior", *_named(u), priors={k: 1.0}, between=_reach(u)) for k, u in known
+    )
+    return (*single, *_together(fit, known))
 
 
 def of_unstated(fit: JointFit) -> tuple[Alternative, ...]:
@@ -95,7 +105,11 @@ def of_unstated(fit: JointFit) -> tuple[Alternative, ...]:
     known = [(place, unknown) for place, unknown in _known(fit) if unknown.unstated]
     return tuple(
         Alternative(
-            "input" if u.symbol in INPUTS else "term", *_named(u), priors={k: 1.0}, limit=_reach(u)
+            "input" if u.symbol in INPUTS else "term",
+            *_named(u),
+            priors={k: 1.0},
+            between=_reach(u),
+            typical=u.prior[1],
         )
         for k, u in known
     )
@@ -114,15 +128,14 @@ def _named(unknown: Unknown) -> tuple[str, str]:
     return unknown.owner, unknown.symbol
 
 
-def _reach(unknown: Unknown) -> float:
-    """Return how far from its prior an unknown may credibly be."""
-    own = unknown.symbol in TERMS or unknown.symbol in SHARED_TERMS
-    return unknown.limit + abs(unknown.prior_mean) if own else math.inf
+def _reach(unknown: Unknown) -> tuple[float, float]:
+    """Return how far from its prior an unknown may credibly be, below and above."""
+    mean, limit = unknown.prior_mean, unknown.limit
+    limit += abs(mean) if abs(mean) > limit else 0.0  # what is stated counts as credible
+    return -limit - mean, limit - mean
 
 
-def _together(
-    fit: JointFit, known: Sequence[tuple[int, Unknown]], kind: str
-) -> Iterator[Alternative]:
+def _together(fit: JointFit, known: Sequence[tuple[int, Unknown]]) -> Iterator[Alternative]:
     """Yield one alternative for each term, and each family of terms, that several runs have."""
     runs = {part.run for part in fit.prepared}
     together: dict[str, dict[int, float]] = {}
@@ -136,7 +149,7 @@ def _together(
         if len(places) > 1 and places not in said:
             said.append(places)
             limit = min(fit.model.unknowns[place].limit for place in places)
-            yield Alternative(kind, "", symbol, priors=places, limit=limit)
+            yield Alternative("priors", "", symbol, priors=places, between=(-limit, limit))
 
 
 def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: bool) -> Scores:

@@ -7,7 +7,7 @@ when the record is read.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -21,7 +21,7 @@ from counterspin.inference.joint.inputs import TIMING, input_column, rotation_co
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.physics import observation
 from counterspin.physics.own_velocity import AxisError, taken
-from counterspin.physics.terms import SHARED_TERMS, TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 
 SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
 RUN_SCALE: Final = "run scale"  #: the same in one run only
@@ -31,8 +31,12 @@ JUMP: Final = "jump"  #: step of a record, in its unit
 CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly taken into account
 SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
 
-#: Largest estimate of the part of the error velocity, which is all or nothing.
-_WHOLE_VELOCITY_PART: Final = 1.2
+#: Estimates of the part of the error velocity, which is all or nothing.
+_WHOLE_VELOCITY: Final = (0.8, 1.2)
+
+#: Up to here a change of scale, and a turn of the angle in rad, is not refused by reading.
+_SCALE_RANGE: Final = (-0.5, 0.5)
+_ANGLE_RANGE: Final = (-0.5, 0.5)
 
 #: Terms of accelerometers and platform.
 _ERRORS: Final = frozenset((*TERMS, *SHARED_TERMS))
@@ -51,25 +55,28 @@ def of_records(fit: JointFit, *, angle_recorded: bool) -> Iterator[Alternative]:
     outputs = {i: _output(fit, i) for i in range(len(parts))}
     accelerometers = list(dict.fromkeys(part.accelerometer for part in parts))
     runs = list(dict.fromkeys(part.run for part in parts))
+    limits = {(other.owner, other.symbol): other.limit for other in fit.model.unknowns}
     for name in accelerometers:
         own = {i: outputs[i] for i, part in enumerate(parts) if part.accelerometer == name}
-        yield Alternative(SCALE, name, SCALE, own)
+        yield Alternative(SCALE, name, SCALE, own, between=_SCALE_RANGE)
     for run in runs if len(runs) > 1 else ():
         own = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
-        yield Alternative(RUN_SCALE, run, SCALE, own)
+        yield Alternative(RUN_SCALE, run, SCALE, own, between=_SCALE_RANGE)
     for i, part in enumerate(parts):
         owner = f"{part.run}.{part.accelerometer}"
         if len(accelerometers) > 1 and len(runs) > 1:
-            yield Alternative(RUN_SCALE, owner, SCALE, {i: outputs[i]})
+            one = {i: outputs[i]}
+            yield Alternative(RUN_SCALE, owner, SCALE, one, between=_SCALE_RANGE)
         series = part.series
         fallen = series.trajectory.site.gravity * series.time**series.order / max(1, series.order)
-        yield Alternative(BIAS, owner, BIAS, {i: fallen})
+        limit = limits.get((part.accelerometer, "K_F"), TERMS["K_F"].limit)
+        yield Alternative(BIAS, owner, BIAS, {i: fallen}, between=(-limit, limit))
     if angle_recorded:
         turned = {i: rotation_column(part.series, ROTATION[0]) for i, part in enumerate(parts)}
-        yield Alternative(ANGLE, "", "records.angle", turned)
+        yield Alternative(ANGLE, "", "records.angle", turned, between=_ANGLE_RANGE)
         for run in runs if len(runs) > 1 else ():
             own = {i: turned[i] for i, part in enumerate(parts) if part.run == run}
-            yield Alternative(ANGLE, run, ANGLE, own)
+            yield Alternative(ANGLE, run, ANGLE, own, between=_ANGLE_RANGE)
 
 
 def _output(fit: JointFit, i: int) -> Array:
@@ -96,7 +103,7 @@ def of_coriolis(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
             if part.any():
                 columns[i] = part if own_velocity else -part
     if columns:
-        yield Alternative(CORIOLIS, "", "records.reference", columns, limit=_WHOLE_VELOCITY_PART)
+        yield Alternative(CORIOLIS, "", "records.reference", columns, between=_WHOLE_VELOCITY)
 
 
 def at_size(fit: JointFit, other: Alternative, value: float) -> Alternative:
@@ -135,6 +142,7 @@ def jumps(
     for i, part in enumerate(fit.prepared):
         owner, time = f"{part.run}.{part.accelerometer}", part.series.time
         low, high = float(time[0]), float(time[-1])
+        last, swing = high, float(np.ptp(_output(fit, i)))  # no step exceeds what is recorded
         if about is not None:
             if about.owner != owner or about.at is None:
                 continue
@@ -144,14 +152,18 @@ def jumps(
             if not 0.0 < step.sum() < step.size:
                 continue
             if about is None or about.kind == JUMP:
-                yield Alternative(JUMP, owner, JUMP, {i: step}, at=at)
+                yield Alternative(JUMP, owner, JUMP, {i: step}, at=at, between=(-swing, swing))
             if about is None or about.kind == SLOPE:
-                yield Alternative(SLOPE, owner, SLOPE, {i: step * (time - at)}, at=at)
+                ramp, steepest = {i: step * (time - at)}, swing / (last - at)
+                yield Alternative(SLOPE, owner, SLOPE, ramp, at=at, between=(-steepest, steepest))
 
 
-def of_inputs(fit: JointFit, names: Sequence[str]) -> Iterator[Alternative]:
-    """Yield inputs that are stated as exact."""
-    for name in names:
+def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternative]:
+    """Yield inputs that are stated as exact.
+
+    inputs: Symbol -> typical size.
+    """
+    for name, typical in inputs.items():
         shown = {}
         for i, part in enumerate(fit.prepared):
             # What the errors found so far are of depends on the inputs too.
@@ -166,18 +178,32 @@ def of_inputs(fit: JointFit, names: Sequence[str]) -> Iterator[Alternative]:
                 if (symbol := fit.model.unknowns[place].symbol) in table
             }
             shown[i] = input_column(part.series, name, part.scale_factor, known, table)
-        yield Alternative("input", "", name, shown)
+        yield Alternative("input", "", name, shown, typical=typical)
 
 
-def of_terms(fit: JointFit, terms: Sequence[Considered]) -> Iterator[Alternative]:
-    """Yield terms that the model leaves out."""
-    for other in terms:
+def of_terms(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[Alternative]:
+    """Yield terms that the model leaves out; of those that every run has anew, all alike too.
+
+    terms: Term -> typical size.
+    """
+    together: dict[str, list[Alternative]] = {}
+    for other, typical in terms.items():
         shown = {
             i: part.series.columns([other.symbol], part.scale_factor)[:, 0]
             for i, part in enumerate(fit.prepared)
             if other.concerns(part.series)
         }
-        yield Alternative("term", other.owner, other.symbol, shown, limit=other.limit)
+        between = -other.limit, other.limit
+        one = Alternative(
+            "term", other.owner, other.symbol, shown, between=between, typical=typical
+        )
+        yield one
+        if term(other.symbol).per_run:
+            together.setdefault(other.symbol, []).append(one)
+    for alike in together.values():
+        if len(alike) > 1:
+            everywhere = {i: column for one in alike for i, column in one.columns.items()}
+            yield replace(alike[0], owner="", columns=everywhere)
 
 
 def window_excess(whitened: Array) -> float:

@@ -1,0 +1,200 @@
+"""Whether an accelerometer is mounted as it is stated, where stated terms rest on that.
+
+The records hold the input axis to the motion. The other two matter only for the terms with a_P and
+a_O: where something is stated of these, the three other mountings are tried, each by a fit of its
+own. One that fits decidedly better is a cause. One that fits as well and would move a coefficient
+is worth a remark, for nothing but the description says which it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.readings import AccelerometerReadings, with_groups
+from counterspin.calibration.result_parts import Finding
+from counterspin.frozen import frozen
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.distributions import normal_quantile
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.turned import ACROSS, turned, with_turned
+from counterspin.inference.joint.unknowns import unit_of
+from counterspin.reports.numbers import field_unit, format_number
+
+#: Standard deviations by which a mounting may fit worse and still not be excluded.
+_NOT_EXCLUDED: Final = 3.0
+
+#: A coefficient that moves by so many of its u, or whose u grows by as much, is worth a remark.
+_WORTH_A_REMARK: Final = 1.0
+
+_DIRECTIONS: Final = (("west", "east"), ("south", "north"), ("down", "up"))
+
+
+@frozen
+class OtherMounting:
+    """A fit with an accelerometer turned about its input axis."""
+
+    view: AccelerometerView  #: As it is stated.
+    quarters: int  #: Turns from the stated pendulous axis towards the output axis.
+    fit: JointFit  #: Of the turned one, relaxed.
+    #: By how much its chi-square is less than that of the stated one, over the residuals' scale.
+    gain: float
+    readings: tuple[AccelerometerReadings, ...] = ()  #: All readings, and how they fit then.
+
+    @property
+    def pendulous(self) -> tuple[str, str]:
+        """Where the pendulous axis is stated to point, and where it would."""
+        stated = self.view.accelerometer.mounting
+        return _direction(stated.matrix[1]), _direction(turned(stated, self.quarters).matrix[1])
+
+    def seen_by(self, view: AccelerometerView) -> AccelerometerView:
+        """Return a view of an accelerometer whose readings are as they fit then."""
+        own = (part for part in self.readings if part.readings.accelerometer == view.name)
+        return replace(view, readings=tuple(own))
+
+    def moved(self) -> tuple[str, float, float]:
+        """Return which coefficient moves most, by how much, and over its u."""
+        found = [
+            (symbol, shift, abs(shift) / u)
+            for symbol, place in self.view.places.items()
+            if self.view.assessment.determined[f"{self.view.name}.{symbol}"]
+            and symbol not in ACROSS
+            and (u := float(self.view.fit.solution.u[place])) > 0.0
+            for shift in [
+                float(self.fit.solution.estimate[place] - self.view.fit.solution.estimate[place])
+            ]
+        ]
+        return max(found, key=lambda one: one[2], default=("", 0.0, 0.0))
+
+
+def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, ...]:
+    """Return the other mountings of those accelerometers whose stated terms rest on them."""
+    found = []
+    estimated = views[0].estimate
+    relaxed = replace(estimated, fit=relax(estimated.fit), core=None)
+    read = tuple(part for view in views for part in view.readings)
+    for view in views:
+        if not _stated(view):
+            continue
+        given = not view.has_records or view.diagnostics.noise_given
+        given = given and all(math.isinf(part.dof) for part in view.readings)
+        (stated, _), *others = (_turned(relaxed, read, view.name, n) for n in range(4))
+        for quarters, (fit, readings) in enumerate(others, 1):
+            scale = fit.solution.chi2 / max(fit.solution.dof, 1.0)
+            scale = max(scale, 1.0) if given else scale
+            gain = (stated.solution.chi2 - fit.solution.chi2) / scale
+            found.append(OtherMounting(view, quarters, fit, gain, readings))
+    return tuple(found)
+
+
+def _turned(
+    relaxed: Estimate, read: Sequence[AccelerometerReadings], name: str, quarters: int
+) -> tuple[JointFit, tuple[AccelerometerReadings, ...]]:
+    """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
+    fit = with_turned(relaxed.fit, name, quarters) if quarters else relaxed.fit
+    if not read:
+        return fit, ()
+    groups = []
+    for part in read:
+        group = part.readings
+        if not math.isinf(part.dof):
+            group = replace(group, u=part.noise / np.sqrt(group.repeats))
+        if group.accelerometer == name:
+            axes = (turned(station.mounting, quarters) for station in group.stations)
+            stations = zip(group.stations, axes, strict=True)
+            group = replace(group, stations=tuple(replace(s, mounting=m) for s, m in stations))
+        groups.append(group)
+    # The degrees of freedom are not asked for.
+    dof = np.full(len(fit.model.unknowns), np.inf)
+    records = replace(relaxed, fit=fit, dof=dof) if fit.prepared else None
+    estimated, readings = with_groups(records, fit.model, groups)
+    return estimated.fit, readings
+
+
+def _stated(view: AccelerometerView) -> list[str]:
+    """Return the terms with a_P and a_O of which the description says something."""
+    stated = {*view.accelerometer.priors, *view.campaign.model.priors}
+    return [symbol for symbol in ACROSS if symbol in stated]
+
+
+def better(others: Sequence[OtherMounting]) -> OtherMounting | None:
+    """Return the mounting that fits best, if it is better than the stated one by more than chance.
+
+    All or nothing: if the stated one is right, another one is better by c in chi-square with the
+    probability that a normal number exceeds sqrt(c), at most.
+    """
+    best = max(others, key=lambda other: other.gain, default=None)
+    chance = 0.5 * SIGNIFICANCE / max(len(others), 1)
+    if best is None or best.gain < normal_quantile(1.0 - chance) ** 2:
+        return None
+    return best
+
+
+def wrong_mounting(other: OtherMounting) -> Finding:
+    """Return the finding that an accelerometer is mounted another way than is stated."""
+    name, (stated, found) = other.view.name, other.pendulous
+    symbol, shift, size = other.moved()
+    what, turns = "records", ""
+    if other.view.readings:
+        what, turns = "readings", ", the sense in which the attitudes turn"
+    text = (
+        f"The {what} of {name} would fit if its pendulous axis pointed {found}; it is stated as "
+        f"{stated}. Check pendulous_axis{turns}, and for which axes {_listed(_stated(other.view))} "
+        "was measured."
+    )
+    if symbol:
+        text += (
+            f" {symbol} would move by {_shown(symbol, shift)}, {format_number(size, 2)} of its u."
+        )
+    return Finding(
+        code="wrong-mounting",
+        subject=name,
+        text=text,
+        size=math.sqrt(other.gain),
+        contradicts=size > 1.0,
+    )
+
+
+def unseen_axes(others: Sequence[OtherMounting]) -> Iterator[str]:
+    """Yield for each accelerometer what rests on axes that its records do not show."""
+    for name in dict.fromkeys(other.view.name for other in others):
+        own = [other for other in others if other.view.name == name]
+        if better(own) is not None:
+            continue
+        open_ = [other for other in own if other.gain > -(_NOT_EXCLUDED**2)]
+        worst = max(open_, key=lambda other: other.moved()[2], default=None)
+        if worst is None or worst.moved()[2] < _WORTH_A_REMARK:
+            continue
+        symbol, shift, size = worst.moved()
+        stated, found = worst.pendulous
+        way = "larger" if shift > 0.0 else "smaller"
+        yield (
+            f"{name}: the records do not show where the pendulous axis points, and what is stated "
+            f"of {_listed(_stated(worst.view))} rests on it. With {found} for {stated} they "
+            f"would fit as well, and {symbol} would be {_shown(symbol, abs(shift))} {way}, "
+            f"{format_number(size, 2)} of its u."
+        )
+
+
+def _listed(symbols: Sequence[str]) -> str:
+    return " and ".join([", ".join(symbols[:-1]), symbols[-1]] if symbols[1:] else symbols)
+
+
+def _shown(symbol: str, shift: float) -> str:
+    unit, factor = field_unit(unit_of(symbol))
+    return f"{format_number(shift * factor, 2)} {unit}"
+
+
+def _direction(axis: np.ndarray) -> str:
+    """Return a direction as a description has it: a name, or three numbers."""
+    for place, names in enumerate(_DIRECTIONS):
+        if abs(axis[place]) > 1.0 - 1e-9:
+            return names[int(axis[place] > 0.0)]
+    return f"[{', '.join(format_number(float(x), 4) for x in axis)}]"

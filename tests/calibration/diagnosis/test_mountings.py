@@ -1,0 +1,118 @@
+"""A pendulous axis that is stated wrongly is named where the records show it, else remarked on."""
+
+import re
+
+import mixed_campaign
+import pytest
+from campaigns import PLACE, campaign_of, changed, runs, write
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+
+UNITS = {"displacement": ("m", "0.01 m"), "specific_force": ("m/s^2", "1e-4 m/s^2")}
+STATED = """K_OO = "2e-6 ± 1e-8 g/g^2"
+K_IO = "3e-6 ± 1e-8 g/g^2"
+"""
+
+
+def described(observable, known=STATED):
+    unit, noise = UNITS[observable]
+    return f"""{PLACE}
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+bias = "0.005 ± 2e-6 g"
+scale_factor = "1.002 ± 1e-5 g/g"
+{known}{observable} = {{ column = "east", unit = "{unit}" }}
+
+[noise]
+{observable} = "{noise}"
+
+[model]
+assume = "all"
+
+{runs("slow", "middle", "fast")}
+[simulation]
+sampling_rate = "20 Hz"
+seed = 5
+revolutions = 20
+
+[truth.Qx]
+K_F = "0.005 g"
+K_I = "1.002 g/g"
+K_II = "2.7e-5 g/g^2"
+K_OO = "2e-6 g/g^2"
+K_IO = "3e-6 g/g^2"
+"""
+
+
+@pytest.fixture(scope="module", params=UNITS)
+def recorded(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp(request.param)
+    simulate(campaign_of(folder / "true", described(request.param)), folder / "made")
+    return request.param, folder / "made"
+
+
+def calibrated(recorded, axis, known=STATED):
+    observable, folder = recorded
+    text = changed(described(observable, known), ('"down"', f'"{axis}"'))
+    return calibrate(write(folder, text).parent)
+
+
+def remarks(result):
+    return [text for text in result.warnings if "pendulous axis points" in text]
+
+
+def test_the_right_axis_is_good(recorded):
+    result = calibrated(recorded, "down")
+    assert (result.state, result.findings) == ("good", [])
+    if recorded[0] == "specific_force":
+        assert remarks(result) == []
+        return
+    # In displacement K_OO has the t^2 of K_II: only the description knows which way it lies.
+    (text,) = remarks(result)
+    assert re.search(
+        r"With (north|south) for down they would fit as well, and K_II would be 2 ug/g\^2 larger",
+        text,
+    )
+
+
+@pytest.mark.parametrize("axis", ["north", "up", "south"])
+def test_a_wrong_axis_is_named_where_the_records_show_it(recorded, axis):
+    result = calibrated(recorded, axis)
+    first = result.findings[0] if result.findings else None
+    k_ii = result.accelerometers["Qx"].coefficients["K_II"]
+    if recorded[0] == "specific_force":
+        assert (first.code, first.subject) == ("wrong-mounting", "Qx")
+        assert f"pointed down; it is stated as {axis}" in first.text
+        assert [finding for finding in result.findings if finding.code == "wrong-mounting"] == [
+            first
+        ]
+    elif axis != "up":
+        # 298 u off or so, and nothing in the records to tell it by: it is said what it rests on.
+        assert abs(k_ii.value - 2.7e-5) > 30.0 * k_ii.u
+        assert "K_IO and K_OO rests on it" in remarks(result)[0]
+
+
+def test_where_nothing_is_stated_nothing_rests_on_it(recorded):
+    assert remarks(calibrated(recorded, "down", known="")) == []
+
+
+def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
+    """A delta_O of -1 mrad with a pendulous axis down is one of 1 mrad with the axis up."""
+    monkeypatch.setitem(mixed_campaign.TRUTH, "delta_O", 1e-3)
+    true = ('K_F = "2e-3 g"', 'K_F = "2e-3 g"\ndelta_O = "1e-3 rad"')
+    monkeypatch.setattr(mixed_campaign, "TRUE", changed(mixed_campaign.TRUE, true))
+    campaign = mixed_campaign.MixedCampaign(tmp_path)
+    model = changed(mixed_campaign.MODEL, ('"K_III", "delta_O"', '"K_III"'))
+
+    def stating(value):
+        return campaign.calibrated(model=f'{model}"delta_O" = "{value} ± 1e-6 rad"\n')
+
+    right, wrong = stating("1e-3"), stating("-1e-3")
+    assert (right.state, right.findings) == ("good", [])
+    first = wrong.findings[0]
+    assert (first.code, first.subject, wrong.state) == ("wrong-mounting", "A", "contradicted")
+    assert "pointed up; it is stated as down" in first.text
+    assert "the sense in which the attitudes turn, and for which axes delta_O" in first.text
+    assert {"lack-of-fit", "run-disagrees"} <= {finding.code for finding in first.explains}

@@ -1,0 +1,71 @@
+"""A fit with an accelerometer turned is the fit that its mounting, stated so, would have given."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import noisy, three_rates, unknowns
+
+from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.turned import ACROSS, turned, with_turned
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
+from counterspin.physics.accelerometer import QX, Mounting
+
+PRIORS = {
+    "K_F": (0.005, 2e-6),
+    "K_I": (1.002, 5e-6),
+    "K_OO": (2e-6, 1e-8),
+    "K_IO": (3e-6, 1e-8),
+    "K_PP": (0.0, 1e-6),
+    "delta_O": (1e-5, 1e-6),
+}
+MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II", "K_OO", "K_IO", "K_PP", "delta_O"], PRIORS))
+#: Where the pendulous axis, stated as down, points after so many quarters.
+POINTS = {1: "north", 2: "up", 3: "south"}
+
+
+def test_the_terms_across_the_input_axis():
+    assert set(ACROSS) == {"K_IP", "K_IO", "K_PO", "K_PP", "K_OO", "delta_O", "delta_P"}
+
+
+@pytest.mark.parametrize("quarters", POINTS)
+def test_a_quarter_turns_pendulous_to_output_axis(quarters):
+    other = turned(QX, quarters)
+    np.testing.assert_allclose(
+        other.matrix, Mounting.from_axes("east", POINTS[quarters]).matrix, atol=1e-15
+    )
+    assert np.linalg.det(other.matrix) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("observable", ["displacement", "specific_force"])
+@pytest.mark.parametrize("quarters", POINTS)
+def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
+    rng, white = np.random.default_rng(3), 0.01 if observable == "displacement" else 1e-4
+    truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
+    series = [
+        noisy(one, NoiseModel(white), rng) for one in three_rates(truth, observable=observable)
+    ]
+    request = {"Qx": NoiseRequest(white, 0.0)}
+    found = with_turned(
+        relax(estimate(series, MODEL, request, reject=False).fit), "Qx", quarters
+    ).solution
+    other = Mounting.from_axes("east", POINTS[quarters])
+    stated = [replace(one, mounting=other) for one in series]
+    wanted = relax(estimate(stated, MODEL, request, reject=False).fit).solution
+    # The rest of the columns knows of the other terms in second order only.
+    np.testing.assert_allclose(
+        found.estimate, wanted.estimate, atol=1e-6 * float(np.max(wanted.u)), rtol=1e-6
+    )
+    assert found.chi2 == pytest.approx(wanted.chi2, rel=1e-6)
+    assert math.isfinite(found.chi2)
+
+
+def test_another_accelerometer_stays_as_it_is():
+    series = three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
+    fit = relax(estimate(series, MODEL, {"Qx": NoiseRequest(0.01, 0.0)}, reject=False).fit)
+    np.testing.assert_array_equal(
+        with_turned(fit, "Qy", 1).solution.estimate, fit.solution.estimate
+    )

@@ -1,0 +1,70 @@
+"""No value that no instrument has goes unsaid, however it is measured."""
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+STUDY = runpy.run_path(str(DOCS / "incredible.py"))
+TABLE, MISTAKES, WAYS = STUDY["TABLE"], STUDY["MISTAKES"], STUDY["WAYS"]
+
+#: What the first of the findings is of; K_F is stated where two stages are used.
+SUBJECTS = {
+    "the sign of all that is read": "K_I",
+    "K_I = 1.3 g/g": "K_I",
+    "K_F = 0.3 g": "K_F",
+    "K_II = 500 ug/g^2": "K_II",
+    "m/s^2 for g": "K_I",
+    "the zero of the head, 1 deg": "delta_O",
+    "mirrored attitudes, input axis east at 0": "K_I",
+    "mirrored attitudes, delta_O stated": "A",
+}
+
+
+def test_the_page_shows_what_was_found():
+    page = TABLE.page.read_text("utf-8")
+    assert TABLE.insert(TABLE.load(), page) == page
+
+
+@pytest.mark.parametrize(
+    ("mistake", "way"),
+    [(m, way) for m in MISTAKES for way in m.ways],
+    ids=lambda part: getattr(part, "name", part),
+)
+def test_each_is_said_as_the_table_has_it(mistake, way):
+    row = STUDY["row_of"](mistake, way)
+    (kept,) = (one for one in TABLE.load() if (one.name, one.way) == (row.name, row.way))
+    assert (row.state, row.code, row.subject) == (kept.state, kept.code, kept.subject)
+    if row.state == "refused":
+        assert "check the " in row.text
+        return
+    assert row.subject.endswith(SUBJECTS[mistake.name])
+    assert "heck " in row.text
+    assert row.state == ("contradicted" if row.code != "wrong-mounting" else "reservations")
+
+
+def test_what_is_likely_is_said():
+    said = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
+    sign = "Check the sign of the output, the sense of the input axis and of the attitudes."
+    assert sign in said["the sign of all that is read"]
+    assert sign in said["mirrored attitudes, input axis east at 0"]
+    assert "Check a unit, m/s^2 against g." in said["m/s^2 for g"]
+    assert "the attitudes: their zero" in said["the zero of the head, 1 deg"]
+    assert "the sense in which the attitudes turn" in said["mirrored attitudes, delta_O stated"]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_without_a_mistake_nothing_is_said(way):
+    right = replace(MISTAKES[1], truth={}, world={}, change=float)
+    row = STUDY["row_of"](right, way)
+    # An arm whose pendulous axis lies along the motion says nothing of delta_O.
+    assert row.code == ("not-determined" if way == "arm" else "")
+
+
+@pytest.mark.parametrize("upright", [True, False])
+def test_the_right_attitudes_are_good(upright):
+    stated = 'delta_O = "1e-3 ± 1e-6 rad"\n'
+    mistake = replace(MISTAKES[-1], sense=1, upright=upright, stated=stated)
+    assert STUDY["row_of"](mistake, "tumble").code == ""
