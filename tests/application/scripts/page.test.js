@@ -1,0 +1,238 @@
+import assert from "node:assert/strict";
+import { beforeEach, mock, test } from "node:test";
+import { clicked, Element, json, others, said, server } from "./browser.js";
+import { campaignAddress, resultAddress } from "./addresses.js";
+import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
+import { commandLine, make, say, stateMark, warning } from "./dom.js";
+import { follow } from "./job.js";
+
+const KEY = "counterspin-key";
+
+beforeEach(() => {
+  sessionStorage.removeItem(KEY);
+  location.hash = "";
+  server.requests.length = others.told.length = clicked.length = 0;
+  server.answer = () => json({});
+});
+
+// Addresses
+
+test("a name is in an address as it is, whatever stands in it", () => {
+  for (const name of ["2026/slow runs", "a#b?c%20d", "Prüfling 7", ""]) {
+    for (const address of [campaignAddress(name), resultAddress(name)]) {
+      const parts = address.split("/");
+      assert.equal(parts.length, 3);
+      assert.equal(decodeURIComponent(parts[2]), name);
+    }
+  }
+});
+
+// Elements
+
+test("attributes that are false, null or undefined are left out", () => {
+  const given = { title: "a", hidden: false, id: null, lang: undefined, disabled: true, max: 0 };
+  assert.deepEqual(make("p", given).attributes, { title: "a", disabled: "", max: "0" });
+});
+
+test("a listener listens, and a value is a property", () => {
+  let calls = 0;
+  const button = make("button", { onclick: () => (calls += 1), value: "x" });
+  button.click();
+  assert.equal(calls, 1);
+  assert.equal(button.value, "x");
+  assert.deepEqual(button.attributes, {});
+});
+
+test("text stays text, and what is not there is no child", () => {
+  const element = make("p", {}, "<b>", null, undefined, make("i", {}, "&amp;"), "");
+  assert.equal(element.textContent, "<b>&amp;");
+  assert.equal(element.children.length, 3);
+  assert.equal(warning("<script>").children[0], "<script>");
+  assert.equal(commandLine("rm *").textContent, "The same as a commandrm *");
+});
+
+test("a state's words have a class of one word each", () => {
+  const mark = stateMark("with reservations now", "so so");
+  assert.equal(mark.attributes.class, "state with-reservations-now");
+  assert.equal(mark.textContent, "so so");
+});
+
+test("what is said goes after a while, unless something else was said since", () => {
+  mock.timers.enable({ apis: ["setTimeout"] });
+  say("one");
+  mock.timers.tick(5000);
+  say("two");
+  mock.timers.tick(1500);
+  assert.equal(said.textContent, "two");
+  mock.timers.tick(5000);
+  assert.equal(said.textContent, "");
+  mock.timers.reset();
+});
+
+// Requests
+
+test("what is not said is not asked, and the rest is quoted", async () => {
+  await get("result", { name: "a&b=c", term: undefined });
+  await get("jobs", { kind: undefined });
+  assert.deepEqual(server.requests.map(({ path }) => path), ["/api/result?name=a%26b%3Dc", "/api/jobs"]);
+  assert.equal(server.requests[0].body, undefined);
+});
+
+test("a request carries the key, and a form as JSON", async () => {
+  await send("POST", "calibrate", { name: "a", method: undefined });
+  sessionStorage.setItem(KEY, "k1");
+  await bring("a b.csv", "bytes");
+  const [form, file] = server.requests;
+  assert.equal(form.headers.Authorization, undefined);
+  assert.deepEqual(JSON.parse(form.body), { name: "a" });
+  assert.equal(file.path, "/api/files?name=a+b.csv");
+  assert.equal(file.headers.Authorization, "Bearer k1");
+  assert.equal(file.headers["Content-Type"], "application/octet-stream");
+});
+
+test("a refusal says what the server says, or its status", async () => {
+  server.answer = () => json({ error: "There is no result.", field: "name" }, 404);
+  await assert.rejects(get("result"), (error) => {
+    assert.ok(error instanceof Refused);
+    assert.equal(error.message, "There is no result.");
+    assert.deepEqual([error.status, error.told.field], [404, "name"]);
+    return true;
+  });
+  server.answer = () => new Response("<html>", { status: 502 });
+  await assert.rejects(get("result"), { status: 502, message: "The server answers 502." });
+  server.answer = () => {
+    throw new TypeError("network");
+  };
+  await assert.rejects(get("result"), { status: 0, message: /does not answer/ });
+});
+
+test("a key that the server no longer knows is forgotten, but none that came since", async () => {
+  server.answer = () => json({ error: "No key." }, 401);
+  sessionStorage.setItem(KEY, "old");
+  await assert.rejects(get("jobs"), { status: 401 });
+  assert.equal(sessionStorage.getItem(KEY), null);
+  sessionStorage.setItem(KEY, "old");
+  server.answer = () => {
+    sessionStorage.setItem(KEY, "new");
+    return json({ error: "No key." }, 401);
+  };
+  await assert.rejects(get("jobs"), { status: 401 });
+  assert.equal(sessionStorage.getItem(KEY), "new");
+});
+
+test("a text for printing is waited for, and is empty where it is refused", () => {
+  sessionStorage.setItem(KEY, "k1");
+  server.answer = () => ({ status: 200, responseText: "<svg>" });
+  assert.equal(getTextNow("figure", { name: "a b" }), "<svg>");
+  const [request] = server.requests;
+  assert.deepEqual([request.path, request.later], ["/api/figure?name=a+b", false]);
+  assert.equal(request.headers.Authorization, "Bearer k1");
+  server.answer = () => ({ status: 404, responseText: "no" });
+  assert.equal(getTextNow("figure", {}), "");
+});
+
+test("a file is saved from an address that counts once", async () => {
+  server.answer = () => json({ ticket: "t7" });
+  await save("report", { name: "a" });
+  assert.deepEqual(JSON.parse(server.requests[0].body), { name: "report", said: { name: "a" } });
+  assert.deepEqual(clicked.map(({ href }) => href), ["/api/ticket/t7"]);
+});
+
+// The key
+
+test("a link's token is given for the key and stays in no address", async () => {
+  location.hash = "#token=abc";
+  server.answer = () => json({ key: "k2" });
+  await enter();
+  assert.equal(location.hash, "#/");
+  assert.deepEqual(JSON.parse(server.requests[0].body), { token: "abc" });
+  assert.equal(sessionStorage.getItem(KEY), "k2");
+  assert.deepEqual(others.told, [{ key: "k2", renewed: true }]);
+});
+
+test("without a token another window tells the key, or nobody does", async () => {
+  mock.timers.enable({ apis: ["setTimeout"] });
+  const entered = enter();
+  assert.deepEqual(others.told, [{ asked: true }]);
+  for (const hear of others.hear) hear({ key: "k3" });
+  await entered;
+  assert.equal(sessionStorage.getItem(KEY), "k3");
+  sessionStorage.removeItem(KEY);
+  const alone = enter();
+  mock.timers.tick(300);
+  await alone;
+  assert.equal(sessionStorage.getItem(KEY), null);
+  mock.timers.reset();
+});
+
+test("a window tells its key when asked, and takes over only a renewed one", () => {
+  const [hear] = others.hear;
+  hear({ asked: true });
+  assert.deepEqual(others.told, []);
+  sessionStorage.setItem(KEY, "mine");
+  hear({ asked: true });
+  assert.deepEqual(others.told, [{ key: "mine" }]);
+  hear({ key: "other" });
+  assert.equal(sessionStorage.getItem(KEY), "mine");
+  hear({ key: "new", renewed: true });
+  assert.equal(sessionStorage.getItem(KEY), "new");
+});
+
+// Jobs
+
+const job = (more) => ({
+  number: 3, kind: "calibration", state: "running", progress: [0, 0], seconds: 0.4, output: "", ...more,
+});
+
+/** Follow a job that the server tells these states of, one after another. */
+async function followed(...states) {
+  const place = new Element("div");
+  const seen = [];
+  let done = 0;
+  mock.timers.enable({ apis: ["setTimeout"] });
+  server.answer = () => json(states.shift());
+  follow(job(), place, () => (done += 1));
+  while (states.length) {
+    mock.timers.tick(250);
+    for (let turn = 0; turn < 20; turn += 1) await Promise.resolve();
+    await new Promise(setImmediate);
+    seen.push(place.textContent);
+  }
+  mock.timers.reset();
+  return { place, seen, done };
+}
+
+test("a job says what it does, how far it is, and that it is done", async () => {
+  const { seen, done } = await followed(
+    [job({ state: "waiting", progress: [1, 4] })],
+    [job({ number: 8 }), job({ progress: [1, 4], seconds: 1.6 })],
+    [job({ progress: [4, 4], seconds: 2.4 })],
+    [job({ state: "done", output: "result.json" })],
+  );
+  assert.deepEqual(seen.slice(0, 3), [
+    "Waiting for another job, 0 sStop",
+    "Reading runs: 1 of 4, 2 sStop",
+    "Estimating, 2 sStop",
+  ]);
+  assert.equal(done, 1);
+  assert.equal(said.textContent, "Wrote result.json.");
+});
+
+test("a job that fails says why, and one that is gone was stopped", async () => {
+  const failed = await followed([job({ state: "failed", error: "No such record." })]);
+  assert.equal(failed.place.textContent, "No such record.");
+  const gone = await followed([]);
+  assert.equal(gone.place.textContent, "The calibration was stopped.");
+  assert.equal(failed.done + gone.done, 0);
+});
+
+test("a job is stopped by its button", () => {
+  mock.timers.enable({ apis: ["setTimeout"] });
+  const place = new Element("div");
+  follow(job(), place, () => {});
+  const [box] = place.children;
+  box.children.find(({ name }) => name === "button").click();
+  mock.timers.reset();
+  const [{ method, path, body }] = server.requests;
+  assert.deepEqual([method, path, JSON.parse(body)], ["DELETE", "/api/jobs", { number: 3 }]);
+});

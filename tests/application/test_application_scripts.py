@@ -1,0 +1,31 @@
+"""What the page's scripts do without a browser: requests, the key, elements, jobs."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ASSETS = Path(__file__).parents[2] / "src" / "counterspin" / "application" / "assets"
+SCRIPTS = Path(__file__).parent / "scripts"
+
+
+def test_scripts_do_without_a_browser_what_they_say(tmp_path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("the page's scripts: there is no node (apt install nodejs)")
+    for script in (*ASSETS.glob("*.js"), *SCRIPTS.glob("*.js")):
+        shutil.copy(script, tmp_path)
+    (tmp_path / "package.json").write_text('{"type": "module"}', encoding="utf-8")
+    told = subprocess.run(
+        [node, "--test", "--test-reporter=tap"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    asked = (SCRIPTS / "page.test.js").read_text(encoding="utf-8")
+    passed = re.search(r"^# pass (\d+)$", told.stdout, re.MULTILINE)
+    assert int(passed[1]) >= len(re.findall(r"^test\(", asked, re.MULTILINE)) >= 18
