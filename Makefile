@@ -8,6 +8,7 @@ RECORDS ?= 400
 KILLS ?= 40
 SEED ?= 1
 ONLY ?=
+ROOM ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -32,10 +33,10 @@ BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-call
   --disable-error-code import-untyped --disable-error-code import-not-found
 
 .PHONY: help setup demo test quick slow lint format bench fuzz docs pictures violations coverage alarms \
-  mutants lock clean
+  coverage-of-tests mutants lock clean
 
 help: ## Show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-10s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-17s %s\n", $$1, $$2 }'
 
 setup: $(READY) ## Make .venv with the pinned requirements and the package
 
@@ -88,6 +89,12 @@ alarms: $(READY) ## Make the table of how often good campaigns are blamed again 
 coverage: $(READY) ## Make the tables of how often intervals cover again (half an hour)
 	$(BIN)/python docs/coverage.py
 	$(BIN)/python docs/varied.py
+
+coverage-of-tests: $(READY) ## Measure which branches the tests take; ROOM=physics for one room
+	$(BIN)/python -m coverage erase
+	$(BIN)/python -m coverage run -m pytest $(PARALLEL) tests/$(ROOM)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report $(if $(ROOM),--include "*/counterspin/$(ROOM)/*")
 
 pictures: $(READY) ## Make the pictures and examples of the documentation again
 	$(BIN)/python docs/pictures.py
