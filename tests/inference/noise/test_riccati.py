@@ -20,3 +20,19 @@ def test_row_after_row_is_the_scan(ratio, samples, rows):
     np.testing.assert_allclose(in_turn.variance, scan.variance, rtol=1e-11)
     np.testing.assert_allclose(in_turn.gain, scan.gain, rtol=1e-11)
     np.testing.assert_array_equal((in_turn.ahead, in_turn.step), (scan.ahead, scan.step))
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1e-30, 1e-16, 1e-8, 1.0, 1e12, math.inf])
+@pytest.mark.parametrize("samples", [1.0, 8.0])
+def test_stretches_of_rows_alike_are_the_scan(ratio, samples):
+    """Even rows with gaps, a shorter block at the end, and times that were rounded."""
+    rows = np.r_[0:700, 703:710, 712:900, 1000:1400]
+    count = np.full(rows.size, samples)
+    count[-1] = 1.0
+    time = np.round(rows * 0.4 * samples, 9)
+    blocks = BlockSpans.of(time, count, np.full(rows.size, 0.05))
+    white, walk = (1.0, ratio) if ratio < math.inf else (0.0, 1.0)
+    alike, scan = (filter_walk(blocks, white, walk, few_rows=few) for few in (rows.size, -1))
+    # A large walk multiplies what rounding the times has moved.
+    np.testing.assert_allclose(alike.variance, scan.variance, rtol=2e-9)
+    np.testing.assert_allclose(alike.gain, scan.gain, rtol=2e-9)

@@ -7,8 +7,10 @@ the walk still matters at 1e-16. The Kalman filter computes the same factor from
 covariance and loses nothing at any ratio, zero and infinity included. Its Riccati recursion is a
 chain of associative steps (Sarkka and Garcia-Fernandez, "Temporal parallelization of Bayesian
 smoothers", IEEE Trans. Automatic Control 66 (2021) 299, Lemma 8), so a prefix scan runs it in
-O(n) whole-array operations. Of few rows, where each such operation costs more than its numbers, row
-after row is quicker.
+O(n) whole-array operations. Of few rows, where each such operation costs more than its numbers,
+row after row is quicker. Rows alike, which are most of a usual record, need less: k of them in a
+row are one stretch wherever they stand, which takes the covariances after the first k rows, all at
+once, to those after the next k; and once the covariance has settled, it stays.
 
 State: position and velocity at a block's last sample. Nothing is assumed of the first state.
 """
@@ -16,15 +18,25 @@ State: position and velocity at a block's last sample. Nothing is assumed of the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
-#: Rows up to which the filter runs row after row.
+#: Rows without others alike beside them up to which the filter runs row after row.
 FEW_ROWS: Final = 1000
+
+#: Fewest rows alike that are taken as such.
+_STRETCH: Final = 48
+
+#: Steps and blocks are alike to this part: times have been rounded.
+_ALIKE: Final = 1e-9
+
+#: The covariance has settled when a stretch changes it by less than this part.
+_SETTLED: Final = 1e-15
 
 
 @frozen
@@ -75,79 +87,106 @@ def filter_walk(
     before = np.concatenate(([blocks.time[0] - blocks.half[0]], last[:-1]))
     ahead = blocks.time - before
     step = last - before
+    own = white / blocks.count
+    starts = _starts(blocks, step, own)
+    sizes = np.diff(starts, append=step.size)
+    scanned = sizes[sizes < _STRETCH].sum() > few_rows
+    if scanned:
+        starts, sizes = np.arange(step.size), np.ones(step.size, dtype=np.intp)
+    first, final = starts, starts + sizes - 1
+    d, s = (ahead[first] + ahead[final]) / 2, (step[first] + step[final]) / 2
 
     # For a walk that starts at rest at `before`, z(s) its double integral:
     # E z(s) z(s') = [|s - s'|^3 - s^3 - s'^3 + 3 s s' (s + s')]/12, averaged over the block.
-    second_moment = ahead**2 + blocks.variance
-    noise = white / blocks.count + walk * (ahead**3 / 3 + blocks.mean_cube / 12)
-    cross_position = walk * (step * second_moment / 2 - ahead**3 / 6 - ahead * blocks.variance / 2)
+    spread = blocks.variance[first]
+    second_moment = d**2 + spread
+    noise = own[first] + walk * (d**3 / 3 + blocks.mean_cube[first] / 12)
+    cross_position = walk * (s * second_moment / 2 - d**3 / 6 - d * spread / 2)
     cross_velocity = walk * second_moment / 2
     if not noise[0] > 0:  # a single first sample without white noise tells its position exactly
         noise[0] = np.finfo(float).tiny ** 0.5
 
     # What the walk adds to position and velocity over the step.
-    added = (walk * step**3 / 3, walk * step**2 / 2, walk * step)
-    given = (ahead, step, noise, cross_position, cross_velocity, *added)
-    if blocks.time.size <= few_rows:
-        first = _covariance(_prefix(_elements(*(part[:2] for part in given)))[:, 1:])
-        seen = _in_turn([float(part[0]) for part in first], *(part[2:].tolist() for part in given))
-        return Innovations(seen[0], seen[1:], ahead, step)
-    p11, p12, p22 = _covariance(_prefix(_elements(*given))[:, 1:-1])
-    d, s, noise, cross_position, cross_velocity = (part[2:] for part in given[:5])
-    seen_position = p11 + d * p12
-    seen_velocity = p12 + d * p22
-    variance = seen_position + d * seen_velocity + noise
-    gain = np.stack(
-        [seen_position + s * seen_velocity + cross_position, seen_velocity + cross_velocity]
-    )
-    return Innovations(variance, gain / variance, ahead, step)
+    added = (walk * s**3 / 3, walk * s**2 / 2, walk * s)
+    given = np.stack([d, s, noise, cross_position, cross_velocity, *added])
+    if scanned:
+        states = _covariance(_prefix(np.stack(_elements(*given)))[:, 1:-1])
+        return Innovations(*_seen(states, list(given[:5, 2:])), ahead, step)
+    state = _covariance(_prefix(np.stack(_elements(*given[:, :2])))[:, 1:])[:, 0].tolist()
+    seen = []
+    for row, size in zip(given.T[2:].tolist(), sizes[2:].tolist(), strict=True):
+        if size < _STRETCH:
+            part, state = _in_turn(state, row, size)
+        else:
+            states = _alike(state, row, size)
+            part, state = np.vstack(_seen(states[:, :-1], row[:5])), states[:, -1].tolist()
+        seen.append(part)
+    found = np.hstack(seen)
+    return Innovations(found[0], found[1:], ahead, step)
+
+
+def _starts(blocks: BlockSpans, step: Array, own: Array) -> NDArray[np.intp]:
+    """Return the first of each stretch of rows alike, of which each of the first two is one."""
+    new = (np.diff(blocks.count) != 0.0) | (np.diff(own) != 0.0)
+    for part in (step, blocks.half):
+        new |= np.abs(np.diff(part)) > _ALIKE * step[1:]
+    new[:2] = True
+    return np.append(0, 1 + np.flatnonzero(new))
+
+
+def _seen(states: Array, row: Sequence[Any]) -> tuple[Array, Array]:
+    """Return variances and gains of rows, from the covariance before each of them."""
+    p11, p12, p22 = states
+    d, s, noise, cross_position, cross_velocity = row
+    position = p11 + d * p12
+    velocity = p12 + d * p22
+    variance = position + d * velocity + noise
+    gain = np.stack([position + s * velocity + cross_position, velocity + cross_velocity])
+    return variance, gain / variance
 
 
 def _elements(
-    ahead: Array,
-    step: Array,
-    noise: Array,
-    cross_position: Array,
-    cross_velocity: Array,
-    *added: Array,
-) -> Array:
-    """Return each row as a stretch of the record, (10, n): its A, C and J."""
+    ahead: Any, step: Any, noise: Any, cross_position: Any, cross_velocity: Any, *added: Any
+) -> list[Any]:
+    """Return each row as a stretch of the record, ten numbers or arrays: its A, C and J."""
+    return [
+        1 - cross_position / noise,
+        step - cross_position * ahead / noise,
+        -cross_velocity / noise,
+        1 - cross_velocity * ahead / noise,
+        added[0] - cross_position**2 / noise,
+        added[1] - cross_position * cross_velocity / noise,
+        added[2] - cross_velocity**2 / noise,
+        1 / noise,
+        ahead / noise,
+        ahead**2 / noise,
+    ]
+
+
+def _covariance(running: Array) -> Array:
+    """Return the state's covariance after each row, from nothing known: A J^-1 A' + C, (3, n)."""
+    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = running
+    determinant = j11 * j22 - j12**2
+    i11, i12, i22 = j22 / determinant, -j12 / determinant, j11 / determinant
     return np.stack(
         [
-            1 - cross_position / noise,
-            step - cross_position * ahead / noise,
-            -cross_velocity / noise,
-            1 - cross_velocity * ahead / noise,
-            added[0] - cross_position**2 / noise,
-            added[1] - cross_position * cross_velocity / noise,
-            added[2] - cross_velocity**2 / noise,
-            1 / noise,
-            ahead / noise,
-            ahead**2 / noise,
+            a11 * (a11 * i11 + a12 * i12) + a12 * (a11 * i12 + a12 * i22) + c11,
+            a11 * (a21 * i11 + a22 * i12) + a12 * (a21 * i12 + a22 * i22) + c12,
+            a21 * (a21 * i11 + a22 * i12) + a22 * (a21 * i12 + a22 * i22) + c22,
         ]
     )
 
 
-def _covariance(running: Array) -> tuple[Array, Array, Array]:
-    """Return the state's covariance after each row, from nothing known: A J^-1 A' + C."""
-    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = running
-    determinant = j11 * j22 - j12**2
-    i11, i12, i22 = j22 / determinant, -j12 / determinant, j11 / determinant
-    return (
-        a11 * (a11 * i11 + a12 * i12) + a12 * (a11 * i12 + a12 * i22) + c11,
-        a11 * (a21 * i11 + a22 * i12) + a12 * (a21 * i12 + a22 * i22) + c12,
-        a21 * (a21 * i11 + a22 * i12) + a22 * (a21 * i12 + a22 * i22) + c22,
-    )
+def _in_turn(state: list[float], row: list[float], size: int) -> tuple[Array, list[float]]:
+    """Return variance and gains of rows alike, (3, size), and the covariance after them.
 
-
-def _in_turn(first: Sequence[float], *rows: list[float]) -> Array:
-    """Return variance and gains of rows, (3, n), from the covariance before the first of them.
-
-    The lists are those of `_elements`. Numbers of Python: they are quicker than arrays of one.
+    state: The covariance before them. Numbers of Python: they are quicker than arrays of one.
+    row: What `_elements` takes.
     """
-    p11, p12, p22 = first
+    p11, p12, p22 = state
+    d, s, noise, cross_position, cross_velocity, q11, q12, q22 = row
     seen = []
-    for d, s, noise, cross_position, cross_velocity, q11, q12, q22 in zip(*rows, strict=True):
+    for _ in range(size):
         seen_position = p11 + d * p12
         seen_velocity = p12 + d * p22
         variance = seen_position + d * seen_velocity + noise
@@ -157,7 +196,24 @@ def _in_turn(first: Sequence[float], *rows: list[float]) -> Array:
         p11 += s * (2.0 * p12 + s * p22) + q11 - of_position**2 * variance
         p12 += s * p22 + q12 - of_position * of_velocity * variance
         p22 += q22 - of_velocity**2 * variance
-    return np.array(seen).reshape(-1, 3).T
+    return np.array(seen).T, [p11, p12, p22]
+
+
+def _alike(state: list[float], row: list[float], size: int) -> Array:
+    """Return the covariance before each of some rows alike, and after them, (3, size + 1)."""
+    states = np.empty((3, size + 1))
+    states[:, 0] = state
+    stretch, done = _elements(*row), 1
+    while done <= size:
+        more = min(done, size + 1 - done)
+        states[:, done : done + more] = _through(states[:, :more], stretch)
+        done += more
+        now, before = states[:, done - 1], states[:, done - more]
+        if more >= _STRETCH and np.all(np.abs(now - before) <= _SETTLED * np.abs(now)):
+            states[:, done:] = now[:, None]
+            break
+        stretch = _combine(stretch, stretch)
+    return states
 
 
 def _prefix(elements: Array) -> Array:
@@ -165,7 +221,7 @@ def _prefix(elements: Array) -> Array:
     n = elements.shape[1]
     if n == 1:
         return elements
-    pairs = _prefix(_combine(elements[:, 0 : n - 1 : 2], elements[:, 1::2]))
+    pairs = _prefix(np.stack(_combine(elements[:, 0 : n - 1 : 2], elements[:, 1::2])))
     running = np.empty_like(elements)
     running[:, 0] = elements[:, 0]
     running[:, 1::2] = pairs
@@ -174,14 +230,14 @@ def _prefix(elements: Array) -> Array:
     return running
 
 
-def _combine(early: Array, late: Array) -> Array:
+def _combine(early: Sequence[Any] | Array, late: Sequence[Any] | Array) -> list[Any]:
     """Two stretches of the record become one.
 
     A stretch is (A, C, J): state after = A x state before + noise of covariance C; the stretch
     tells J of the state before. C and J are symmetric and stored as (11, 12, 22).
     """
     a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = early
-    b11, b12, b21, b22, d11, d12, d22, k11, k12, k22 = late
+    b11, b12, b21, b22, _, _, _, k11, k12, k22 = late
     m11 = 1 + c11 * k11 + c12 * k12
     m12 = c11 * k12 + c12 * k22
     m21 = c12 * k11 + c22 * k12
@@ -195,25 +251,35 @@ def _combine(early: Array, late: Array) -> Array:
     e12 = (b12 * m11 - b11 * m12) * scale
     e21 = (b21 * m22 - b22 * m21) * scale
     e22 = (b22 * m11 - b21 * m12) * scale
-    # (C^-1 + K)^-1 and (K^-1 + C)^-1 without inverting C or K, which may be singular
-    f11 = (c11 + det_c * k22) * scale
-    f12 = (c12 - det_c * k12) * scale
-    f22 = (c22 + det_c * k11) * scale
+    # (K^-1 + C)^-1 without inverting K, which may be singular
     g11 = (k11 + det_k * c22) * scale
     g12 = (k12 - det_k * c12) * scale
     g22 = (k22 + det_k * c11) * scale
 
-    return np.stack(
-        [
-            e11 * a11 + e12 * a21,
-            e11 * a12 + e12 * a22,
-            e21 * a11 + e22 * a21,
-            e21 * a12 + e22 * a22,
-            d11 + b11 * (b11 * f11 + 2 * b12 * f12) + b12**2 * f22,
-            d12 + b21 * (b11 * f11 + b12 * f12) + b22 * (b11 * f12 + b12 * f22),
-            d22 + b21 * (b21 * f11 + 2 * b22 * f12) + b22**2 * f22,
-            j11 + a11 * (a11 * g11 + 2 * a21 * g12) + a21**2 * g22,
-            j12 + a12 * (a11 * g11 + a21 * g12) + a22 * (a11 * g12 + a21 * g22),
-            j22 + a12 * (a12 * g11 + 2 * a22 * g12) + a22**2 * g22,
-        ]
-    )
+    return [
+        e11 * a11 + e12 * a21,
+        e11 * a12 + e12 * a22,
+        e21 * a11 + e22 * a21,
+        e21 * a12 + e22 * a22,
+        *_through(early[4:7], late),
+        j11 + a11 * (a11 * g11 + 2 * a21 * g12) + a21**2 * g22,
+        j12 + a12 * (a11 * g11 + a21 * g12) + a22 * (a11 * g12 + a21 * g22),
+        j22 + a12 * (a12 * g11 + 2 * a22 * g12) + a22**2 * g22,
+    ]
+
+
+def _through(states: Any, stretch: Sequence[Any]) -> list[Any]:
+    """Return covariances of the state as they are a stretch later: A (P^-1 + J)^-1 A' + C."""
+    p11, p12, p22 = states
+    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = stretch
+    det_p = p11 * p22 - p12**2
+    det_j = j11 * j22 - j12**2
+    scale = 1 / (1 + p11 * j11 + 2 * p12 * j12 + p22 * j22 + det_p * det_j)
+    f11 = (p11 + det_p * j22) * scale
+    f12 = (p12 - det_p * j12) * scale
+    f22 = (p22 + det_p * j11) * scale
+    return [
+        c11 + a11 * (a11 * f11 + 2 * a12 * f12) + a12**2 * f22,
+        c12 + a21 * (a11 * f11 + a12 * f12) + a22 * (a11 * f12 + a12 * f22),
+        c22 + a21 * (a21 * f11 + 2 * a22 * f12) + a22**2 * f22,
+    ]
