@@ -32,7 +32,8 @@ from counterspin.inference import (
 )
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint import condensed, encoder, mistakes, outliers
-from counterspin.inference.noise import unseen_noise, variance_components, wander
+from counterspin.inference.noise import search as noise_search
+from counterspin.inference.noise import unseen_noise, wander
 from counterspin.physics import angle_error
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import EARTH_RATE
@@ -104,11 +105,11 @@ NUMBERS = [
     ("campaign", "Without `clock` its error is 0 ± {}, that", [INPUTS["records.clock"].typical]),
     ("physics", "A free quartz is off by {} ppm", [1e6 * INPUTS["records.clock"].typical]),
     ("physics", "are {} ppm of K_I in specific force", [2e6 * INPUTS["records.clock"].typical]),
-    ("methods", "in log-likelihood reaches {}, which", [variance_components.KEEPING_GAIN]),
+    ("methods", "in log-likelihood reaches {}, which", [noise_search.KEEPING_GAIN]),
     (
         "methods",
         "in one case of {}. Noise",
-        [1 / normal_cdf(-math.sqrt(variance_components.KEEPING_GAIN))],
+        [1 / normal_cdf(-math.sqrt(noise_search.KEEPING_GAIN))],
     ),
     ("methods", "likelihood times N^(-{})", [unseen_noise.POWER]),
     ("methods", "a sum of up to {} cosines", [wander._FUNCTION_RANGE[1]]),

@@ -9,7 +9,7 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
@@ -25,7 +25,7 @@ ATTITUDES = LEVEL | {
     "about north": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
     "about east": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-WHITE = NoiseModel(0.01)
+WHITE = Noise(0.01)
 #: What makes the example plan that of the paper: what is not stated is perfect, one rate will do.
 PERFECT = [(f"# {key}", key) for key in ('assume = "all"', "fewest_rates = 1")]
 PLATFORM = (

@@ -14,7 +14,7 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.joint.series import Series
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
@@ -57,7 +57,7 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
     assert series.jitter == pytest.approx(TIMING * math.sqrt(np.mean(slope**2)), rel=1e-6)
     variance = np.maximum((TIMING * slope) ** 2, 0.02 * series.jitter**2)
     np.testing.assert_allclose(series.jitter_variance, variance, atol=1e-6 * series.jitter**2)
-    white = series.whitener(NoiseModel(series.jitter)).apply(np.ones(400))
+    white = series.whitener(Noise(series.jitter)).apply(np.ones(400))
     np.testing.assert_allclose(white, (variance + series.jitter**2) ** -0.5, rtol=1e-5)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO, make_setup, u_by_joint_fit
 
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.planning.angle_functions import functions, integration, prefix_factors
 from counterspin.planning.design import Design, Predictor, RunType
 from counterspin.planning.run_information import RunInformation
@@ -22,25 +22,25 @@ CASES = {
         "symbols": ("K_F", "K_I", "K_II", "K_PP", "K_OO", "delta_P"),
         "attitudes": ATTITUDES,
     },
-    "random walk": {"noise": NoiseModel(0.01, 3e-5)},
-    "velocity": {"noise": NoiseModel(1e-3, 3e-5), "observable": "velocity"},
-    "specific force": {"noise": NoiseModel(1e-3, 1e-5), "observable": "specific_force"},
+    "random walk": {"noise": Noise(0.01, 3e-5)},
+    "velocity": {"noise": Noise(1e-3, 3e-5), "observable": "velocity"},
+    "specific force": {"noise": Noise(1e-3, 1e-5), "observable": "specific_force"},
     "two accelerometers": {
         "mountings": TWO,
         "platform": (*PLATFORM, "platform.tilt.east", "platform.g_sensitivity.zy"),
         "priors": PRIORS | {"platform.tilt.east": 1e-6},
     },
     "time stamps": {"timing": 1e-3},
-    "time stamps alone": {"timing": 5e-3, "noise": NoiseModel(1e-3)},
-    "time stamps and walk": {"timing": 1e-3, "noise": NoiseModel(1e-3, 3e-5)},
+    "time stamps alone": {"timing": 5e-3, "noise": Noise(1e-3)},
+    "time stamps and walk": {"timing": 1e-3, "noise": Noise(1e-3, 3e-5)},
     "time stamps of velocity": {
         "timing": 5e-3,
-        "noise": NoiseModel(1e-3),
+        "noise": Noise(1e-3),
         "observable": "velocity",
     },
     "time stamps of force": {
         "timing": 5e-3,
-        "noise": NoiseModel(1e-2),
+        "noise": Noise(1e-2),
         "observable": "specific_force",
     },
     "time stamps of a large bias": {"timing": 1e-3, "expected": 0.05},

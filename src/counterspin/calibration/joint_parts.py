@@ -24,8 +24,8 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import by_kind, kind_of
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import ROTATION
-from counterspin.inference.noise.model import WALK_UNIT, NoiseModel
-from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
+from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
+from counterspin.inference.noise.search import FoundNoise
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 
 
@@ -162,7 +162,7 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
 
 
 def record_noise(
-    noise: NoiseModel, components: VarianceComponents | None, observable: str
+    noise: Noise, components: FoundNoise | None, observable: str
 ) -> dict[str, NoiseLine]:
     """Return noise of records, component by component, given or estimated."""
     unit = OBSERVABLES[observable]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign
-from counterspin.inference.joint.estimation import NoiseRequest
+from counterspin.campaign.resolved import Accelerometer
 from counterspin.inference.joint.series import Series
+from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics import observation
 
 
@@ -41,38 +43,37 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
     return tuple(series)
 
 
-def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:
-    """Return what is known of each accelerometer's noise; None stands for "to be estimated".
+def noise_of(campaign: Campaign) -> dict[str, Noise]:
+    """Return each accelerometer's noise, as far as it is stated.
 
-    Without [noise], or where it says nothing of an accelerometer's record, all is estimated. In
+    Without [noise], or where it says nothing of an accelerometer's record, all is wanted. In
     a record of specific force the accelerometer's white noise cannot be told from that of the
     record: only one of the two is estimated.
     """
-    requests = {}
-    for name, accelerometer in campaign.accelerometers.items():
-        integrated = observation.ORDERS[accelerometer.observable] > 0
-        everything = NoiseRequest(None, None if integrated else 0.0)
-        noise = campaign.noise
-        if noise is None:
-            requests[name] = everything
-            continue
-        white = _given(getattr(noise, accelerometer.observable))
-        walk = _given(noise.acceleration)
-        if not integrated and walk is None:
-            white, walk = None, 0.0
-        displacement = accelerometer.observable == "displacement"
-        step = noise.quantisation if displacement else 0.0
-        quantisation = step if isinstance(step, float) else 0.0
-        # A record without any noise cannot be weighted: then the residuals have to say.
-        silent = white == 0.0 and walk == 0.0 and quantisation == 0.0
-        if silent:
-            white, walk, quantisation = everything.white, everything.random_walk, 0.0
-        wander = (_given(noise.flicker), _given(noise.bias_walk))
-        if noise.wanders and white == 0.0 and None in (walk, *wander):
-            white = None  # beside what wanders there is white noise
-        requests[name] = NoiseRequest(white, walk, quantisation, *wander)
-    return requests
+    return {name: _noise_of(campaign, one) for name, one in campaign.accelerometers.items()}
 
 
-def _given(size: float | str) -> float | None:
-    return size if isinstance(size, float) else None
+def _noise_of(campaign: Campaign, accelerometer: Accelerometer) -> Noise:
+    integrated = observation.ORDERS[accelerometer.observable] > 0
+    everything = Noise(WANTED, WANTED if integrated else 0.0)
+    noise = campaign.noise
+    if noise is None:
+        return everything
+    white = _given(getattr(noise, accelerometer.observable))
+    walk = _given(noise.acceleration)
+    if not integrated and walk is WANTED:
+        white, walk = WANTED, 0.0
+    displacement = accelerometer.observable == "displacement"
+    step = _given(noise.quantisation) if displacement else 0.0
+    wander = (_given(noise.flicker), _given(noise.bias_walk))
+    stated = Noise(white, walk, 0.0 if step is WANTED else step, *wander)
+    # A record without any noise cannot be weighted: then the residuals have to say.
+    if not any((white, walk, stated.quantisation)):
+        return replace(everything, flicker=stated.flicker, bias_walk=stated.bias_walk)
+    if noise.wanders and white == 0.0 and stated.wanted:
+        return replace(stated, white=WANTED)  # beside what wanders there is white noise
+    return stated
+
+
+def _given(size: float | str) -> float:
+    return size if isinstance(size, float) else WANTED

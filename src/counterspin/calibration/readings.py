@@ -249,7 +249,7 @@ def with_groups(
             strict=True,
         )
     )
-    return replace(estimated, fit=joint, dof=dof, core=None), parts
+    return replace(estimated, fit=joint, dof=dof, core=None, lost={}), parts
 
 
 def _require_enough(campaign: Campaign, model: Unknowns) -> None:

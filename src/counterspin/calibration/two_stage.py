@@ -41,8 +41,8 @@ from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
-from counterspin.inference.noise.model import NoiseModel
-from counterspin.inference.noise.variance_components import VarianceComponents
+from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
@@ -71,7 +71,7 @@ def two_stage(
     observed: Sequence[ObservedRun],
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    found: Mapping[str, VarianceComponents],
+    found: Mapping[str, FoundNoise],
 ) -> TwoStageOutcome:
     """Apply the two-stage method to one accelerometer.
 
@@ -142,7 +142,7 @@ def two_stage_view(
     observed: Sequence[ObservedRun],
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    found: Mapping[str, VarianceComponents],
+    found: Mapping[str, FoundNoise],
     known: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> tuple[AccelerometerView, SecondStage]:
     """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
@@ -233,7 +233,7 @@ def _shown_by_waves(records: Iterable[Series]) -> Coefficient:
     return Coefficient(value=TERMS["K_I"].nominal + step, u=u, unit=unit, estimated=True)
 
 
-def _residual(parabolas: Sequence[Parabola], components: VarianceComponents | None) -> Residual:
+def _residual(parabolas: Sequence[Parabola], components: FoundNoise | None) -> Residual:
     weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
     dof = sum(p.dof for p in parabolas)
     rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
@@ -258,7 +258,7 @@ def _noise_lines(parabolas: Sequence[Parabola], view: AccelerometerView) -> dict
     )
     if components is not None:
         return {**record_noise(components.noise, components, "displacement"), "displacement": white}
-    walk = NoiseModel(0.0, view.fit.noise[view.name].random_walk)
+    walk = Noise(0.0, view.fit.noise[view.name].random_walk)
     return {"displacement": white, **record_noise(walk, None, "displacement")}
 
 

@@ -13,7 +13,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.noise.variance_components import VarianceComponents
+from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
@@ -23,7 +23,7 @@ def request_of(
     campaign: Campaign,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
-    components: VarianceComponents | None = None,
+    components: FoundNoise | None = None,
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
@@ -50,6 +50,7 @@ def request_of(
         if math.isfinite(other.prior[1])
         and other.symbol in (OWN_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
     }
+    noise = noise_of(campaign)[accelerometer.name]
     request = TwoStageRequest(
         model=options.model,
         priors=priors,
@@ -59,7 +60,7 @@ def request_of(
         weighted=options.weighted,
         sigma=None if options.from_residuals else _sigma(campaign),
         from_residuals=options.from_residuals,
-        random_walk=noise_of(campaign)[accelerometer.name].random_walk,
+        random_walk=None if "random_walk" in noise.wanted else noise.random_walk,
         timing=_number(campaign, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
@@ -87,12 +88,10 @@ def walk_is_stated(campaign: Campaign) -> bool:
     It is where [noise] states it, zero included; a [noise] that states no noise at all leaves
     all of it to be found.
     """
-    return all(request.random_walk is not None for request in noise_of(campaign).values())
+    return not any("random_walk" in noise.wanted for noise in noise_of(campaign).values())
 
 
-def noise_found(
-    campaign: Campaign, observed: Sequence[ObservedRun]
-) -> Mapping[str, VarianceComponents]:
+def noise_found(campaign: Campaign, observed: Sequence[ObservedRun]) -> Mapping[str, FoundNoise]:
     """Return each accelerometer's noise where the random walk is not stated; else nothing.
 
     One sample a revolution tells little of it: it is that of the joint fit, from all samples.

@@ -153,15 +153,12 @@ class Solution:
         free = self._rows.free
         return np.asarray(np.linalg.solve(self._rows.triangle.T, rows[:, free].T).T, np.float64)
 
-    def informed(self, row: Array) -> Array:
-        """Return a row vector times the information, the inverse of `least_covariance`.
+    def in_rows(self, unknowns: Array) -> Array:
+        """Return values of the unknowns in rows in which `least_covariance` is one, shape (f,).
 
-        row: Shape (p,); what stands at unknowns that are exactly known is left out.
+        unknowns: Shape (p,); those that are exactly known are left out.
         """
-        free, triangle = self._rows.free, self._rows.triangle
-        out = np.zeros(row.size)
-        out[free] = (triangle @ row[free]) @ triangle
-        return out
+        return np.asarray(self._rows.triangle @ unknowns[self._rows.free])
 
     def unexplained(self, data: Array, priors: Array) -> Array:
         """Return what no value of the unknowns explains of columns beside those of the problem.

@@ -12,7 +12,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import ORDERS
@@ -27,7 +27,7 @@ class PlannedInstrument:
     name: str
     mounting: Mounting
     observable: str
-    noise: NoiseModel  #: Of one sample.
+    noise: Noise  #: Of one sample.
     timing: float = 0.0  #: Standard deviation of the time stamps, s.
 
     @property

@@ -31,7 +31,7 @@ from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.linear_readings import blocks_at
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, angle_error_to_come
 from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS
@@ -174,13 +174,13 @@ def _noise(campaign: Campaign) -> Mapping[str, float | str]:
     }
 
 
-def noise_of_records(campaign: Campaign) -> dict[str, NoiseModel]:
+def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
     """Return the noise of each accelerometer's records."""
     noise = _noise(campaign)
     models = {}
     for name, accelerometer in campaign.accelerometers.items():
         step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
-        models[name] = NoiseModel(
+        models[name] = Noise(
             float(noise[accelerometer.observable]),
             float(noise["acceleration"]),
             float(step),

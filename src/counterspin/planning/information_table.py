@@ -18,7 +18,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.campaign.resolved import MOST_ROWS
 from counterspin.errors import CounterspinError
-from counterspin.inference.noise.model import NoiseModel, make_whitener
+from counterspin.inference.noise.model import Noise, make_whitener
 from counterspin.planning.angle_functions import functions, prefix_factors, shifted
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 
@@ -46,7 +46,7 @@ class InformationTable:
     def __init__(
         self,
         order: int,
-        noise: NoiseModel,
+        noise: Noise,
         added: Added | None,
         sampling_rate: float,
         rates: tuple[float, float],
@@ -94,7 +94,7 @@ class InformationTable:
             each = points / samples  # of a row, of the variance of a sample
             white = math.sqrt(self._noise.sample_variance * each)
             added = 0.0 if self._added is None else each * self._added(float(rate), angle)
-            noise = NoiseModel(white, self._noise.random_walk)
+            noise = Noise(white, self._noise.random_walk)
             whiten = make_whitener(angle / rate, order, noise, added=added)
             rows = whiten.apply(functions(angle, self._harmonics)[:, lost:])
             parts = np.arange(phases) * (points // phases)

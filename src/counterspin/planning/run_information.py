@@ -32,7 +32,7 @@ from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
@@ -119,7 +119,7 @@ class RunInformation:
             noise = instrument.noise
             if instrument.order == 0:  # a random walk of the velocity is white in specific force
                 walk = noise.random_walk**2 * self.setup.sampling_rate
-                noise = NoiseModel(math.sqrt(noise.sample_variance + walk))
+                noise = Noise(math.sqrt(noise.sample_variance + walk))
             of_kinds: list[InformationTable | None] = []
             for kind in self._kinds:
                 if noise.random_walk == 0.0 and instrument.timing == 0.0:

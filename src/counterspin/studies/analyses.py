@@ -9,8 +9,8 @@ from counterspin.calibration.model import model_of
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.estimation import NoiseRequest
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics.terms import OWN_TERMS
 from counterspin.studies.description import StudyDescription
@@ -21,7 +21,7 @@ class JointRequest:
     """What is asked of the joint fit."""
 
     model: Unknowns  #: Unknowns, considered terms, uncertain inputs.
-    noise: Mapping[str, NoiseRequest]  #: Accelerometer -> its noise, given or to be estimated.
+    noise: Mapping[str, Noise]  #: Accelerometer -> its noise, given or to be estimated.
 
     @property
     def reported(self) -> list[int]:

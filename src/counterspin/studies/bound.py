@@ -10,7 +10,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import TERMS
 from counterspin.studies.draws import StudyTruth
 from counterspin.studies.joint_engine import scale_factors
@@ -43,7 +43,7 @@ def fit_of_truth(world: World, truth: StudyTruth, model: Unknowns) -> JointFit |
     levels = {NOISE_LEVELS[symbol][1]: float(level.mean()) for symbol, level in draws.noise.items()}
     world = replace(world, noise=replace(world.noise, white=float(draws.white.mean()), **levels))
     level = world.noise
-    noise = NoiseModel(
+    noise = Noise(
         level.white, level.random_walk, level.quantisation, level.flicker, level.bias_walk
     )
     if noise.sample_variance == 0.0 and noise.random_walk == 0.0:

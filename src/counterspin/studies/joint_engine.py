@@ -25,7 +25,7 @@ from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal, of_run
 from counterspin.studies.noise import estimate_noise
@@ -58,7 +58,7 @@ class JointEngine:
         cls, series: Sequence[Series], request: JointRequest, truth: StudyTruth
     ) -> tuple[JointEngine, tuple[str, ...]]:
         """Reduce all series and solve once."""
-        noise = {name: known.given for name, known in request.noise.items()}
+        noise = request.noise
         radius = series[0].trajectory.radius
         # The range of the study conditions the powers of the radius well.
         low, high = truth.bounds(RADIUS, 0)
@@ -69,7 +69,6 @@ class JointEngine:
         blocks = []
         for record in series:
             given = noise[record.accelerometer]
-            assert given is not None
             blocks.append(_block(record, model, given, keys, names, scale, truth))
         solution = _solve(blocks, model, len(keys) + 1)
         assessment = assess(solution, [u.name for u in model.unknowns])
@@ -82,7 +81,6 @@ class JointEngine:
             solution.covariance_noise + solution.covariance_prior + solution.covariance_considered
         )
         first = noise[series[0].accelerometer]
-        assert first is not None
         engine = cls(
             rows=tuple(rows),
             constant=solution.estimate[rows] + np.array([model.unknowns[i].nominal for i in rows]),
@@ -150,7 +148,7 @@ def _truth_keys(
 def _block(
     series: Series,
     model: Unknowns,
-    noise: NoiseModel,
+    noise: Noise,
     keys: Sequence[tuple[str, str, int | None, int]],
     runs: Sequence[str],
     scale: float,

@@ -67,13 +67,13 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
     reasons = _against(world, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         reasons.append("the rotation varies, and with it the weights of every sample")
-    given = [known.given for known in request.noise.values()]
-    if any(known.wanders for known in request.noise.values()):
+    given = list(request.noise.values())
+    if any(noise.wanders for noise in given):
         reasons.append("the noise that the analysis assumes wanders")
-    if any(noise is None for noise in given):
+    if any(noise.wanted for noise in given):
         reasons.append("the noise is estimated, so that the estimate is not linear")
         return reasons
-    assumed = {(noise.white, noise.random_walk) for noise in given if noise is not None}
+    assumed = {(noise.white, noise.random_walk) for noise in given}
     if len(assumed) > 1 and (truth.varies(WHITE) or {w for w, _ in assumed} != {truth.white}):
         reasons.append("the accelerometers' assumed noises differ from the true one")
     walks = {walk for _, walk in assumed}

@@ -159,5 +159,5 @@ _REFERENCES: Final = {
     "calibrate": _fitted,
     "certificate": _stated,
     "apply": _stated,
-    "estimate": _noise,
+    "find_noise": _noise,
 }

@@ -158,11 +158,12 @@ def _effective_dof(module: Any, given: Given) -> Found:
 
 
 def _variance(module: Any, given: Given) -> Found:
+    from counterspin.inference.noise.model import WANTED, Noise
     from counterspin.inference.noise.restricted_likelihood import RecordData
 
     y = np.array(given["y"], np.float64)
     record = RecordData(np.arange(y.size, dtype=np.float64), 0, np.ones((y.size, 1)), y)
-    return {"white": module.estimate([record], random_walk=0.0).white}
+    return {"white": module.find_noise([record], Noise(WANTED)).noise.white}
 
 
 def _first_stage(module: Any, given: Given) -> Found:
@@ -200,13 +201,15 @@ def _judge(module: Any, given: Given) -> Found:
 
 
 def _random_walk(module: Any, given: Given) -> Found:
+    from counterspin.inference.noise.model import WANTED, Noise
     from counterspin.inference.noise.restricted_likelihood import RecordData
 
     stated = document(given["file"])
     time, velocity = (np.array(stated[key], np.float64) for key in ("time", "velocity"))
     line = np.stack([np.ones_like(time), time], axis=1)
-    answer = module.estimate([RecordData(time, 1, line, velocity)], white=given.get("white"))
-    levels = {"white": answer.white, "random_walk": answer.random_walk}
+    noise = Noise(given.get("white", WANTED), WANTED)
+    answer = module.find_noise([RecordData(time, 1, line, velocity)], noise)
+    levels = {"white": answer.noise.white, "random_walk": answer.noise.random_walk}
     if "white" in given:
         return levels
     both, alone = (answer.log_likelihoods[key] for key in (("white", "random_walk"), ("white",)))
@@ -341,7 +344,7 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "fit": _fit,
     "solve": _solve,
     "effective_dof": _effective_dof,
-    "estimate": _noise,
+    "find_noise": _noise,
     "first_stage": _first_stage,
     "walk_covariance": _walk,
     "flicker_autocovariance": _flicker,

@@ -8,10 +8,10 @@ import pytest
 from joint_campaign import ARCSEC, held_inputs, noisy, three_rates, unknowns
 
 from counterspin.inference.joint.alternatives import Alternative, of_priors, of_unstated, scores
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import WANTED, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 WHITE = 0.01
@@ -24,13 +24,13 @@ MODEL = Unknowns(
 
 
 def fitted(series, model=MODEL, white=WHITE):
-    return estimate(series, model, {"Qx": NoiseRequest(white, 0.0)}, reject=False)
+    return estimate(series, model, {"Qx": Noise(white, 0.0)}, reject=False)
 
 
 @pytest.fixture(scope="module")
 def series():
     rng = np.random.default_rng(7)
-    return [noisy(one, NoiseModel(WHITE), rng) for one in three_rates(TRUTH)]
+    return [noisy(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
 
 
 @pytest.fixture(scope="module")
@@ -166,13 +166,13 @@ def test_sizes_are_those_of_chance_where_all_is_as_assumed():
     sizes = []
     clean = three_rates(TRUTH)
     for _ in range(60):
-        drawn = [noisy(one, NoiseModel(WHITE), rng) for one in clean]
+        drawn = [noisy(one, Noise(WHITE), rng) for one in clean]
         priors = {
             "K_F": (TRUTH["K_F"] + 2e-6 * rng.standard_normal(), 2e-6),
             "K_I": (TRUTH["K_I"] + 5e-6 * rng.standard_normal(), 5e-6),
         }
         model = Unknowns(unknowns(["K_F", "K_I", "K_II"], priors))
-        relaxed = relax(fitted(drawn, model, None).fit)
+        relaxed = relax(fitted(drawn, model, WANTED).fit)
         columns = {0: drawn[0].time ** 2}
         own = Alternative("bias", "run1", "bias", columns)
         sizes.append(scores(relaxed, [*of_priors(relaxed), own], noise_given=False).size)

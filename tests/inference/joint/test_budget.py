@@ -22,7 +22,7 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6), "K_OO": (1e-6, 2e-6)}
@@ -32,7 +32,7 @@ SIZES = {
     "site.latitude": 1e-3,
     TIMING: 1e-5,
 }
-NOISES = {"Qx": NoiseModel(0.01), "Qy": NoiseModel(0.02, 3e-4)}
+NOISES = {"Qx": Noise(0.01), "Qy": Noise(0.02, 3e-4)}
 SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 
 
@@ -193,7 +193,7 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
     ]
     model = Unknowns(unknowns(TRUTH), held_inputs({"site.gravity": 1e-4}))
     plain = model.without_inputs()
-    noise = {"Qx": NoiseModel(1e-3)}
+    noise = {"Qx": Noise(1e-3)}
     first = solve_joint(prepare_columns(one, plain, SCALES), plain, noise).solution
     fit = solve_joint(prepare_columns(one, model, SCALES, first.estimate), model, noise)
     step = 1e-3
@@ -214,7 +214,7 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
 def test_an_unknown_known_exactly_has_no_budget():
     model = Unknowns(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
     found = solve_joint(
-        prepare_columns(three_rates(TRUTH), model, SCALES), model, {"Qx": NoiseModel(0.01)}
+        prepare_columns(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
     )
     assert budget(found, 0) == []
     assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)

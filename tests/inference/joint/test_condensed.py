@@ -11,15 +11,15 @@ from counterspin.inference.joint.condensed import condense
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 SCALES = {"Qx": 1.002, "Qy": 1.002}
 NOISES = {
-    "white": NoiseModel(0.01),
-    "random walk": NoiseModel(0.01, 3e-4),
-    "white and small": NoiseModel(1e-5),
+    "white": Noise(0.01),
+    "random walk": Noise(0.01, 3e-4),
+    "white and small": Noise(1e-5),
 }
 
 

@@ -11,11 +11,11 @@ from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import NOISE, budget
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
@@ -142,12 +142,12 @@ def chosen(observable, encoder_noise, noise):
 
 
 def test_a_quiet_encoder_needs_no_terms_in_displacement():
-    _, model = chosen("displacement", 1e-6, NoiseModel(0.01))
+    _, model = chosen("displacement", 1e-6, Noise(0.01))
     assert model is MODEL
 
 
 def test_terms_that_the_records_know_are_unknowns():
-    _, model = chosen("specific_force", 1e-5, NoiseModel(1e-4))
+    _, model = chosen("specific_force", 1e-5, Noise(1e-4))
     assert not model.considered
     assert len(model.unknowns) == len(TRUTH) + 3 * 11
     assert {u.owner for u in model.unknowns} == {"Qx", "run1", "run2", "run3"}
@@ -156,10 +156,10 @@ def test_terms_that_the_records_know_are_unknowns():
 @pytest.mark.parametrize(
     ("observable", "encoder_noise", "noise"),
     [
-        ("displacement", 2e-5, NoiseModel(0.01)),
-        ("displacement", 2e-5, NoiseModel(0.01, 1e-3)),
-        ("velocity", 2e-7, NoiseModel(1e-4)),
-        ("specific_force", 4e-8, NoiseModel(1e-4, 1e-6)),
+        ("displacement", 2e-5, Noise(0.01)),
+        ("displacement", 2e-5, Noise(0.01, 1e-3)),
+        ("velocity", 2e-7, Noise(1e-4)),
+        ("specific_force", 4e-8, Noise(1e-4, 1e-6)),
     ],
 )
 def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encoder_noise, noise):
@@ -200,16 +200,16 @@ def hidden(encoder_noise, samples):
 @pytest.mark.parametrize(
     ("observable", "encoder_noise", "request_"),
     [
-        ("specific_force", 1e-5, NoiseRequest(1e-4, 0.0)),
-        ("specific_force", 1e-5, NoiseRequest(None, 0.0)),
-        ("velocity", 1e-4, NoiseRequest(1e-4, 0.0)),
-        ("velocity", 1e-4, NoiseRequest(None, 0.0)),
-        ("displacement", 1e-3, NoiseRequest(1e-2, 0.0)),
+        ("specific_force", 1e-5, Noise(1e-4, 0.0)),
+        ("specific_force", 1e-5, Noise(WANTED, 0.0)),
+        ("velocity", 1e-4, Noise(1e-4, 0.0)),
+        ("velocity", 1e-4, Noise(WANTED, 0.0)),
+        ("displacement", 1e-3, Noise(1e-2, 0.0)),
     ],
 )
 def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
     rng = np.random.default_rng(5)
-    noise = NoiseModel(1e-2 if observable == "displacement" else 1e-4)
+    noise = Noise(1e-2 if observable == "displacement" else 1e-4)
     trials = 2000 if FULL else 40
     inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
     for _ in range(trials):
@@ -222,7 +222,7 @@ def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
         inside += np.abs(z) < stdtrit(np.minimum(found.dof[:p], 1e6), 0.975)
         distance += z**2
         ignorant = [replace(one, angle_error=None) for one in series]
-        without = estimate(ignorant, MODEL, {"Qx": NoiseRequest(noise.white, 0.0)}, reject=False)
+        without = estimate(ignorant, MODEL, {"Qx": Noise(noise.white, 0.0)}, reject=False)
         blind += ((without.fit.solution.estimate - TRUE) / without.fit.solution.u) ** 2
     assert (np.abs(inside / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials)).all()
     by_chance = 5 * math.sqrt(2 * trials)
@@ -236,8 +236,8 @@ def test_the_noise_is_not_mistaken():
     """What the encoder hides stands in the residuals, and must not count as noise."""
     rng = np.random.default_rng(6)
     true = rippled("specific_force", hidden(1e-5, 385), rng)
-    series = encoded([noisy(one, NoiseModel(1e-4), rng) for one in true], 1e-5, rng)
-    found = estimate(series, MODEL, {"Qx": NoiseRequest(None, 0.0)}, reject=False)
+    series = encoded([noisy(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
+    found = estimate(series, MODEL, {"Qx": Noise(WANTED, 0.0)}, reject=False)
     rows = sum(one.time.size for one in series)
     assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
 
@@ -245,8 +245,8 @@ def test_the_noise_is_not_mistaken():
 def test_the_budget_names_the_parts_of_the_rotation():
     rng = np.random.default_rng(7)
     series = encoded(rippled("specific_force", 0.0, rng), 1e-5, rng)
-    series = [noisy(one, NoiseModel(1e-4), rng) for one in series]
-    found = estimate(series, MODEL, {"Qx": NoiseRequest(1e-4, 0.0)}, reject=False)
+    series = [noisy(one, Noise(1e-4), rng) for one in series]
+    found = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False)
     for index, u in enumerate(found.fit.solution.u[:4]):
         lines = budget(found.fit, index)
         assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
@@ -270,8 +270,8 @@ def test_the_budget_names_the_parts_of_the_rotation():
 def test_a_ripple_that_the_encoder_hides_leaves_fewer_digits_not_wrong_ones():
     """The limits: a perfect encoder changes nothing; a blind one leaves what the output says."""
     rng = np.random.default_rng(8)
-    true = [noisy(one, NoiseModel(1e-4), rng) for one in rippled("specific_force", 0.0, rng)]
-    request = {"Qx": NoiseRequest(1e-4, 0.0)}
+    true = [noisy(one, Noise(1e-4), rng) for one in rippled("specific_force", 0.0, rng)]
+    request = {"Qx": Noise(1e-4, 0.0)}
     exact = estimate(true, MODEL, request, reject=False).fit.solution
     u = []
     for size in (1e-9, 1e-6, 1e-5, 1e-3):

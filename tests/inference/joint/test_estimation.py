@@ -20,13 +20,14 @@ from joint_campaign import (
 from scipy.special import stdtrit
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint.estimation import NoiseRequest, _with_all, estimate
+from counterspin.inference.joint import cleaning
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
 
@@ -35,9 +36,9 @@ TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
 MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
-WHITE = NoiseModel(0.01)
+WHITE = Noise(0.01)
 #: A walk that the records show in every trial: within a run it reaches forty times the white.
-MIXED = NoiseModel(0.01, 2e-3)
+MIXED = Noise(0.01, 2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +56,9 @@ def bound(series, noise):
 @pytest.mark.parametrize(
     ("noise", "request_", "trials"),
     [
-        (WHITE, NoiseRequest(None, 0.0), 4000 if FULL else 80),
-        (MIXED, NoiseRequest(None, None), 4000 if FULL else 30),
-        (MIXED, NoiseRequest(0.01, None), 4000 if FULL else 20),
+        (WHITE, Noise(WANTED, 0.0), 4000 if FULL else 80),
+        (MIXED, Noise(WANTED, WANTED), 4000 if FULL else 30),
+        (MIXED, Noise(0.01, WANTED), 4000 if FULL else 20),
     ],
     ids=["white", "mixed", "white given"],
 )
@@ -92,8 +93,8 @@ def test_with_estimated_noise_the_bound_is_reached_and_students_intervals_cover(
 def test_given_noise_is_taken_as_it_is(clean):
     rng = np.random.default_rng(12)
     drawn = [noisy(one, WHITE, rng) for one in clean]
-    found = estimate(drawn, MODEL, {"Qx": NoiseRequest(0.02, 0.0)})
-    assert found.fit.noise == {"Qx": NoiseModel(0.02)}
+    found = estimate(drawn, MODEL, {"Qx": Noise(0.02, 0.0)})
+    assert found.fit.noise == {"Qx": Noise(0.02)}
     assert not found.components
     assert np.isinf(found.dof).all()
     np.testing.assert_allclose(found.fit.solution.u, 2 * bound(clean, WHITE), rtol=1e-6)
@@ -104,22 +105,22 @@ def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
     trials, kept = 20, 0
     for _ in range(trials):
         drawn = [noisy(one, WHITE, rng) for one in clean]
-        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(None, None)}, reject=False)
+        found = estimate(drawn, MODEL, {"Qx": Noise(WANTED, WANTED)}, reject=False)
         kept += "random_walk" in found.components["Qx"].estimated
         if found.components["Qx"].dropped:
             assert found.components["Qx"].dropped == ("random_walk",)
             # Its weights are those of white noise; what may not show is beside them in u.
             solution = replace(found.fit.solution, covariance_unseen=None)
-            alone = bound(clean, NoiseModel(found.fit.noise["Qx"].white))
+            alone = bound(clean, Noise(found.fit.noise["Qx"].white))
             np.testing.assert_allclose(solution.u, alone, rtol=1e-5)
             assert found.fit.solution.u[0] > 1.05 * alone[0]
     # At most 5 % at the boundary: five or more of 20 have a probability of 3e-3.
     assert kept < 5
 
 
-@pytest.mark.parametrize("white", [None, 2e-3])
+@pytest.mark.parametrize("white", [WANTED, 2e-3])
 def test_quantisation_larger_than_the_noise(white):
-    step, noise = 0.01, NoiseModel(2e-3)
+    step, noise = 0.01, Noise(2e-3)
     # 31.4 samples a revolution, so that the steps do not fall alike in every revolution.
     series = [simulated(f"run{i}", r, TRUTH, per_revolution=31) for i, r in enumerate(RATES)]
     rng = np.random.default_rng(14)
@@ -131,7 +132,7 @@ def test_quantisation_larger_than_the_noise(white):
             # A platform is never started twice at the same place.
             output = noisy(one, noise, rng).error + reference + rng.uniform(0, step)
             drawn.append(replace(one, error=step * np.round(output / step) - reference))
-        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(white, 0.0, step)})
+        found = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0, step)})
         level = found.fit.noise["Qx"]
         assert level.quantisation == step
         assert math.sqrt(level.sample_variance) == pytest.approx(
@@ -148,7 +149,7 @@ def test_what_is_known_of_a_considered_term_is_taken_away_before_the_noise_is_es
         unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
     )
     drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in clean]
-    found = estimate(drawn, model, {"Qx": NoiseRequest(None, 0.0)})
+    found = estimate(drawn, model, {"Qx": Noise(WANTED, 0.0)})
     # 5 mg in 48 s are 57 m.
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
 
@@ -164,7 +165,7 @@ def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, 
     drawn[2].error[100] += 0.15
     delay = held_inputs({TIMING: 5e-3})
     model = Unknowns(MODEL.unknowns, delay) if held else Unknowns((*MODEL.unknowns, *delay))
-    found = estimate(drawn, model, {"Qx": NoiseRequest(None, 0.0)})
+    found = estimate(drawn, model, {"Qx": Noise(WANTED, 0.0)})
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
     assert [np.flatnonzero(mask).tolist() for mask in found.outliers] == [[], [], [100]]
 
@@ -177,7 +178,7 @@ def test_noise_of_the_time_stamps_counts_once(clean):
         late = np.sqrt(series.jitter_variance) * rng.standard_normal(one.time.size)
         drawn.append(noisy(replace(series, error=one.error + late), WHITE, rng))
     rows = sum(one.time.size for one in drawn)
-    for request in (NoiseRequest(None, 0.0), NoiseRequest(None, None), NoiseRequest(0.01, 0.0)):
+    for request in (Noise(WANTED, 0.0), Noise(WANTED, WANTED), Noise(0.01, 0.0)):
         found = estimate(drawn, MODEL, {"Qx": request})
         assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=6 / math.sqrt(2 * rows))
         chi2 = found.fit.solution.chi2 / found.fit.solution.dof
@@ -192,12 +193,12 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
         for name in ("Qx", "Qy")
         for one in three_rates(TRUTH, platform, accelerometer=name, per_revolution=16)
     ]
-    levels = {"Qx": WHITE, "Qy": NoiseModel(0.03)}
+    levels = {"Qx": WHITE, "Qy": Noise(0.03)}
     rng = np.random.default_rng(17)
     drawn = [noisy(one, levels[one.accelerometer], rng) for one in series]
     drift = Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H)
     model = Unknowns((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
-    both = {"Qx": NoiseRequest(None, 0.0), "Qy": NoiseRequest(None, 0.0)}
+    both = {"Qx": Noise(WANTED, 0.0), "Qy": Noise(WANTED, 0.0)}
     found = estimate(drawn, model, both)
     for name, level in levels.items():
         assert found.fit.noise[name].white == pytest.approx(level.white, rel=0.12)
@@ -212,7 +213,7 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
         parts.append((weight / solo.fit.solution.u[-1] ** 2, solo.dof[-1]))
     # Welch and Satterthwaite: 1/dof is the sum of (share^2/dof).
     assert 1 / shared == pytest.approx(sum(share**2 / dof for share, dof in parts), rel=0.02)
-    given = estimate(drawn, model, {"Qx": NoiseRequest(0.01, 0.0), "Qy": NoiseRequest(None, 0.0)})
+    given = estimate(drawn, model, {"Qx": Noise(0.01, 0.0), "Qy": Noise(WANTED, 0.0)})
     assert np.isinf(given.dof[:4]).all() or (given.dof[:4] > 1e5).all()
     assert set(given.components) == {"Qy"}
 
@@ -223,7 +224,7 @@ def test_platform_errors_are_seen_through_the_scale_factor_that_was_found():
     series = three_rates(truth, platform, per_revolution=16)
     tilts = tuple(Unknown(f"run{i}", "platform.tilt.north", NOTHING, 1e-2) for i in (1, 2, 3))
     model = Unknowns((*unknowns(TRUTH, {"K_F": (5.03e-3, 1e-9)}), *tilts))
-    found = estimate(series, model, {"Qx": NoiseRequest(1e-4, 0.0)})
+    found = estimate(series, model, {"Qx": Noise(1e-4, 0.0)})
     # 1.05 x 3e-3: with K_I = 1 the tilt would be 5 % too large.
     for tilt in found.fit.solution.estimate[-3:]:
         assert tilt == pytest.approx(3e-3, rel=1e-4)
@@ -270,7 +271,7 @@ def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, r
     trials, z = (8 if revolutions < 50 else 4), []
     for _ in range(trials):
         drawn = [noisy(one, WHITE, rng) for one in series]
-        found = estimate(drawn, model, {"Qx": NoiseRequest(0.01, 0.0)})
+        found = estimate(drawn, model, {"Qx": Noise(0.01, 0.0)})
         z.append((found.fit.solution.estimate[:4] - TRUE) / found.fit.solution.u[:4])
         for one, rate in zip(found.fit.prepared, RATES, strict=True):
             spindle = one.series.trajectory.spindle
@@ -290,8 +291,8 @@ def test_a_term_that_turns_the_output_is_not_taken_for_a_start_angle():
     compliance = Unknown("", "platform.compliance.zz", NOTHING, 1e-4)
     model = Unknowns((*unknowns(TRUTH, PRIORS), compliance, *ROTATIONS))
     rng = np.random.default_rng(4)
-    drawn = [noisy(one, NoiseModel(0.1), rng) for one in unangled(0.3, 1e-4, 1e-6, revolutions=12)]
-    rough = {"Qx": TRUTH["K_I"]}, {"Qx": NoiseModel(1.0)}
+    drawn = [noisy(one, Noise(0.1), rng) for one in unangled(0.3, 1e-4, 1e-6, revolutions=12)]
+    rough = {"Qx": TRUTH["K_I"]}, {"Qx": Noise(1.0)}
     known = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     starts = [
         [one.trajectory.spindle.start_angle for one in find_rotation(drawn, each, *rough)]
@@ -304,7 +305,7 @@ def test_a_term_that_turns_the_output_is_not_taken_for_a_start_angle():
 def test_a_rotation_that_cannot_be_found_is_said():
     model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     with pytest.raises(ConvergenceError, match="nominal rate is too far off"):
-        estimate(unangled(0.0, 0.7, 0.0), model, {"Qx": NoiseRequest(0.01, 0.0)})
+        estimate(unangled(0.0, 0.7, 0.0), model, {"Qx": Noise(0.01, 0.0)})
 
 
 # Outliers -----------------------------------------------------------------------------------------
@@ -327,7 +328,7 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
             dirty = replace(dirty, error=dirty.error + spikes * size).without(gap)
             drawn.append(dirty)
             masks.append(spikes[~gap])
-        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(0.01, 0.0)})
+        found = estimate(drawn, MODEL, {"Qx": Noise(0.01, 0.0)})
         planted = np.concatenate(masks)
         seen = np.concatenate(found.outliers)
         planted_in_all += planted.sum()
@@ -347,12 +348,12 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
 @pytest.mark.parametrize(
     ("observable", "noise"),
     [
-        ("displacement", NoiseModel(1e-2, 2e-3)),
-        ("displacement", NoiseModel(1e-3, 2e-3)),
-        ("displacement", NoiseModel(1e-4, 2e-3)),
-        ("displacement", NoiseModel(1e-6, 2e-3)),
-        ("velocity", NoiseModel(1e-6, 3e-4)),
-        ("specific_force", NoiseModel(0.0, 3e-4)),
+        ("displacement", Noise(1e-2, 2e-3)),
+        ("displacement", Noise(1e-3, 2e-3)),
+        ("displacement", Noise(1e-4, 2e-3)),
+        ("displacement", Noise(1e-6, 2e-3)),
+        ("velocity", Noise(1e-6, 3e-4)),
+        ("specific_force", Noise(0.0, 3e-4)),
     ],
 )
 def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
@@ -361,12 +362,12 @@ def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
     rejected = 0
     for _ in range(4):
         drawn = [noisy(one, noise, rng) for one in series]
-        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(noise.white, noise.random_walk)})
+        found = estimate(drawn, MODEL, {"Qx": Noise(noise.white, noise.random_walk)})
         rejected += sum(mask.sum() for mask in found.outliers)
     assert rejected <= 2
 
 
-@pytest.mark.parametrize("white", [None, 0.02])
+@pytest.mark.parametrize("white", [WANTED, 0.02])
 def test_noise_of_the_time_stamps_goes_with_the_slope(white):
     """It is less than the white noise at the lowest rate, and forty times it at the highest."""
     rng = np.random.default_rng(22)
@@ -375,9 +376,9 @@ def test_noise_of_the_time_stamps_goes_with_the_slope(white):
         one = simulated(f"run{i}", rate, TRUTH, observable="specific_force")
         slope = (one.reference(later=1e-4) - one.reference(later=-1e-4)) / 2e-4
         late = timing * rng.standard_normal(one.time.size)
-        moved = noisy(replace(one, error=one.error + slope * late), NoiseModel(0.02), rng)
+        moved = noisy(replace(one, error=one.error + slope * late), Noise(0.02), rng)
         drawn.append(moved.with_timing(timing))
-    found = estimate(drawn, MODEL, {"Qx": NoiseRequest(white, 0.0)})
+    found = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)})
     solution = found.fit.solution
     assert found.fit.noise["Qx"].white == pytest.approx(0.02, rel=0.2)
     assert abs(solution.chi2 / solution.dof - 1.0) < 4 * math.sqrt(2 / solution.dof)
@@ -395,9 +396,10 @@ def test_good_samples_that_an_earlier_model_made_stand_out_are_taken_back(clean)
     prepared = prepare_columns(drawn, MODEL, {"Qx": TRUTH["K_I"]})
     kept = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
     fit = solve_joint(kept, MODEL, {"Qx": WHITE})
-    again = _with_all(fit, kept, drawn, MODEL, {"Qx": NoiseRequest(0.01, 0.0)}, outliers)
-    assert [np.flatnonzero(mask).tolist() for mask in outliers] == [[], [], [100]]
-    only = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
+    noise, outliers = {"Qx": Noise(0.01, 0.0)}, tuple(outliers)
+    again, left = cleaning.taken_back(fit, (prepared, MODEL), drawn, noise, outliers)
+    assert [np.flatnonzero(mask).tolist() for mask in left] == [[], [], [100]]
+    only = [part.without(mask) for part, mask in zip(prepared, left, strict=True)]
     expected = solve_joint(only, MODEL, {"Qx": WHITE}).solution
     np.testing.assert_allclose(again.solution.u, expected.u, rtol=1e-9)
     np.testing.assert_allclose(again.solution.estimate, expected.estimate, rtol=1e-6, atol=1e-12)

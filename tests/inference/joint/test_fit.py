@@ -26,20 +26,20 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference.diagnostics import SIGNIFICANCE, diagnose
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns, prepared_for
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.spindle import Spindle
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRIALS = 10_000 if FULL else 150
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
-WHITE = NoiseModel(0.01)
-MIXED = NoiseModel(0.01, 3e-4)  # the walk reaches six times the white noise within a run
+WHITE = Noise(0.01)
+MIXED = Noise(0.01, 3e-4)  # the walk reaches six times the white noise within a run
 SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 
 
@@ -184,7 +184,7 @@ def k_ii_of(series, model, noise=WHITE):
 
 
 def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
-    fine = NoiseModel(1e-4)
+    fine = Noise(1e-4)
     solution, index, error = k_ii_of(cross_coupled, Unknowns(unknowns(TRUTH, PRIORS)), fine)
     assert abs(error) > 30 * math.sqrt(solution.covariance_noise[index, index])
     # Level, one sense: K_OO adds itself to K_II; D_zx adds g D/(R w) at the weights of the rates.
@@ -194,9 +194,7 @@ def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
 
 
 @pytest.mark.parametrize("kind", [Unknown, Considered], ids=["estimated", "considered"])
-@pytest.mark.parametrize(
-    "noise", [WHITE, NoiseModel(1e-4)], ids=["centimetres", "tenth-millimetres"]
-)
+@pytest.mark.parametrize("noise", [WHITE, Noise(1e-4)], ids=["centimetres", "tenth-millimetres"])
 def test_estimated_with_a_prior_or_considered_u_covers(cross_coupled, kind, noise):
     base = unknowns(TRUTH, PRIORS)
     extra = both(kind)
@@ -257,7 +255,7 @@ def test_two_accelerometers_share_the_platform():
     }
     truth = {s: TRUTH[s] for s in ("K_F", "K_I", "K_II")}
     series = {name: three_rates(truth, platform, accelerometer=name) for name in ("Qx", "Qy")}
-    noise = {"Qx": WHITE, "Qy": NoiseModel(0.02)}
+    noise = {"Qx": WHITE, "Qy": Noise(0.02)}
 
     def drift_of(names):
         model = Unknowns((*(u for name in names for u in own[name]), *shared))
@@ -327,10 +325,10 @@ def test_three_attitudes_separate_the_three_squares():
     [
         ("displacement", WHITE),
         ("displacement", MIXED),
-        ("velocity", NoiseModel(1e-3)),
-        ("velocity", NoiseModel(1e-3, 3e-4)),
-        ("specific_force", NoiseModel(1e-3)),
-        ("specific_force", NoiseModel(0.0, 3e-4)),
+        ("velocity", Noise(1e-3)),
+        ("velocity", Noise(1e-3, 3e-4)),
+        ("specific_force", Noise(1e-3)),
+        ("specific_force", Noise(0.0, 3e-4)),
     ],
 )
 def test_every_observable_shows_the_same_truth(observable, noise):
@@ -429,7 +427,7 @@ def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
     assert not np.allclose(fit.solution.u[2:], direct.solution.u[2:], rtol=0.1)
 
 
-@pytest.mark.parametrize("level", [NoiseModel(0.02), NoiseModel(3.0, 0.0, 0.5)])
+@pytest.mark.parametrize("level", [Noise(0.02), Noise(3.0, 0.0, 0.5)])
 def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
     model = Unknowns(
         unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
@@ -582,9 +580,7 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
         )
 
 
-@pytest.mark.parametrize(
-    "noise", [NoiseModel(5e-4), NoiseModel(5e-4, 1.5e-5)], ids=["white", "mixed"]
-)
+@pytest.mark.parametrize("noise", [Noise(5e-4), Noise(5e-4, 1.5e-5)], ids=["white", "mixed"])
 def test_an_input_with_a_prior_is_estimated_as_by_dense_least_squares(noise):
     """Covariances n x n, priors as further observations, the radius' column by simulation."""
     radius, u = 2.5, 1e-4
@@ -631,7 +627,7 @@ def test_an_input_with_a_prior_is_estimated_as_by_dense_least_squares(noise):
 
     inputs = [Unknown("", s, (0.0, u), 0.1, asked=False) for s, u in sizes.items()]
     model = Unknowns((*unknowns(TRUTH, PRIORS), *inputs))
-    request = {"Qx": NoiseRequest(noise.white, noise.random_walk)}
+    request = {"Qx": Noise(noise.white, noise.random_walk)}
     solution = estimate(series, model, request, reject=False).fit.solution
     spread = np.sqrt(np.diag(covariance))
     # Derivatives are taken at the estimate here, at the truth there.

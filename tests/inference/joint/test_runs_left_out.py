@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.found_noise import losses
 from counterspin.inference.joint.runs_left_out import growth, leave_out
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import WANTED, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 WHITE = 0.01
@@ -20,7 +21,7 @@ K_II = 2
 
 def fitted(seed, request, model=MODEL):
     rng = np.random.default_rng(seed)
-    series = [noisy(one, NoiseModel(WHITE), rng) for one in three_rates(TRUTH)]
+    series = [noisy(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
     return estimate(series, model, {"Qx": request}, reject=False)
 
 
@@ -37,12 +38,12 @@ def gain_of_shift(fit, run):
 
 @pytest.fixture(scope="module")
 def given():
-    return fitted(1, NoiseRequest(WHITE, 0.0))
+    return fitted(1, Noise(WHITE, 0.0))
 
 
 def test_the_shift_is_that_of_a_fit_without_the_run(given):
     *_, shift = leave_out(given, K_II)
-    without = estimate(given.series[:2], MODEL, {"Qx": NoiseRequest(WHITE, 0.0)}, reject=False)
+    without = estimate(given.series[:2], MODEL, {"Qx": Noise(WHITE, 0.0)}, reject=False)
     assert shift.value == pytest.approx(without.fit.solution.estimate[K_II], rel=1e-9)
     assert shift.shift == pytest.approx(shift.value - given.fit.solution.estimate[K_II], rel=1e-9)
     assert shift.dof is None
@@ -59,17 +60,16 @@ def test_its_variance_is_that_of_its_gains(given):
 
 
 def test_more_noise_that_nobody_knows_of_adds_what_the_gains_make_of_it(given):
-    # White noise that is larger by a thousandth in the variance: every row's gain counts.
-    fit, more = given.fit, 1e-3
+    fit = given.fit
     runs = [part.run for part in fit.prepared]
-    noisier = fit.with_noise({"Qx": NoiseModel(WHITE * np.sqrt(1.0 + more))})
-    for run, added in zip(runs, growth(fit, noisier, runs, K_II), strict=True):
+    for run, slopes in zip(runs, growth(fit, losses(fit, "Qx"), runs, K_II), strict=True):
+        # Every row's gain counts, in rows of unit variance.
         noise = sum(float(rows @ rows) for rows in gain_of_shift(fit, run))
-        assert added == pytest.approx(more * noise, rel=3e-3)
+        assert slopes[0] * WHITE**2 == pytest.approx(noise, rel=1e-6)
 
 
 def test_an_estimated_noise_has_its_degrees_of_freedom():
-    found = fitted(2, NoiseRequest(None, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
+    found = fitted(2, Noise(WANTED, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
     (component,) = found.components.values()
     for shift in leave_out(found, K_II):
         # White noise alone: rows less unknowns, as of every estimate.
@@ -77,7 +77,7 @@ def test_an_estimated_noise_has_its_degrees_of_freedom():
 
 
 def test_noise_that_does_not_show_is_in_the_variance():
-    found = fitted(3, NoiseRequest(None, None))
+    found = fitted(3, Noise(WANTED, WANTED))
     (component,) = found.components.values()
     assert component.unseen is not None
     known = replace(found, components={"Qx": replace(component, unseen=None)})

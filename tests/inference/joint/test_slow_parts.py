@@ -7,15 +7,15 @@ import pytest
 from joint_campaign import noisy, three_rates, unknowns
 from scipy.stats import f as fisher
 
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.slow_parts import _cosines, slow_parts
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import WANTED, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"]))
-NOISE = NoiseModel(0.01, 3e-4)
+NOISE = Noise(0.01, 3e-4)
 
 
 def fitted(noise, bend=0.0):
@@ -23,7 +23,7 @@ def fitted(noise, bend=0.0):
     series = [noisy(one, noise, rng) for one in three_rates(TRUTH)]
     phase = np.pi * series[2].time / series[2].time[-1]
     series[2] = replace(series[2], error=series[2].error + bend * np.sin(phase))
-    found = estimate(series, MODEL, {"Qx": NoiseRequest(None, None)}, reject=False)
+    found = estimate(series, MODEL, {"Qx": Noise(WANTED, WANTED)}, reject=False)
     return found.components["Qx"], relax(found.fit)
 
 
@@ -54,7 +54,7 @@ def test_noise_that_acts_in_every_run_is_alike_in_all(walking):
 
 
 def test_a_bend_of_one_run_is_not():
-    components, fit = fitted(NoiseModel(0.01), bend=1.0)
+    components, fit = fitted(Noise(0.01), bend=1.0)
     assert "random_walk" in components.estimated
     found = slow_parts(fit, "Qx")
     worst = min(found, key=lambda part: part.p)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.turned import ACROSS, turned, with_turned
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
 
 PRIORS = {
@@ -45,10 +45,8 @@ def test_a_quarter_turns_pendulous_to_output_axis(quarters):
 def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
     rng, white = np.random.default_rng(3), 0.01 if observable == "displacement" else 1e-4
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
-    series = [
-        noisy(one, NoiseModel(white), rng) for one in three_rates(truth, observable=observable)
-    ]
-    request = {"Qx": NoiseRequest(white, 0.0)}
+    series = [noisy(one, Noise(white), rng) for one in three_rates(truth, observable=observable)]
+    request = {"Qx": Noise(white, 0.0)}
     found = with_turned(
         relax(estimate(series, MODEL, request, reject=False).fit), "Qx", quarters
     ).solution
@@ -65,7 +63,7 @@ def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
 
 def test_another_accelerometer_stays_as_it_is():
     series = three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
-    fit = relax(estimate(series, MODEL, {"Qx": NoiseRequest(0.01, 0.0)}, reject=False).fit)
+    fit = relax(estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
     np.testing.assert_array_equal(
         with_turned(fit, "Qy", 1).solution.estimate, fit.solution.estimate
     )

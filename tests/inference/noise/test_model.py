@@ -1,11 +1,15 @@
+import math
+import pickle
+
 import mpmath
 import numpy as np
 import pytest
 import sympy
 
 from counterspin.inference.noise.model import (
+    WANTED,
     Differences,
-    NoiseModel,
+    Noise,
     make_whitener,
     solve_banded_factor,
 )
@@ -90,9 +94,7 @@ def test_closed_forms_of_even_spacing(block, published):
 
 
 @pytest.mark.parametrize("order", [2, 1, 0])
-@pytest.mark.parametrize(
-    "noise", [NoiseModel(1, 1e-6), NoiseModel(1, 1), NoiseModel(0.3, 30, 1), NoiseModel(0, 1)]
-)
+@pytest.mark.parametrize("noise", [Noise(1, 1e-6), Noise(1, 1), Noise(0.3, 30, 1), Noise(0, 1)])
 @pytest.mark.parametrize("shape", ["points", "uneven points", "blocks and gaps"])
 def test_whitened_rows_have_unit_covariance(order, noise, shape):
     n, h = 30, 0.1
@@ -114,7 +116,7 @@ def test_whitened_rows_have_unit_covariance(order, noise, shape):
 
 def test_samples_of_a_block_need_no_spacing_where_most_blocks_adjoin():
     times, count = blocks_with_gaps(40, 0.1)
-    noise = NoiseModel(1, 3)
+    noise = Noise(1, 3)
     stated = make_whitener(times, 2, noise, count, 0.1)
     inferred = make_whitener(times, 2, noise, count)
     np.testing.assert_allclose(inferred.bands, stated.bands, rtol=1e-12, atol=1e-14)
@@ -147,7 +149,7 @@ def test_factor_keeps_its_digits_at_any_ratio(ratio):
 def test_white_noise_alone_is_a_division():
     times, count = blocks_with_gaps(20, 0.1)
     rows = np.random.default_rng(1).normal(size=(20, 3))
-    whitener = make_whitener(times, 2, NoiseModel(0.2, quantisation=0.6), count)
+    whitener = make_whitener(times, 2, Noise(0.2, quantisation=0.6), count)
     sigma = np.sqrt(0.04 + 0.03)
     expected = rows / sigma * np.sqrt(count)[:, None]
     np.testing.assert_allclose(whitener.apply(rows), expected, rtol=1e-14)
@@ -159,10 +161,10 @@ def test_white_noise_alone_is_a_division():
 def test_start_errors_are_gone_or_still_to_be_estimated(order):
     times, count = blocks_with_gaps(50, 0.1)
     start_errors = times[:, None] ** np.arange(order)
-    mixed = make_whitener(times, order, NoiseModel(1, 1), count)
+    mixed = make_whitener(times, order, Noise(1, 1), count)
     assert mixed.polynomials == 0
     np.testing.assert_allclose(mixed.apply(start_errors), 0, atol=1e-12)
-    white = make_whitener(times, order, NoiseModel(1), count)
+    white = make_whitener(times, order, Noise(1), count)
     assert white.polynomials == order
     assert white.rows == len(times)
 
@@ -170,7 +172,7 @@ def test_start_errors_are_gone_or_still_to_be_estimated(order):
 def test_information_is_all_that_the_record_holds():
     """Cramer-Rao: X' V^-1 X with the start errors projected out, V dense."""
     times, count = blocks_with_gaps(60, 0.1)
-    noise = NoiseModel(0.01, 0.02)
+    noise = Noise(0.01, 0.02)
     w, bias = 2.0, 9.8 * times**2 / 2
     design = np.column_stack([bias, (bias / 19.6 + (1 - np.cos(2 * w * times)) / 8 / w**2)])
     rows = make_whitener(times, 2, noise, count, 0.1).apply(design)
@@ -184,7 +186,7 @@ def test_information_is_all_that_the_record_holds():
 
 def test_a_column_vector_and_a_matrix_whiten_alike():
     times = np.arange(30) * 0.1
-    whitener = make_whitener(times, 2, NoiseModel(1, 1))
+    whitener = make_whitener(times, 2, Noise(1, 1))
     rows = np.random.default_rng(2).normal(size=(30, 2))
     np.testing.assert_array_equal(whitener.apply(rows)[:, 1], whitener.apply(rows[:, 1]))
 
@@ -192,13 +194,13 @@ def test_a_column_vector_and_a_matrix_whiten_alike():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (([0, 1, 1, 2], 2, NoiseModel(1)), "increase"),
-        (([0, 1], 2, NoiseModel(1, 1)), "too few"),
-        ((np.arange(9), 3, NoiseModel(1)), "order is 3"),
-        ((np.arange(9), 2, NoiseModel(0)), "all components are zero"),
-        ((np.arange(9), 2, NoiseModel(1, 1), 0), "counts"),
-        ((np.arange(9), 2, NoiseModel(1, 1), 5, 0.25), "overlap"),
-        ((np.arange(9), 2, NoiseModel(1, 1), 5, 0.0), "spacing"),
+        (([0, 1, 1, 2], 2, Noise(1)), "increase"),
+        (([0, 1], 2, Noise(1, 1)), "too few"),
+        ((np.arange(9), 3, Noise(1)), "order is 3"),
+        ((np.arange(9), 2, Noise(0)), "all components are zero"),
+        ((np.arange(9), 2, Noise(1, 1), 0), "counts"),
+        ((np.arange(9), 2, Noise(1, 1), 5, 0.25), "overlap"),
+        ((np.arange(9), 2, Noise(1, 1), 5, 0.0), "spacing"),
     ],
 )
 def test_what_cannot_be_whitened_is_refused(arguments, words):
@@ -209,7 +211,21 @@ def test_what_cannot_be_whitened_is_refused(arguments, words):
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_noise_is_not_negative(value):
     with pytest.raises(ValueError, match="random_walk"):
-        NoiseModel(1.0, value)
+        Noise(1.0, value)
+
+
+def test_what_is_wanted_is_no_number_and_one_object_in_every_process():
+    asked = Noise(WANTED, 0.2, 0.1, WANTED)
+    assert asked.wanted == ("white", "flicker")
+    assert asked.wanders
+    again = pickle.loads(pickle.dumps(asked))
+    assert again.white is WANTED
+    assert again.known == Noise(0.0, 0.2, 0.1)
+    assert repr(WANTED) == "WANTED"
+    with pytest.raises(ValueError, match="quantisation"):
+        Noise(1.0, 0.0, WANTED)
+    found = asked.with_variances((0.25, 9.0, 0.04, 9.0))
+    assert found == Noise(math.sqrt(0.25 - 0.01 / 12), 0.2, 0.1, 0.2)
 
 
 def test_a_singular_factor_is_refused():
@@ -222,7 +238,7 @@ def test_white_noise_of_another_size_in_each_row_is_whitened(order):
     """Beside a walk: its covariance is that of white acceleration integrated once or twice."""
     t = 0.5 * np.arange(1.0, 9.0)
     added = np.linspace(0.5, 3.0, 8)
-    whiten = make_whitener(t, order, NoiseModel(1.0, 0.7), sample_spacing=0.5, added=added)
+    whiten = make_whitener(t, order, Noise(1.0, 0.7), sample_spacing=0.5, added=added)
     early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
     walk = (np.eye(8) / 0.5, early, early**2 * (3.0 * late - early) / 6.0)[order]
     rows = whiten.apply(np.eye(8))

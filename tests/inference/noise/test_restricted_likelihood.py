@@ -1,12 +1,18 @@
 """The scale of the noise where few rows, or none, are left beside the unknowns."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.noise.restricted_likelihood import RecordData, RestrictedLikelihood
+from counterspin.inference.noise.model import Noise, make_whitener
+from counterspin.inference.noise.restricted_likelihood import (
+    WHITE,
+    RecordData,
+    RestrictedLikelihood,
+)
 
 
 def likelihood(unknowns, width, noise=1e-6):
@@ -22,22 +28,43 @@ def likelihood(unknowns, width, noise=1e-6):
 @pytest.mark.parametrize("width", [1.0, 1e3, 1e9])
 def test_as_many_unknowns_as_rows_leave_no_noise_to_be_told(unknowns, width):
     with pytest.raises(NotIdentifiableError, match="the unknowns follow all of 6 rows"):
-        likelihood(unknowns, width).best_scale(0.0)
+        likelihood(unknowns, width).best_scale(WHITE)
 
 
 @pytest.mark.parametrize("width", [1.0, 1e3, 1e9])
 def test_one_row_more_than_unknowns_tells_it(width):
     few = likelihood(5, width)
-    scale = few.best_scale(0.0)
-    assert few.freedom(scale, 0.0) == pytest.approx(1.0, abs=1e-6)
-    assert abs(few.slope(scale, 0.0)) < 1e-6
+    scale = few.best_scale(WHITE)
+    assert few.freedom(scale, WHITE) == pytest.approx(1.0, abs=1e-6)
+    assert abs(few.slope(scale, WHITE)) < 1e-6
     # A single degree of freedom: within the central 99.9 % of chi-square.
     assert 3.9e-7 < math.exp(scale) / 1e-12 < 12.2
 
 
 def test_priors_that_hold_the_unknowns_leave_rows():
     held = likelihood(7, 1e-9, noise=1e-2)
-    scale = held.best_scale(0.0)
-    assert held.freedom(scale, 0.0) == pytest.approx(6.0, abs=1e-3)
+    scale = held.best_scale(WHITE)
+    assert held.freedom(scale, WHITE) == pytest.approx(6.0, abs=1e-3)
     # Six degrees of freedom: within the central 99.9 % of chi-square.
     assert 0.299 < 6.0 * math.exp(scale) / 1e-4 < 24.11
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_likelihood_is_that_of_the_whitened_rows(order):
+    """Patterson and Thompson's, with the whitener whose rows are tested for themselves."""
+    rng = np.random.default_rng(5)
+    times = np.linspace(0.0, 200.0, 101)
+    design = np.column_stack([times**order, np.cos(0.3 * times)])
+    values = rng.standard_normal(times.size)
+    records = [RecordData(times, order, design, values, before=50.0)]
+    likelihood_of = RestrictedLikelihood.of(records, None, None)
+    white = 0.7
+    found = likelihood_of.value(math.log(white), (1.0, 1e-4, 1e-5, 1e-6))
+    noise = Noise(*(math.sqrt(white * part) for part in (1.0, 1e-4)), 0.0)
+    noise = replace(noise, flicker=math.sqrt(white * 1e-5), bias_walk=math.sqrt(white * 1e-6))
+    whitener = make_whitener(times, order, noise, before=50.0)
+    x, y = whitener.apply(design), whitener.apply(values)
+    _, log_information = np.linalg.slogdet(x.T @ x)
+    left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+    expected = -(whitener.log_det + log_information + left @ left) / 2
+    assert found == pytest.approx(expected, rel=1e-9)

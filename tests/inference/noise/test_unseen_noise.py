@@ -10,19 +10,19 @@ from joint_campaign import RATES, noisy, simulated, three_rates, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
 from counterspin.inference.joint.budget import NOISE, budget
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.search import KEEPING_GAIN
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
-from counterspin.inference.noise.variance_components import KEEPING_GAIN
 from counterspin.physics.terms import term
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
-BOTH = {"Qx": NoiseRequest(None, None)}
+BOTH = {"Qx": Noise(WANTED, WANTED)}
 
 
 # The pieces ---------------------------------------------------------------------------------------
@@ -145,7 +145,7 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
     trials = 1000 if FULL else 20
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
-        drawn = [noisy(one, NoiseModel(0.01, walk), rng) for one in clean]
+        drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
         found = estimate(drawn, MODEL, BOTH, reject=False)
         kept += "random_walk" in found.components["Qx"].estimated
         size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
@@ -163,7 +163,7 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
 
 @pytest.fixture(scope="module")
 def dropped(clean):
-    drawn = [noisy(one, NoiseModel(0.01), np.random.default_rng(4)) for one in clean]
+    drawn = [noisy(one, Noise(0.01), np.random.default_rng(4)) for one in clean]
     found = estimate(drawn, MODEL, BOTH, reject=False)
     assert found.components["Qx"].dropped == ("random_walk",)
     return drawn, found
@@ -172,7 +172,7 @@ def dropped(clean):
 def test_the_estimate_is_that_of_white_noise(dropped):
     drawn, found = dropped
     white = found.fit.noise["Qx"].white
-    given = estimate(drawn, MODEL, {"Qx": NoiseRequest(white, 0.0)}, reject=False)
+    given = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)}, reject=False)
     np.testing.assert_array_equal(found.fit.solution.estimate, given.fit.solution.estimate)
     assert not given.fit.unseen
     assert given.fit.solution.covariance_unseen is None
@@ -190,7 +190,7 @@ def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
                 one,
                 series=noisy(
                     replace(one.series, error=np.zeros(one.series.time.size)),
-                    NoiseModel(0.0, level),
+                    Noise(0.0, level),
                     rng,
                 ),
             )
@@ -234,7 +234,7 @@ def random_estimate(seed):
         considered += [Considered(run.run, "platform.tilt.north", tilt, 1e-2) for run in runs]
     priors = dict.fromkeys(extra, (0.0, 2e-06)) | {"K_I": (1.0, 5e-4)}
     model = Unknowns(unknowns([*TRUTH, *extra], priors), tuple(considered))
-    noise = NoiseModel(0.01, 10 ** rng.uniform(-6, -3.7))
+    noise = Noise(0.01, 10 ** rng.uniform(-6, -3.7))
     return estimate([noisy(run, noise, rng) for run in runs], model, BOTH, reject=False)
 
 
@@ -296,11 +296,11 @@ def test_the_budget_says_what_does_not_show(dropped):
 
 
 def test_only_a_walk_that_was_asked_for_can_be_missed(clean):
-    drawn = [noisy(one, NoiseModel(0.01), np.random.default_rng(6)) for one in clean]
-    found = estimate(drawn, MODEL, {"Qx": NoiseRequest(None, 0.0)}, reject=False)
+    drawn = [noisy(one, Noise(0.01), np.random.default_rng(6)) for one in clean]
+    found = estimate(drawn, MODEL, {"Qx": Noise(WANTED, 0.0)}, reject=False)
     assert found.components["Qx"].unseen is None
     # White noise of a known size leaves the walk to be looked for all the same.
-    found = estimate(drawn, MODEL, {"Qx": NoiseRequest(0.01, None)}, reject=False)
+    found = estimate(drawn, MODEL, {"Qx": Noise(0.01, WANTED)}, reject=False)
     assert found.components["Qx"].dropped == ("random_walk",)
     assert found.fit.unseen["Qx"][0] > 0.0
     assert found.dof[0] < 50

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from counterspin.inference.noise.model import NoiseModel, make_whitener
+from counterspin.inference.noise.model import Noise, make_whitener
 from counterspin.inference.noise.wander import (
     LOWEST,
-    Levels,
     coefficient_root,
     flicker_autocovariance,
     functions_needed,
@@ -49,7 +48,7 @@ def test_allan_deviation_has_its_floor():
 def test_spectrum_of_the_cosines_is_that_of_the_process(levels, power):
     """Within 4 % over the band that a record of this length has, from 4/T to 0.8 r/(2T)."""
     count, points = 64, 1600
-    root = coefficient_root(Levels(*map(float, levels)), count, LENGTH, before=0.0)
+    root = coefficient_root(tuple(map(float, levels)), count, LENGTH, before=0.0)
     times = (np.arange(points) + 0.5) * LENGTH / points
     bias = np.cos(math.pi * np.outer(times, np.arange(count)) / LENGTH) @ root
     window = 0.5 - 0.5 * np.cos(2 * math.pi * times / LENGTH)
@@ -93,7 +92,7 @@ def dense(order, noise, times, before, fine=3000):
 @pytest.mark.parametrize("order", [1, 2])
 def test_whitened_rows_have_unit_covariance(order, walk):
     times = np.linspace(0.0, 300.0, 151)
-    noise = NoiseModel({1: 1e-4, 2: 5e-3}[order], walk, 0.0, flicker=2e-5, bias_walk=1e-6)
+    noise = Noise({1: 1e-4, 2: 5e-3}[order], walk, 0.0, flicker=2e-5, bias_walk=1e-6)
     before = 500.0
     whitener = make_whitener(times, order, noise, before=before)
     operator = whitener.apply(np.eye(times.size))
@@ -103,7 +102,7 @@ def test_whitened_rows_have_unit_covariance(order, walk):
     _, log_det = np.linalg.slogdet(rows @ covariance @ rows.T)
     assert whitener.log_det == pytest.approx(log_det, abs=3e-3 * times.size)
     # Without it, the wander would be most of what is taken for white noise.
-    plain = make_whitener(times, order, NoiseModel(noise.white, walk))
+    plain = make_whitener(times, order, Noise(noise.white, walk))
     added = np.diag(plain.apply(np.eye(times.size)) @ covariance @ plain.apply(np.eye(151)).T)
     assert added.max() > 2.0
 
@@ -111,7 +110,7 @@ def test_whitened_rows_have_unit_covariance(order, walk):
 def test_blocks_are_whitened_as_their_samples_means():
     """Specific force in blocks of ten: sd 1 for each whitened block of exact means."""
     fine = (np.arange(1000) + 0.5) * 0.1
-    noise = NoiseModel(1e-4, 0.0, 0.0, flicker=5e-5, bias_walk=0.0)
+    noise = Noise(1e-4, 0.0, 0.0, flicker=5e-5, bias_walk=0.0)
     covariance = noise.flicker**2 * flicker_autocovariance(
         np.abs(fine[:, None] - fine), LOWEST, 5.0
     ) + noise.white**2 * np.eye(fine.size)
@@ -122,8 +121,8 @@ def test_blocks_are_whitened_as_their_samples_means():
 
 
 def test_more_functions_where_the_wander_is_larger():
-    quiet = functions_needed(Levels(1e-4, 0.0, 1e-12, 0.0), 0.02, LENGTH, 2)
-    loud = functions_needed(Levels(1e-4, 0.0, 1e-8, 0.0), 0.02, LENGTH, 2)
+    quiet = functions_needed((1e-4, 0.0, 1e-12, 0.0), 0.02, LENGTH, 2)
+    loud = functions_needed((1e-4, 0.0, 1e-8, 0.0), 0.02, LENGTH, 2)
     assert quiet < loud < 200
     # At the highest frequency the other noise is a thousand times the wander.
     w = math.pi * loud / LENGTH

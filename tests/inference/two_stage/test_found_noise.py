@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from counterspin.inference.joint.budget import budget
-from counterspin.inference.noise.model import WALK_UNIT
+from counterspin.inference.noise.model import WALK_UNIT, Noise
+from counterspin.inference.noise.search import FoundNoise, effective_dof
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
-from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof_of
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
@@ -23,20 +23,17 @@ PRIORS = {"K_III": (0.0, 1e-6)}
 
 
 def found(white, walk, *, estimated=("white", "random_walk"), unseen=None):
-    covariance = np.diag([1e-11, 0.0])
+    covariance = np.diag([1e-11, 0.0, 0.0, 0.0])
     if walk:
-        covariance = np.array([[1e-11, -2e-13], [-2e-13, 4e-14]])
-    return VarianceComponents(
-        white=white,
-        random_walk=walk,
-        quantisation=0.0,
+        covariance[:2, :2] = [[1e-11, -2e-13], [-2e-13, 4e-14]]
+    return FoundNoise(
+        noise=Noise(white, walk),
         covariance=covariance,
         estimated=estimated,
         dropped=() if walk else ("random_walk",),
         log_likelihoods={},
         degrees_of_freedom=100.0,
         evaluations=1,
-        converged=True,
         unseen=unseen,
     )
 
@@ -58,11 +55,18 @@ def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
     _, second = resolved(components.noise)
     wider = with_found_noise(second, components)
 
-    def variances(noise):
-        return np.diag(resolved(noise)[1].fit.solution.covariance_noise)
+    def variance(white=1.0, walk=1.0):
+        level = Noise(0.01 * math.sqrt(white), 1e-3 * math.sqrt(walk))
+        return np.diag(resolved(level)[1].fit.solution.covariance_noise)
 
     # The gains move with the noise, which at the optimum costs nothing of first order.
-    np.testing.assert_allclose(wider.dof, effective_dof_of(variances, components), rtol=1e-3)
+    by_white, by_walk = (
+        (variance(**{name: 1.01}) - variance(**{name: 0.99})) / (0.02 * size)
+        for name, size in (("white", 1e-4), ("walk", 1e-6))
+    )
+    slopes = np.column_stack([by_white, by_walk])
+    expected = effective_dof(variance(), slopes, components.covariance[:2, :2])
+    np.testing.assert_allclose(wider.dof, expected, rtol=1e-3)
     assert np.isfinite(wider.dof).all()
     assert wider.fit.solution.covariance_unseen is None
 

@@ -42,18 +42,15 @@ from counterspin.inference.joint.alternatives import (
     of_unstated,
     scores,
 )
-from counterspin.inference.joint.estimation import (
-    Estimate,
-    NoiseRequest,
-    estimate_again,
-    unseen_covariance,
-)
+from counterspin.inference.joint.estimation import Estimate, estimate_again
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.found_noise import unseen_covariance
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.plausible import log_evidence
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, OWN_TERMS
 from counterspin.reports.numbers import format_number
 
@@ -468,10 +465,10 @@ def _put_right(
     return after, replace(explained, head=head, value=float(solution.estimate[-1]), u=u)
 
 
-def _again(now: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]) -> Estimate:
+def _again(now: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
     if not now.components:
         dof = np.full(len(fit.model.unknowns), math.inf)
-        return replace(now, fit=fit, dof=dof, core=None)
+        return replace(now, fit=fit, dof=dof, core=None, lost={})
     return estimate_again(now, fit, requests)
 
 

@@ -5,8 +5,10 @@
 - `prepared`: the columns of each record, computed once
 - `encoder`: what the encoder's noise leaves open of each run's rotation
 - `fit`: one weighted fit of everything
-- `estimation`: the joint estimate step by step
-- `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
+- `estimation`: the joint estimate, stage by stage
+- `outliers`, `cleaning`: samples that noise does not explain, left out round by round
+- `found_noise`: noise found in the records, and what its own uncertainty leaves open
+- `rotation`: how runs without angles turned
 - `condensed`: what nobody asks for, in as few columns as the records can tell from nothing
 - `budget`: where the uncertainty of a coefficient comes from
 - `kinds`: whether data of several kinds agree; `runs_left_out`: what becomes of an estimate

@@ -19,7 +19,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.physics import observation, quadrature
 from counterspin.physics.angle_error import SLOW, AngleError, displaced
 from counterspin.physics.effects import Product
@@ -125,9 +125,7 @@ def _slope(rows: Mapping[Product, float], a_ipo: Array) -> Array:
     )
 
 
-def with_encoder(
-    model: Unknowns, series: Sequence[Series], noise: Mapping[str, NoiseModel]
-) -> Unknowns:
+def with_encoder(model: Unknowns, series: Sequence[Series], noise: Mapping[str, Noise]) -> Unknowns:
     """Return a model that holds what the encoder leaves open; itself if that is negligible.
 
     A disturbance of the records moves no coefficient by more than u_noise times its own norm, the
@@ -162,7 +160,7 @@ def with_encoder(
     )
 
 
-def _norms(series: Series, error: AngleError, noise: NoiseModel) -> Array:
+def _norms(series: Series, error: AngleError, noise: Noise) -> Array:
     """Return the squares of the terms' norms in a record, or bounds that are negligible, (m,)."""
     # In a record of specific force the accelerometer's noise is white too.
     walk = noise.random_walk**2 / series.block_spacing if series.order == 0 else 0.0

@@ -27,7 +27,7 @@ from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 
 
 @frozen
@@ -48,7 +48,7 @@ class JointFit:
     #: The columns and each series' square-root information, in the order of the series.
     prepared: tuple[Prepared, ...]
     blocks: tuple[Block, ...]
-    noise: Mapping[str, NoiseModel]  #: By accelerometer.
+    noise: Mapping[str, Noise]  #: By accelerometer.
     #: By accelerometer, where there is any: a random walk that the records do not show, N in
     #: (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class JointFit:
     #: Rows of unit variance that they were reduced from, [unknowns | considered | target].
     beside_rows: Mapping[str, Array] = field(default_factory=dict)
 
-    def with_noise(self, noise: Mapping[str, NoiseModel]) -> JointFit:
+    def with_noise(self, noise: Mapping[str, Noise]) -> JointFit:
         """Return the fit with other noise; records whose noise stays remain as they are reduced."""
         blocks = tuple(
             _block_again(block, prepared, self.model, self.noise[name], noise[name])
@@ -128,7 +128,7 @@ class JointFit:
 
 
 def solve_joint(
-    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, NoiseModel]
+    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, Noise]
 ) -> JointFit:
     """Solve a prepared problem for given noise."""
     blocks = blocks_of(prepared, model, noise)
@@ -136,14 +136,14 @@ def solve_joint(
 
 
 def blocks_of(
-    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, NoiseModel]
+    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, Noise]
 ) -> list[Block]:
     """Return each record's square-root information; arguments and errors as of `solve_joint`."""
     return [_block(part, model, noise[part.accelerometer]) for part in prepared]
 
 
 def _block_again(
-    block: Block, prepared: Prepared, model: Unknowns, before: NoiseModel, after: NoiseModel
+    block: Block, prepared: Prepared, model: Unknowns, before: Noise, after: Noise
 ) -> Block:
     """Reduce a series again; where only the level of its white noise is another, scale it."""
     was, now = (prepared.series.total(noise) for noise in (before, after))
@@ -161,7 +161,7 @@ def _block_again(
     )
 
 
-def _block(prepared: Prepared, model: Unknowns, noise: NoiseModel) -> Block:
+def _block(prepared: Prepared, model: Unknowns, noise: Noise) -> Block:
     """Whiten one series and reduce it, then put its columns where the model has them."""
     series = prepared.series
     if series.time.size <= series.order:

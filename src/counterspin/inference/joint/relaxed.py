@@ -18,7 +18,7 @@ from counterspin.inference.joint.fit import JointFit, blocks_of, relaxed_block, 
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 
 
 def relax(fit: JointFit) -> JointFit:
@@ -60,7 +60,7 @@ def relax(fit: JointFit) -> JointFit:
 def widened(
     fit: JointFit,
     columns: Sequence[Mapping[int, Array]],
-    noise: Mapping[str, NoiseModel],
+    noise: Mapping[str, Noise],
     readings: Sequence[Mapping[str, Array]] = (),
 ) -> tuple[tuple[Prepared, ...], tuple[Block, ...], dict[str, Block]]:
     """Return records and blocks of a relaxed fit, readings' last, with further columns.

@@ -14,7 +14,7 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 
 _ROUNDS: Final = 20  #: of Gauss and Newton's iteration
 
@@ -32,7 +32,7 @@ def find_rotation(
     series: Sequence[Series],
     model: Unknowns,
     scale_factors: Mapping[str, float],
-    rough: Mapping[str, NoiseModel],
+    rough: Mapping[str, Noise],
 ) -> tuple[Series, ...]:
     """Find start angle, rate and drift of each run.
 

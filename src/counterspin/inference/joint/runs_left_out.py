@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -19,10 +18,11 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import countable
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.found_noise import losses
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import COMPONENTS
+from counterspin.inference.noise.search import effective_dof
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
-from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof_of
 
 #: Part of an unknown's u below which a shift's own uncertainty is rounding.
 _LEAST_SHARE: Final = 1e-6
@@ -55,7 +55,7 @@ def leave_out(estimated: Estimate, index: int) -> list[Jackknife]:
     ]
     # What nobody asks for need not be apart for the rest.
     fit = estimated.core or estimated.fit
-    variance, dof = _spread(fit, runs, index, estimated.components.get(unknown.owner))
+    variance, dof = _spread(estimated, fit, runs, index)
     for run, square, freedom in zip(runs, variance.tolist(), dof.tolist(), strict=True):
         value = float(_solution_without(fit, run).estimate[index])
         shift = value - float(fit.solution.estimate[index])
@@ -71,23 +71,20 @@ def leave_out(estimated: Estimate, index: int) -> list[Jackknife]:
 
 
 def _spread(
-    fit: JointFit, runs: Sequence[str], index: int, component: VarianceComponents | None
+    estimated: Estimate, fit: JointFit, runs: Sequence[str], index: int
 ) -> tuple[Array, Array]:
     """Return the variance of each run's shift and its degrees of freedom, shapes (runs,)."""
     variance = _variances(fit, runs, index)
     inverse = np.zeros(len(runs))
-    if component is not None and runs:
-        owner = fit.model.unknowns[index].owner
-
-        def variances(noise: NoiseModel) -> Array:
-            return _variances(fit.with_noise({owner: noise}), runs, index)
-
-        inverse = 1.0 / effective_dof_of(variances, component)
-        if component.unseen is not None:
-            step = component.unseen.step
-            walking = replace(fit.noise[owner], random_walk=math.sqrt(step))
-            slope = growth(fit, fit.with_noise({owner: walking}), runs, index) / step
-            variance, inverse = _with_unseen(component.unseen, variance, slope, inverse)
+    owner = fit.model.unknowns[index].owner
+    found = estimated.components.get(owner)
+    if found is not None and runs:
+        lost = estimated.lost.get(owner)
+        slopes = growth(fit, losses(fit, owner) if lost is None else lost, runs, index)
+        inverse = 1.0 / effective_dof(variance, slopes, found.covariance)
+        if found.unseen is not None:
+            slope = slopes[:, COMPONENTS.index("random_walk")]
+            variance, inverse = _with_unseen(found.unseen, variance, slope, inverse)
     with np.errstate(divide="ignore"):
         return variance, 1.0 / inverse
 
@@ -114,23 +111,27 @@ def _variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
     return variances
 
 
-def growth(fit: JointFit, noisier: JointFit, runs: Sequence[str], index: int) -> Array:
-    """Return what a little more noise, which nobody knows of, adds to each shift's variance.
+def growth(fit: JointFit, lost: Array, runs: Sequence[str], index: int) -> Array:
+    """Return what each variance of a noise adds to each shift's variance per unit, (runs, 4).
 
-    The whole estimate is W (the estimate without the run) + the run's own part, which is
-    independent of it, with W = C I, the whole's covariance times the information without the run.
-    So the shift's covariance is V + V' - W V' - V' W', V and V' being those of whole and rest.
-    More noise adds to V and V' what it adds to the least covariance, to first order.
+    Both estimates keep their weights. With C the covariance, and L what the information loses, the
+    whole estimate's grows by C L C, that without the run by its own, and their covariance by the
+    mixed product; the run itself has no part in the latter two.
+
+    lost: `found_noise.losses` of the fit.
     """
-    known = fit.solution.least_covariance
-    whole = noisier.solution.least_covariance - known
-    added = np.zeros(len(runs))
+    whole = fit.solution
+    unit = np.eye(len(fit.model.unknowns))
+    mine = whole.root_of(unit[index : index + 1])[0]
+    grown = np.zeros((len(runs), lost.shape[1]))
     for k, run in enumerate(runs):
-        before, after = _solution_without(fit, run), _solution_without(noisier, run)
-        rest = after.least_covariance - before.least_covariance
-        weight = before.informed(known[index])
-        added[k] = rest[index, index] + whole[index, index] - 2.0 * float(weight @ rest[:, index])
-    return np.maximum(added, 0.0)
+        without = _solution_without(fit, run)
+        # In the coordinates of the losses, in which the whole's own information is the identity.
+        theirs = whole.in_rows(without.least_covariance[index])
+        rest = lost[[part.run != run for part in fit.prepared]].sum(axis=0)
+        away = theirs - mine
+        grown[k] = away @ rest @ away + mine @ (lost.sum(axis=0) - rest) @ mine
+    return grown
 
 
 def _with_unseen(

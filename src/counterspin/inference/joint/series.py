@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.noise.model import NoiseModel, Whitener, make_whitener
+from counterspin.inference.noise.model import Differences, Noise, Whitener, whitener_of
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.angle_error import AngleError
@@ -143,7 +144,7 @@ class Series:
         """Return the columns of start offset and start velocity, 1 and t, shape (n, count)."""
         return np.vander(self.time, count, increasing=True)
 
-    def total(self, noise: NoiseModel) -> NoiseModel:
+    def total(self, noise: Noise) -> Noise:
         """Return the noise of an accelerometer with what the time stamps' noise adds here."""
         return replace(noise, white=math.hypot(noise.white, self.jitter))
 
@@ -186,14 +187,12 @@ class Series:
         """Variance of a sample's jitter in each row, (n,); () without any."""
         return np.zeros(()) if self.moved is None else self.moved**2
 
-    def whitener(self, noise: NoiseModel) -> Whitener:
+    @cached_property
+    def differences(self) -> Differences:
+        """The differences of the rows in which start offset and velocity do not show."""
+        return Differences.of(self.time, self.order, self.count, self.block_spacing)
+
+    def whitener(self, noise: Noise) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""
-        return make_whitener(
-            self.time,
-            self.order,
-            noise,
-            self.count,
-            self.block_spacing,
-            self.trajectory.conditions.start,
-            self.jitter_variance,
-        )
+        start = self.trajectory.conditions.start
+        return whitener_of(self.differences, noise, start, self.jitter_variance)

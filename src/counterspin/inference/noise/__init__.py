@@ -2,7 +2,7 @@
 
 - `model`, `riccati`: models of a record's noise, and whitening with them
 - `wander`: flicker and random walk of the bias
-- `variance_components`, `restricted_likelihood`: the noise's size, estimated from the records
-- `wander_components`: the same where the bias wanders
+- `search`, `restricted_likelihood`: the noise's size, estimated from the records
+- `growth`: what more noise takes from what a record says
 - `unseen_noise`: what noise that the records do not show may add to the uncertainty
 """

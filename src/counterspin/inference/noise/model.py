@@ -23,6 +23,7 @@ Without a random walk a row is divided by its standard deviation, and nothing is
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -33,8 +34,8 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 from counterspin.inference.noise.wander import (
-    Levels,
     LowRank,
+    Variances,
     coefficient_root,
     functions_needed,
     integrated_cosines,
@@ -43,26 +44,55 @@ from counterspin.inference.noise.wander import (
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
-WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of `NoiseModel.random_walk`
+WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of `Noise.random_walk`
+
+
+class _Wanted(float):
+    """A size that is to be estimated: no number, and one object in every process."""
+
+    def __repr__(self) -> str:
+        return "WANTED"
+
+    def __reduce__(self) -> str:
+        return "WANTED"
+
+
+#: In place of a size of `Noise`: to be estimated from the records.
+WANTED: Final = _Wanted("nan")
+
+#: What noise may consist of, in the order of `Noise.variances`.
+COMPONENTS: Final = ("white", "random_walk", "flicker", "bias_walk")
 
 
 @frozen
-class NoiseModel:
-    """Noise of one accelerometer's records."""
+class Noise:
+    """Noise of one accelerometer's records; each of `COMPONENTS` is a number or `WANTED`."""
 
     white: float  #: Standard deviation per sample, in the observable's unit (m, m/s or m/s^2).
     random_walk: float = 0.0  #: N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
-    quantisation: float = 0.0  #: Step of the recorded observable, same unit as `white`.
+    quantisation: float = 0.0  #: Step of the recorded observable, same unit as `white`; a number.
     #: Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5; see
     #: `counterspin.inference.noise.wander`.
     flicker: float = 0.0
     bias_walk: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("white", "random_walk", "quantisation", "flicker", "bias_walk"):
+        for name in (*COMPONENTS, "quantisation"):
             value = getattr(self, name)
+            if value is WANTED and name in COMPONENTS:
+                continue
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"noise: {name} is {value}; it must be zero or positive")
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Which components are to be estimated."""
+        return tuple(name for name in COMPONENTS if getattr(self, name) is WANTED)
+
+    @property
+    def known(self) -> Noise:
+        """The same without what is to be estimated."""
+        return replace(self, **dict.fromkeys(self.wanted, 0.0))
 
     @property
     def sample_variance(self) -> float:
@@ -71,13 +101,20 @@ class NoiseModel:
 
     @property
     def wanders(self) -> bool:
-        """Whether the bias wanders."""
-        return self.flicker > 0.0 or self.bias_walk > 0.0
+        """Whether the bias wanders, or may."""
+        return self.flicker != 0.0 or self.bias_walk != 0.0
 
     @property
-    def levels(self) -> Levels:
-        """The variances."""
-        return Levels(self.sample_variance, self.random_walk**2, self.flicker**2, self.bias_walk**2)
+    def variances(self) -> Variances:
+        """Those of `COMPONENTS`, quantisation included."""
+        walks = (self.random_walk, self.flicker, self.bias_walk)
+        return (self.sample_variance, *(size**2 for size in walks))
+
+    def with_variances(self, variances: Variances) -> Noise:
+        """Return the noise with what is to be estimated as the variances say."""
+        white = max(variances[0] - self.quantisation**2 / 12, 0.0)
+        sizes = dict(zip(COMPONENTS, map(math.sqrt, (white, *variances[1:])), strict=True))
+        return replace(self, **{name: sizes[name] for name in self.wanted})
 
 
 @frozen
@@ -145,19 +182,34 @@ class Differences:
         # Steps first: the weights then multiply small numbers, and lose fewer digits.
         return np.asfortranarray(second * steps[1:] - first * steps[:-1])
 
-    def wander(self, order: int, levels: Levels, before: float) -> Array:
+    def back(self, rows: Array) -> Array:
+        """(n - order, k) rows -> (n, k): `apply` transposed."""
+        if self.order == 0:
+            return rows
+        whole = np.zeros((len(self.blocks.time), rows.shape[1]))
+        first, second = (1.0, 1.0) if self.order == 1 else (w[:, None] for w in self._weights())
+        whole[self.order :] += second * rows
+        whole[: -self.order] += first * rows * (-1.0) ** self.order
+        if self.order == DISPLACEMENT:
+            whole[1:-1] -= 2.0 * rows
+        return whole
+
+    def wander(self, order: int, variances: Variances, before: float) -> list[Array]:
         """Return differences of what the rows show of a wandering bias, one column a direction.
+
+        Of all wander together, and of flicker of B = 1 and a walk of K = 1 by the same cosines.
 
         before: For how long the bias had walked when the record began, s.
         """
         length = spanned(float(self.blocks.time[-1]))
-        count = functions_needed(levels, float(np.median(self.spacing)), length, order)
+        count = functions_needed(variances, float(np.median(self.spacing)), length, order)
         shown = self.apply(
             integrated_cosines(
                 self.blocks.time, self.blocks.count, self.spacing, order, count, length
             )
         )
-        return np.asarray(shown @ coefficient_root(levels, count, length, before))
+        sizes = (variances, (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        return [shown @ coefficient_root(size, count, length, before) for size in sizes]
 
     def _weights(self) -> tuple[Array, Array]:
         """(n-2,) weights of the earliest and latest of three rows; the middle one has -2."""
@@ -231,13 +283,14 @@ class Whitener:
         return white if self.wander is None else self.wander.apply(white)
 
 
-def solve_banded_factor(bands: Array, rows: Array) -> Array:
-    """L^-1 rows for a lower banded L as `Differences.factor` gives it."""
+def solve_banded_factor(bands: Array, rows: Array, transposed: bool = False) -> Array:
+    """L^-1 rows for a lower banded L as `Differences.factor` gives it, or L'^-1 rows."""
     if bands.shape[0] == 1:
         return np.asarray(rows / (bands[0] if rows.ndim == 1 else bands[0][:, None]))
     from scipy.linalg.lapack import dtbtrs
 
-    solution, failed = dtbtrs(bands, rows if rows.ndim == 2 else rows[:, None], uplo="L")
+    columns = rows if rows.ndim == 2 else rows[:, None]
+    solution, failed = dtbtrs(bands, columns, uplo="L", trans="T" if transposed else "N")
     if failed:
         raise ArithmeticError("the noise has no spread in some row: its covariance is singular")
     return np.asarray(solution if rows.ndim == 2 else solution[:, 0])
@@ -246,7 +299,7 @@ def solve_banded_factor(bands: Array, rows: Array) -> Array:
 def make_whitener(
     times: ArrayLike,
     order: int,
-    noise: NoiseModel,
+    noise: Noise,
     count: ArrayLike | None = None,
     sample_spacing: ArrayLike | None = None,
     before: float = 0.0,
@@ -260,20 +313,30 @@ def make_whitener(
     count: (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
     sample_spacing: s, (n,) or a number: time between the samples of a block; absent: what makes
         most blocks adjoin.
+    before, added: As of `whitener_of`.
+    """
+    return whitener_of(Differences.of(times, order, count, sample_spacing), noise, before, added)
+
+
+def whitener_of(
+    differences: Differences, noise: Noise, before: float = 0.0, added: float | Array = 0.0
+) -> Whitener:
+    """Whitener of one record.
+
     before: For how long the bias had walked when the record began, s.
+    added: White variance of the samples beside that of the noise, of all or of each row, (n,).
     """
     white, walk = noise.sample_variance + added, noise.random_walk**2
     if np.any(white + walk == 0):
         raise ValueError("noise: all components are zero, so rows cannot be weighted")
-    differences = Differences.of(times, order, count, sample_spacing)
-    polynomials = 0
+    order, polynomials = differences.order, 0
     if walk == 0:
         polynomials = order
         differences = Differences(SPECIFIC_FORCE, differences.blocks, differences.spacing)
     bands, log_det = differences.factor(white, walk)
     if not noise.wanders:
         return Whitener(differences, bands, log_det, polynomials)
-    levels = replace(noise.levels, white=float(np.mean(white)))
-    shown = differences.wander(order, levels, before)
+    variances = (float(np.mean(white)), *noise.variances[1:])
+    shown = differences.wander(order, variances, before)[0]
     wander = LowRank.of(solve_banded_factor(bands, shown))
     return Whitener(differences, bands, log_det + wander.log_det, polynomials, wander)

@@ -1,7 +1,7 @@
 """The restricted likelihood of a noise model: what records say of it, whatever the unknowns are.
 
-Differencing removes start offset and velocity, whitening for a trial ratio of walk to white noise
-and one QR leave a triangle that serves every noise level (Patterson and Thompson, Biometrika 58
+Differencing removes start offset and velocity, whitening for trial ratios of the variances and one
+QR leave a triangle that serves every scale of the noise (Patterson and Thompson, Biometrika 58
 (1971) 545; Harville, JASA 72 (1977) 320).
 """
 
@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Differences, solve_banded_factor
-from counterspin.inference.noise.wander import Levels, LowRank
+from counterspin.inference.noise.wander import LowRank, Variances
+
+#: White noise alone.
+WHITE: Final = (1.0, 0.0, 0.0, 0.0)
 
 #: Rows less what the unknowns follow of them, below which rounding is all that is left.
 _LEAST_FREEDOM: Final = 1e-9
@@ -41,25 +44,16 @@ class RecordData:
     #: (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
     places: ArrayLike | None = None
     before: float = 0.0  #: For how long a bias had walked when the record began, s.
-    #: (n,) or a number: white variance of each row's samples over that which is estimated.
-    shares: float | Array = 1.0
-
-
-class Ratios(NamedTuple):
-    """Variances over that of the white noise: N^2, B^2 and K^2 of a wandering bias."""
-
-    walk: float
-    flicker: float
-    bias_walk: float
+    #: (n,) or a number: a variance of each row's samples that is known, beside what is estimated.
+    added: float | Array = 0.0
 
 
 @dataclass
 class RestrictedLikelihood:
-    """The restricted likelihood of (log scale, ratio) of records and priors.
+    """The restricted likelihood of noise of variances exp(log scale) x unit, and of priors.
 
-    The noise of all rows is exp(log scale) (white + ratio x walk), or the walk alone where the
-    ratio is infinite. Where the bias wanders, `Ratios` stand in place of the ratio. Whitened rows
-    are reduced to a triangle that is kept for each ratio.
+    Whitened rows are reduced to a triangle that is kept for each unit. Where records have a known
+    variance beside it, the unit is the noise itself, and the scale 1.
     """
 
     differences: list[Differences]
@@ -68,8 +62,8 @@ class RestrictedLikelihood:
     prior: Array  # [rows | values]
     orders: list[int]
     before: list[float]
-    shares: list[float | Array]
-    triangles: dict[float | Ratios, tuple[Array, float]] = field(default_factory=dict)
+    added: list[float | Array]
+    triangles: dict[Variances, tuple[Array, float]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -78,7 +72,7 @@ class RestrictedLikelihood:
         prior_rows: ArrayLike | None,
         prior_values: ArrayLike | None,
     ) -> RestrictedLikelihood:
-        """Difference the records; arguments and errors as in `variance_components.estimate`."""
+        """Difference the records; arguments as of `search.find_noise`."""
         if not records:
             raise ValueError("noise cannot be estimated from no records")
         if len({record.order for record in records}) > 1:
@@ -103,7 +97,7 @@ class RestrictedLikelihood:
             np.column_stack([known, values]),
             [record.order for record in records],
             [record.before for record in records],
-            [record.shares for record in records],
+            [record.added for record in records],
         )
         # What differencing leaves of a start error in the design is rounding, not an unknown.
         before, after = np.zeros(known.shape[1]), np.zeros(known.shape[1])
@@ -135,7 +129,7 @@ class RestrictedLikelihood:
         """Unknowns that span what can be told; the likelihood depends on their span only."""
         from scipy.linalg import qr
 
-        joined = np.vstack([self._triangle(0.0)[0], self.prior])[:, :-1]
+        joined = np.vstack([self._triangle(WHITE)[0], self.prior])[:, :-1]
         scaled = joined / np.linalg.norm(joined, axis=0)
         factor, order = qr(scaled, mode="r", pivoting=True)
         return np.sort(order[: factor.shape[0]][np.abs(np.diagonal(factor)) > 1e-11])
@@ -147,39 +141,49 @@ class RestrictedLikelihood:
 
     @property
     def evaluations(self) -> int:
-        """For how many ratios the rows were whitened."""
+        """For how many units the rows were whitened."""
         return len(self.triangles)
 
     @property
-    def log_ratios(self) -> Array:
-        """Ratios from a walk that the longest record cannot show to one that hides white noise."""
-        order = self.differences[0].order
+    def least_walk(self) -> float:
+        """Log of the ratio of N^2 to the white variance that the longest record cannot show."""
+        order = self.orders[0]
         steps = np.concatenate([np.diff(d.blocks.time) for d in self.differences])
         counts = np.concatenate([d.blocks.count for d in self.differences])
         unit = 1 / (np.median(counts) * np.median(steps) ** (2 * order - 1))
         longest = max(d.rows for d in self.differences)
-        low, high = math.log(0.1 * unit * longest ** (-2.0 * order)), math.log(1e4 * unit)
-        return np.linspace(low, high, 3 + math.ceil((high - low) / math.log(1e4)))
+        return math.log(0.1 * unit * longest ** (-2.0 * order))
 
-    def value(self, log_scale: float, ratio: float | Ratios) -> float:
+    @property
+    def walk_range(self) -> float:
+        """Over how much of the logarithm above that walk and white noise show beside each other."""
+        return 2.0 * self.orders[0] * math.log(max(d.rows for d in self.differences))
+
+    def without_added(self) -> RestrictedLikelihood:
+        """Return the likelihood with all of the samples' white variance to be estimated."""
+        if not any(map(np.any, self.added)):
+            return self
+        return replace(self, added=[0.0] * len(self.added), triangles={})
+
+    def value(self, log_scale: float, unit: Variances) -> float:
         """Restricted log-likelihood, but for a constant of the records."""
-        joined, _ = self._joined(log_scale, ratio)
-        log_det = self._triangle(ratio)[1] + self.rows * log_scale
+        joined, _ = self._joined(log_scale, unit)
+        log_det = self._triangle(unit)[1] + self.rows * log_scale
         log_information = 2 * float(np.log(np.abs(np.diagonal(joined)[:-1])).sum())
         return -(log_det + log_information + float(joined[-1, -1]) ** 2) / 2
 
-    def slope(self, log_scale: float, ratio: float | Ratios) -> float:
+    def slope(self, log_scale: float, unit: Variances) -> float:
         """Differentiate `value` by the log scale."""
-        freedom, rss = self._freedom_and_rss(log_scale, ratio)
+        freedom, rss = self._freedom_and_rss(log_scale, unit)
         return (rss - freedom) / 2
 
-    def freedom(self, log_scale: float, ratio: float | Ratios) -> float:
+    def freedom(self, log_scale: float, unit: Variances) -> float:
         """Rows less the unknowns that the rows themselves determine."""
-        return self._freedom_and_rss(log_scale, ratio)[0]
+        return self._freedom_and_rss(log_scale, unit)[0]
 
-    def best_scale(self, ratio: float | Ratios) -> float:
+    def best_scale(self, unit: Variances) -> float:
         """Log scale at which `slope` is zero."""
-        values = self._triangle(ratio)[0][:, -1]
+        values = self._triangle(unit)[0][:, -1]
         left = self.rows - self.prior.shape[1] + 1
         # Where unknowns can follow all rows, only their priors leave anything: from above.
         rss = float(values[-1]) ** 2 if left > 0 else float(values @ values)
@@ -189,7 +193,7 @@ class RestrictedLikelihood:
             )
         log_scale = math.log(rss / (left if left > 0 else self.rows))
         for _ in range(100 if len(self.prior) else 0):
-            freedom, scaled = self._freedom_and_rss(log_scale, ratio)
+            freedom, scaled = self._freedom_and_rss(log_scale, unit)
             if freedom <= _LEAST_FREEDOM * self.rows or scaled <= 0.0:
                 raise NotIdentifiableError(
                     f"the unknowns follow all of {self.rows} rows, so that no noise shows beside "
@@ -201,8 +205,8 @@ class RestrictedLikelihood:
                 break
         return log_scale
 
-    def _freedom_and_rss(self, log_scale: float, ratio: float | Ratios) -> tuple[float, float]:
-        joined, data = self._joined(log_scale, ratio)
+    def _freedom_and_rss(self, log_scale: float, unit: Variances) -> tuple[float, float]:
+        joined, data = self._joined(log_scale, unit)
         if len(self.prior) == 0:
             return self.rows - data.shape[1] + 1.0, float(data[-1, -1]) ** 2
         inverse = np.linalg.inv(joined[:-1, :-1])
@@ -210,35 +214,34 @@ class RestrictedLikelihood:
         residual = data[:, -1] - leverage @ joined[:-1, -1]
         return self.rows - float(np.sum(leverage**2)), float(residual @ residual)
 
-    def _joined(self, log_scale: float, ratio: float | Ratios) -> tuple[Array, Array]:
+    def _joined(self, log_scale: float, unit: Variances) -> tuple[Array, Array]:
         """Triangle of [unknowns | observations] with and without the priors' rows."""
-        data = self._triangle(ratio)[0] * math.exp(-log_scale / 2)
+        data = self._triangle(unit)[0] * math.exp(-log_scale / 2)
         return (triangle_of(np.vstack([data, self.prior])) if len(self.prior) else data), data
 
-    def _whitened(self, index: int, ratio: float | Ratios) -> tuple[Array, float]:
+    def _whitened(self, index: int, unit: Variances) -> tuple[Array, float]:
         """Return a record's whitened rows at unit scale, and the log-determinant of their noise."""
         differences, stack = self.differences[index], self.stacks[index]
-        share = self.shares[index]
-        if not isinstance(ratio, Ratios):
-            scales = (0.0, 1.0) if math.isinf(ratio) else (share, ratio)
-            bands, log_det = differences.factor(*scales)
-            return solve_banded_factor(bands, stack), log_det
-        bands, log_det = differences.factor(share, ratio.walk)
-        shown = differences.wander(self.orders[index], Levels(1.0, *ratio), self.before[index])
+        bands, log_det = differences.factor(unit[0] + self.added[index], unit[1])
+        rows = solve_banded_factor(bands, stack)
+        if not any(unit[2:]):
+            return rows, log_det
+        beside = float(unit[0] + np.mean(self.added[index]))
+        shown, *_ = differences.wander(self.orders[index], (beside, *unit[1:]), self.before[index])
         wander = LowRank.of(solve_banded_factor(bands, shown))
-        return wander.apply(solve_banded_factor(bands, stack)), log_det + wander.log_det
+        return wander.apply(rows), log_det + wander.log_det
 
-    def _triangle(self, ratio: float | Ratios) -> tuple[Array, float]:
+    def _triangle(self, unit: Variances) -> tuple[Array, float]:
         """Triangle of the whitened rows at unit scale, and the log-determinant of their noise."""
-        if ratio not in self.triangles:
+        if unit not in self.triangles:
             width = self.prior.shape[1]
             log_det, parts = 0.0, [np.zeros((width, width))]
             for index, place in enumerate(self.places):
-                rows, part = self._whitened(index, ratio)
+                rows, part = self._whitened(index, unit)
                 log_det += part
-                own = triangle_of(rows)
+                own = triangle_of(in_parts(rows))
                 whole = np.zeros((own.shape[0], width))
                 whole[:, np.append(place, width - 1)] = own
                 parts.append(whole)
-            self.triangles[ratio] = triangle_of(np.vstack(parts)), log_det
-        return self.triangles[ratio]
+            self.triangles[unit] = triangle_of(np.vstack(parts)), log_det
+        return self.triangles[unit]

@@ -230,7 +230,7 @@ def _prefix(elements: Array) -> Array:
     return running
 
 
-def _combine(early: Sequence[Any] | Array, late: Sequence[Any] | Array) -> list[Any]:
+def _combine(early: Any, late: Any) -> list[Any]:
     """Two stretches of the record become one.
 
     A stretch is (A, C, J): state after = A x state before + noise of covariance C; the stretch
@@ -268,7 +268,7 @@ def _combine(early: Sequence[Any] | Array, late: Sequence[Any] | Array) -> list[
     ]
 
 
-def _through(states: Any, stretch: Sequence[Any]) -> list[Any]:
+def _through(states: Any, stretch: Any) -> list[Any]:
     """Return covariances of the state as they are a stretch later: A (P^-1 + J)^-1 A' + C."""
     p11, p12, p22 = states
     a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = stretch

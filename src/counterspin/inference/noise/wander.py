@@ -44,6 +44,11 @@ _OVERHANG_PART: Final = 0.02
 _ROUNDING: Final = 1e-9
 
 
+#: Variances of a record's noise: of what is white in a sample, quantisation included, in the
+#: observable's unit squared; N^2 of the accelerometer's white noise; B^2 and K^2.
+Variances = tuple[float, ...]
+
+
 def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
     """Return the autocovariance of flicker of B = 1 between two frequencies.
 
@@ -61,36 +66,26 @@ def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
     return np.where(lag > 0.0, upper - lower, math.log(high / low)) / math.pi
 
 
-@frozen
-class Levels:
-    """Variances of all noise of a record."""
-
-    white: float  #: Of a sample, in the observable's unit squared, quantisation included.
-    walk: float  #: N^2, of the accelerometer's white noise.
-    #: B^2 and K^2.
-    flicker: float
-    bias_walk: float
-
-
 def spanned(last: float) -> float:
     """Return the length over which the cosines run, of a record whose last row is at `last` s."""
     return (1.0 + _OVERHANG_PART) * last
 
 
-def functions_needed(levels: Levels, spacing: float, length: float, order: int) -> int:
+def functions_needed(variances: Variances, spacing: float, length: float, order: int) -> int:
     """Return how many cosines show the wander wherever the other noise does not cover it.
 
     spacing: Time between samples, s.
     length: Of the record, s.
     """
     fewest, most = _FUNCTION_RANGE
+    white, other, flicker, bias_walk = variances
     # No more than the samples can show.
     most = max(fewest, min(most, math.floor(0.9 * length / spacing)))
     count = fewest
     while count < most:
         w = math.pi * count / length
-        wander = levels.flicker / w + levels.bias_walk / w**2
-        if wander <= _LEAST_WANDER_PART * (levels.white * spacing * w ** (2 * order) + levels.walk):
+        wander = flicker / w + bias_walk / w**2
+        if wander <= _LEAST_WANDER_PART * (white * spacing * w ** (2 * order) + other):
             break
         # Few different numbers: what was worked out for one of them serves again.
         count = math.ceil(1.25 * count)
@@ -137,14 +132,14 @@ def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
     return project @ flicker @ project.T, project @ walk @ project.T
 
 
-def coefficient_root(levels: Levels, count: int, length: float, before: float) -> Array:
+def coefficient_root(variances: Variances, count: int, length: float, before: float) -> Array:
     """Return a square root of the cosines' covariance, shape (count, count).
 
     before: For how long the bias had walked when the record began, s.
     """
     flicker, walk = _coefficient_covariances(count, length)
-    covariance = levels.flicker * flicker + levels.bias_walk * walk
-    covariance[0, 0] += levels.bias_walk * before
+    covariance = variances[2] * flicker + variances[3] * walk
+    covariance[0, 0] += variances[3] * before
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root

@@ -10,7 +10,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.noise.model import DISPLACEMENT, NoiseModel, make_whitener
+from counterspin.inference.noise.model import DISPLACEMENT, Noise, make_whitener
 from counterspin.inference.two_stage.strobes import FEWEST_STROBES, Strobes
 
 #: A strobe is no block of samples: its extent, in parts of the time between two.
@@ -106,7 +106,7 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
         whiten = make_whitener(
             strobes.time,
             DISPLACEMENT,
-            NoiseModel(used, random_walk),
+            Noise(used, random_walk),
             strobes.noise_factor**-2.0,
             _STROBE_EXTENT * float(np.diff(strobes.time).min()),
         )

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from counterspin.inference.noise.search import FoundNoise, effective_dof
 from counterspin.inference.noise.unseen_noise import lengthened
-from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof
 from counterspin.inference.two_stage.first_stage import Parabola, walk_covariance
 from counterspin.inference.two_stage.second_stage import SecondStage
 
 
-def with_found_noise(second: SecondStage, components: VarianceComponents) -> SecondStage:
+def with_found_noise(second: SecondStage, components: FoundNoise) -> SecondStage:
     """Return the second stage with what the estimate of its noise leaves open.
 
     The covariance is linear in the white variance and in N^2, the gains being what they are. So
@@ -27,7 +27,7 @@ def with_found_noise(second: SecondStage, components: VarianceComponents) -> Sec
     fit, gain = second.fit, second.gain
     total = np.diag(fit.solution.covariance)
     gradient = gain**2 @ np.column_stack([by_white, by_walk])
-    inverse = 1.0 / second.dof + 1.0 / effective_dof(total, gradient, components.covariance)
+    inverse = 1.0 / second.dof + 1.0 / effective_dof(total, gradient, components.covariance[:2, :2])
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
     known = (fit.solution.u > 0.0) & (fit.solution.u < limits) & (gradient[:, 1] > 0.0)
     if components.unseen is not None and known.any():

@@ -11,7 +11,7 @@ from typing import Final, Literal
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.strobes import Strobes
 from counterspin.physics.as_printed import RippleModel
@@ -101,7 +101,7 @@ class TwoStageRequest:
         known = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
         return {symbol: prior for symbol, prior in known.items() if symbol not in self.unknowns}
 
-    def with_noise(self, noise: NoiseModel) -> TwoStageRequest:
+    def with_noise(self, noise: Noise) -> TwoStageRequest:
         """Return the request with noise that was found, where it states none."""
         if self.random_walk is not None:
             return self

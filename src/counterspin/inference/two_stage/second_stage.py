@@ -27,7 +27,7 @@ from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
-from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.curvatures import (
     LEAST_SIGMA,
     curvature_row,
@@ -206,7 +206,7 @@ def resolve(
     The model is `curvatures.two_stage_model`'s; errors are those of `second_stage`.
     """
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
-    noise = {series[0].accelerometer: NoiseModel(parabolas[0].sigma, request.random_walk or 0.0)}
+    noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}
 
     def solved(prepared: Sequence[Prepared], model: Unknowns) -> JointFit:
         blocks = tuple(

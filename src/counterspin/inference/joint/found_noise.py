@@ -1,0 +1,142 @@
+"""Noise found in the records of a joint fit, and what its own uncertainty leaves open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.joint.condensed import white_level
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.growth import information_lost
+from counterspin.inference.noise.model import COMPONENTS, Noise
+from counterspin.inference.noise.restricted_likelihood import RecordData
+from counterspin.inference.noise.search import FoundNoise, effective_dof, find_noise
+from counterspin.inference.noise.unseen_noise import lengthened
+
+#: Least u of a prior in the likelihood, in units of the unknown's credible limit.
+_LEAST_PRIOR_U: Final = 1e-12
+
+_WALK: Final = COMPONENTS.index("random_walk")
+
+
+def noise_of(
+    prepared: Sequence[Prepared],
+    model: Unknowns,
+    requests: Mapping[str, Noise],
+    *,
+    rough: bool = False,
+) -> tuple[dict[str, Noise], dict[str, FoundNoise]]:
+    """Return each accelerometer's noise, given or by restricted maximum likelihood.
+
+    Where `rough`, white noise from what changes from row to row does for what is not given.
+    """
+    noise: dict[str, Noise] = {}
+    found: dict[str, FoundNoise] = {}
+    for name, request in requests.items():
+        own = [part for part in prepared if part.accelerometer == name]
+        if not request.wanted:
+            noise[name] = request
+        elif rough and (white := max(map(white_level, own))) > 0.0:
+            noise[name] = Noise(white)
+        else:
+            found[name] = _found(own, model, request)
+            noise[name] = found[name].noise
+    return noise, found
+
+
+def _found(prepared: Sequence[Prepared], model: Unknowns, request: Noise) -> FoundNoise:
+    # What is considered is unknown here, or what it does to the records would be taken for noise.
+    every, p = (*model.unknowns, *model.considered), len(model.unknowns)
+    places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
+    used = sorted({index for own in places for index in own})
+    records = [
+        RecordData(
+            part.series.time,
+            part.series.order,
+            np.column_stack([part.design, part.fixed]),
+            part.series.error,
+            part.series.count,
+            part.series.block_spacing,
+            [used.index(index) for index in own],
+            part.series.trajectory.conditions.start,
+            part.series.jitter_variance,
+        )
+        for part, own in zip(prepared, places, strict=True)
+    ]
+    # Priors are data too; what has none is held as loosely as in the solution.
+    chosen = [every[index] for index in used]
+    spread = np.array([max(unknown.spread, _LEAST_PRIOR_U * unknown.limit) for unknown in chosen])
+    means = np.array([unknown.prior_mean for unknown in chosen])
+    return find_noise(records, request, np.diag(1.0 / spread), means / spread)
+
+
+def losses(fit: JointFit, name: str) -> Array:
+    """Return what each series' information loses per unit of each variance of a noise.
+
+    In the coordinates in which all information is the identity (`Solution.root_of`), (series,
+    4, f, f); zero for other accelerometers' series.
+    """
+    root = fit.solution.root_of(np.eye(len(fit.model.unknowns)))
+    lost = np.zeros((len(fit.prepared), len(COMPONENTS), root.shape[1], root.shape[1]))
+    for place, part in enumerate(fit.prepared):
+        if part.accelerometer == name:
+            series, columns = part.series, part.design @ root[list(part.unknowns)]
+            start = series.trajectory.conditions.start
+            lost[place] = information_lost(
+                series.differences, columns, fit.noise[name], start, series.jitter_variance
+            )
+    return lost
+
+
+def with_found_noise(
+    fit: JointFit, found: Mapping[str, FoundNoise], lost: Mapping[str, Array]
+) -> tuple[JointFit, Array]:
+    """Return a fit with what the estimates of its noise leave open, and degrees of freedom, (p,).
+
+    The weights are what they are. So the degrees of freedom of a variance are Satterthwaite's,
+    those of several accelerometers adding up as their inverses, and a random walk that the records
+    do not show but allow adds its share. Considered terms have no part in the weights: their part
+    of the covariance stays as it is. Unknowns that are not determined, or known exactly, are left
+    as they are.
+    """
+    solution = fit.solution
+    variance, inverse = np.diag(solution.covariance), np.zeros(len(fit.model.unknowns))
+    root = solution.root_of(np.eye(inverse.size))
+    growth = {name: root @ lost[name].sum(axis=0) @ root.T for name in found}
+    for name, one in found.items():
+        gradient = np.diagonal(growth[name], axis1=1, axis2=2).T
+        inverse += 1.0 / effective_dof(variance, gradient, one.covariance)
+    limits = np.array([unknown.limit for unknown in fit.model.unknowns])
+    known = (solution.u > 0.0) & (solution.u < limits)
+    unseen: dict[str, tuple[float, Array]] = {}
+    for name, one in found.items():
+        slope = np.where(np.outer(known, known), growth[name][_WALK], 0.0)
+        diagonal = np.diag(slope)
+        if one.unseen is None or not diagonal.any():
+            continue
+        own = np.where(known, variance, 1.0)
+        level, longer = lengthened(one.unseen, own, diagonal)
+        unseen[name] = math.sqrt(level), level * slope
+        share = own / (own + level * diagonal)
+        inverse = np.where(known, share**2 * inverse + 1.0 / longer, inverse)
+    with np.errstate(divide="ignore"):
+        dof = 1.0 / inverse
+    if not unseen:
+        return fit, dof
+    added = np.sum([covariance for _, covariance in unseen.values()], axis=0)
+    return replace(fit, solution=replace(solution, covariance_unseen=added), unseen=unseen), dof
+
+
+def unseen_covariance(fit: JointFit, found: Mapping[str, FoundNoise]) -> Array:
+    """Return what walks that the records do not show may add to a fit's covariance, (p, p)."""
+    hidden = {name: one for name, one in found.items() if one.unseen is not None}
+    wider, _ = with_found_noise(fit, hidden, {name: losses(fit, name) for name in hidden})
+    added = wider.solution.covariance_unseen
+    return np.zeros_like(fit.solution.covariance) if added is None else added

@@ -1,0 +1,405 @@
+"""Noise estimated from records by restricted maximum likelihood (REML).
+
+For white noise the restricted likelihood is greatest at s^2 = rss/(n - p). Of several variances
+that are all to be estimated only the ratios need a search: the best scale for given ratios has that
+closed form (a short iteration where unknowns have priors).
+
+A component is kept only if the records ask for it: twice the gain in restricted log-likelihood must
+reach `KEEPING_GAIN`. At its boundary, zero, that statistic is 0 half of the time and chi-square
+with one degree of freedom otherwise (Self and Liang, JASA 82 (1987) 605), so that 2.706 keeps a
+component which is not there at most 5 times in 100.
+
+Wander of the bias that is asked for is part of the noise in any case, and white noise with it: what
+the records cannot tell from a walk of the velocity may still be one, and moves a run's bias too.
+Its size is the mean over what the records allow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.noise.model import COMPONENTS, Noise
+from counterspin.inference.noise.restricted_likelihood import (
+    WHITE,
+    RecordData,
+    RestrictedLikelihood,
+)
+from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
+from counterspin.inference.noise.wander import Variances
+
+#: Least gain in 2 log L that keeps a component: the upper 5 % point of its law at zero.
+KEEPING_GAIN: Final = 2.705543454095404
+
+#: Distance above the least ratio of a search, in logarithms, at which a walk begins to show.
+_DETECTION_LOG_RATIO: Final = 4.0
+
+#: Steps in which a walk's size is looked for, in logarithms of the variance: what a frequency makes
+#: of the likelihood changes over as much. A misfit may be likeliest both without a walk and as one.
+_SCAN_STEP: Final = 6.0
+
+# Logarithms of variances: the largest of Newton's steps and the least, at which a search ends (a
+# variance's own standard uncertainty is ten times that and more), and the steps of derivatives by
+# ratios and by scale.
+_LARGEST_STEP: Final = 3.0
+_LAST_STEP: Final = 0.02
+_STEP: Final = 0.05
+_SMALL: Final = 1e-4
+
+#: Most of Newton's steps.
+_MOST_STEPS: Final = 20
+
+#: Least curvature that counts: in a direction of less a variance is known to a factor of e^2.
+_LEAST_CURVATURE: Final = 0.25
+
+#: Sizes over which a wander is averaged, about the largest of estimate and first guess: e-folds of
+#: the variance.
+_SIZES: Final = np.arange(-12.0, 9.1, 1.0)
+
+#: A wander that begins to show is the other noise at this many times a record's lowest frequency.
+_ONSET_RATIO: Final = 3.0
+
+
+@frozen
+class FoundNoise:
+    """Estimated noise, and how well it is known."""
+
+    noise: Noise  #: The estimate, beside what was given.
+    #: Of the squares of `COMPONENTS`, (4, 4): inverse observed information; zero for a component
+    #: that was given or dropped.
+    covariance: Array
+    estimated: tuple[str, ...]  #: Which of `COMPONENTS` were estimated and kept.
+    dropped: tuple[str, ...]  #: Which were to be estimated and are not supported by the records.
+    #: Restricted log-likelihood of each set of components tried.
+    log_likelihoods: dict[tuple[str, ...], float]
+    #: Rows less unknowns: n - p, start errors counted among the unknowns.
+    degrees_of_freedom: float
+    evaluations: int  #: How often all rows were whitened.
+    #: Of a dropped random walk, the sizes that the records allow; else None.
+    unseen: Unseen | None = None
+
+
+def find_noise(
+    records: Sequence[RecordData],
+    noise: Noise,
+    prior_rows: ArrayLike | None = None,
+    prior_values: ArrayLike | None = None,
+) -> FoundNoise:
+    """Estimate what is wanted of the noise that records share.
+
+    prior_rows, prior_values: (m, p) and (m,): what is known of the unknowns, in rows of unit
+        variance.
+    """
+    likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
+    wanted, base = noise.wanted, None
+    if noise.wanders:
+        base, _ = _best(likelihood, replace(noise, flicker=0.0, bias_walk=0.0), None)
+    best, log_likelihoods = _best(likelihood, noise, base)
+    variances, covariance = _averaged(likelihood, best, _first_guess(likelihood, noise, base))
+    unseen = None
+    if "random_walk" in wanted and "random_walk" not in best.names and not noise.wanders:
+        unseen = _unseen(likelihood, noise, best)
+    return FoundNoise(
+        noise=noise.with_variances(variances),
+        covariance=covariance,
+        estimated=best.names,
+        dropped=tuple(name for name in wanted if name not in best.names),
+        log_likelihoods=log_likelihoods,
+        degrees_of_freedom=likelihood.freedom(best.log_scale, best.unit),
+        evaluations=likelihood.evaluations,
+        unseen=unseen,
+    )
+
+
+def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLike) -> Array:
+    """Satterthwaite's degrees of freedom, 2 (u^2)^2/Var(u^2), of each coefficient.
+
+    variance: (p,) u^2 of each coefficient.
+    gradient: (p, m) derivative of u^2 with respect to each estimated noise variance.
+    covariance: (m, m) covariance of those variances.
+    """
+    slope = np.asarray(gradient, float)
+    spread = np.einsum("pi,ij,pj->p", slope, np.asarray(covariance, float), slope)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dof = 2 * np.square(np.asarray(variance, float)) / spread
+    return np.where(spread > 0, dof, np.inf)
+
+
+@frozen(eq=False)
+class _Maximum:
+    """A maximum of the restricted likelihood."""
+
+    names: tuple[str, ...]  # what was varied
+    log_scale: float
+    unit: Variances
+    value: float
+    covariance: Array  # of the variances, (4, 4)
+
+    @property
+    def variances(self) -> Variances:
+        return _times(math.exp(self.log_scale), self.unit)
+
+
+def _best(
+    likelihood: RestrictedLikelihood, noise: Noise, base: _Maximum | None
+) -> tuple[_Maximum, dict[tuple[str, ...], float]]:
+    """Return the best choice of components, and the likelihoods of all.
+
+    base: The best without a wander; None where nothing wanders.
+    """
+    wanted = noise.wanted
+    always = [name for name in wanted if base is not None and name == "white"]
+    always += [name for name in wanted if name in COMPONENTS[2:]][:1]
+    others = [name for name in wanted if name not in always]
+    chosen = [
+        _Choice(likelihood, noise, tuple(n for n in COMPONENTS if n in (*always, *some)))
+        for size in range(len(others), -1, -1)
+        for some in combinations(others, size)
+    ]
+    maxima = [choice.maximum(base) for choice in chosen if choice.possible]
+    if not maxima:
+        raise ValueError("noise: all components are given as zero, so rows cannot be weighted")
+    best = max(maxima, key=lambda one: one.value - KEEPING_GAIN / 2 * len(one.names))
+    return best, {one.names: one.value for one in maxima}
+
+
+@frozen(eq=False)
+class _Choice:
+    """The restricted likelihood of some variances, what else is wanted being zero."""
+
+    likelihood: RestrictedLikelihood
+    noise: Noise
+    names: tuple[str, ...]
+
+    @property
+    def possible(self) -> bool:
+        """Whether every record has any noise."""
+        added = all(np.all(part) for part in self.likelihood.added)
+        return added or bool(self.names) or any(self.noise.known.variances)
+
+    @cached_property
+    def free(self) -> bool:
+        """Whether all noise has one scale, which is to be found: others are ratios to the first."""
+        known = dict(zip(COMPONENTS, self.noise.known.variances, strict=True))
+        rest = [size for name, size in known.items() if name not in self.names]
+        return bool(self.names) and not any(rest) and not _added(self.likelihood)
+
+    def point(self, x: Array) -> tuple[float, Variances]:
+        """Return log scale and unit where the logarithms searched are these."""
+        sizes = list(self.noise.known.variances)
+        least = sizes[0]
+        logs = [0.0, *x] if self.free else x
+        for name, size in zip(self.names, np.exp(logs).tolist(), strict=True):
+            sizes[COMPONENTS.index(name)] = size
+        if not self.free:
+            return _point(self.likelihood, (max(sizes[0], least), *sizes[1:]))
+        unit = tuple(sizes)
+        scale = self.likelihood.best_scale(unit)
+        return max(scale, math.log(least)) if least > 0.0 else scale, unit
+
+    def value(self, x: Array) -> float:
+        """Return the likelihood there."""
+        return self.likelihood.value(*self.point(x))
+
+    def maximum(self, base: _Maximum | None) -> _Maximum:
+        """Return where the likelihood is greatest."""
+        x = self._climbed(self._start(base))
+        covariance = self._covariance(x)
+        if x.size:
+            x = _polished(self.value, x)
+        log_scale, unit = self.point(x)
+        value = self.likelihood.value(log_scale, unit)
+        return _Maximum(self.names, log_scale, unit, value, covariance)
+
+    def _start(self, base: _Maximum | None) -> Array:
+        """Return where to climb from: by a scan of a walk's size where nothing is known of it."""
+        first = _first_guess(self.likelihood, self.noise, base)
+        if "random_walk" not in self.names or base is not None:
+            return self._logs(first)
+        # From what cannot show, at which none is as likely, to what hides all white noise.
+        steps = np.arange(-_SCAN_STEP, self.likelihood.walk_range, _SCAN_STEP)
+        points = [(first[0], size, *first[2:]) for size in (first[1] * np.exp(steps)).tolist()]
+        if "white" not in self.names:
+            return max(map(self._logs, points), key=self.value)
+        # Each with the scale that is best for it, all white noise being of one kind.
+        plain, added = self.likelihood.without_added(), _added(self.likelihood)
+        likely = []
+        for white, walk, *rest in points:
+            unit = (1.0, walk / (white + added), 0.0, 0.0)
+            scale = plain.best_scale(unit)
+            total = math.exp(scale)
+            point = (max(total - added, 0.1 * total), total * unit[1], *rest)
+            likely.append((plain.value(scale, unit), point))
+        return self._logs(max(likely)[1])
+
+    def _logs(self, sizes: Variances) -> Array:
+        """Return the logarithms searched where the variances are these."""
+        x = np.log([sizes[COMPONENTS.index(name)] for name in self.names])
+        return x[1:] - x[0] if self.free else x
+
+    def _climbed(self, x: Array) -> Array:
+        """Return where Newton's steps uphill end."""
+        for _ in range(_MOST_STEPS if x.size else 0):
+            before, x = x, _step(self.value, x)
+            if np.abs(x - before).max() < _LAST_STEP:
+                break
+        return x
+
+    def _covariance(self, x: Array) -> Array:
+        """Return the variances' covariance, (4, 4): the inverse observed information."""
+        log_scale, unit = self.point(x)
+        covariance = np.zeros((len(COMPONENTS), len(COMPONENTS)))
+        if not self.names:
+            return covariance
+        if self.free:
+            hessian = np.zeros((len(self.names), len(self.names)))
+            more, less = (self.likelihood.slope(log_scale + d, unit) for d in (_SMALL, -_SMALL))
+            hessian[0, 0] = (more - less) / (2.0 * _SMALL)
+            hessian[0, 1:] = hessian[1:, 0] = self._at(self.likelihood.slope, log_scale, x)[1]
+            hessian[1:, 1:] = self._at(self.likelihood.value, log_scale, x)[2]
+            # From the first and the ratios to it to all of them.
+            ratios = np.eye(len(self.names))
+            ratios[1:, 0] = -1.0
+            hessian = ratios.T @ hessian @ ratios
+        else:
+            hessian = _derivatives(self.value, x)[2]
+        values, vectors = np.linalg.eigh(-hessian)
+        inverse = vectors / np.maximum(values, _LEAST_CURVATURE) @ vectors.T
+        places = [COMPONENTS.index(name) for name in self.names]
+        levels = np.array(_times(math.exp(log_scale), unit))[places]
+        covariance[np.ix_(places, places)] = inverse * np.outer(levels, levels)
+        return covariance
+
+    def _at(
+        self, function: Callable[[float, Variances], float], log_scale: float, x: Array
+    ) -> tuple[float, Array, Array]:
+        """Return the derivatives of a function of scale and unit, the scale being what it is."""
+        return _derivatives(lambda near: function(log_scale, self.point(near)[1]), x)
+
+
+def _added(likelihood: RestrictedLikelihood) -> float:
+    """Return the mean variance that the records' samples have beside what is estimated."""
+    return float(np.mean([np.mean(added) for added in likelihood.added]))
+
+
+def _times(factor: float, variances: Variances) -> Variances:
+    return tuple(factor * size for size in variances)
+
+
+def _point(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[float, Variances]:
+    """Return log scale and unit of a noise."""
+    if _added(likelihood):
+        return 0.0, variances
+    scale = variances[0] or variances[1]
+    if scale <= 0.0:
+        raise ValueError("noise: a wandering bias needs white noise beside it; state its size")
+    return math.log(scale), _times(1.0 / scale, variances)
+
+
+def _first_guess(
+    likelihood: RestrictedLikelihood, noise: Noise, base: _Maximum | None
+) -> Variances:
+    """Return variances to begin with: slow noise as it begins to show beside what is faster."""
+    added, (white, walk, *_) = _added(likelihood), noise.known.variances
+    if base is not None:
+        white, walk, *_ = base.variances
+    elif "white" in noise.wanted:
+        total = math.exp(likelihood.best_scale(WHITE))
+        white = max(total - added, 0.1 * total)
+    if base is None and "random_walk" in noise.wanted:
+        walk = (white + added) * math.exp(likelihood.least_walk + _DETECTION_LOG_RATIO)
+    order = likelihood.orders[0]
+    w = 2.0 * math.pi * _ONSET_RATIO / max(float(d.blocks.time[-1]) for d in likelihood.differences)
+    spacing = float(np.median(likelihood.differences[0].spacing))
+    density = max(white + added, 1e-30) * spacing * w ** (2 * order) + walk
+    return white, walk or 0.1 * density, density * w, density * w**2
+
+
+def _averaged(
+    likelihood: RestrictedLikelihood, best: _Maximum, first: Variances
+) -> tuple[Variances, Array]:
+    """Return variances, those of a wander averaged over what the records allow, and covariance.
+
+    A wander moves the runs' biases against each other, and few runs tell little of that: the
+    most likely size is often none. It is averaged as a walk is that does not show
+    (`counterspin.inference.noise.unseen_noise`): Student's distribution of this variance and
+    of the degrees of freedom that its own variance says (Satterthwaite) has the quantiles of
+    the mixture.
+    """
+    variances, covariance = list(best.variances), best.covariance.copy()
+    for name in best.names:
+        place = COMPONENTS.index(name)
+        if place < 2:
+            continue
+        middle = max(variances[place], first[place])
+        sizes = middle * np.exp(_SIZES)
+        values = []
+        for size in sizes.tolist():
+            variances[place] = size
+            values.append(likelihood.value(*_point(likelihood, tuple(variances))))
+        # The sizes are even in the logarithm, and so is the density.
+        weights = np.exp(np.array(values) - max(values)) * (sizes / middle) ** POWER
+        allowed = Unseen(sizes, weights / weights.sum())
+        nothing = np.array([1e-9 * middle * math.exp(_SIZES[0])])
+        variances[place], dof = lengthened(allowed, nothing, np.ones(1))
+        covariance[place], covariance[:, place] = 0.0, 0.0
+        covariance[place, place] = 2.0 * variances[place] ** 2 / float(dof[0])
+    return tuple(variances), covariance
+
+
+def _unseen(likelihood: RestrictedLikelihood, noise: Noise, best: _Maximum) -> Unseen:
+    """Return the sizes of the walk that was dropped, the white noise as it would be beside it."""
+    choice = _Choice(likelihood, noise, (*best.names, "random_walk"))
+    white = best.variances[0]
+
+    def at(log_ratio: float) -> tuple[float, float]:
+        if choice.free:
+            log_scale, unit = choice.point(np.array([log_ratio]))
+            return likelihood.value(log_scale, unit), log_scale + log_ratio
+        log_level = math.log(white + _added(likelihood)) + log_ratio
+        beside = [math.log(white)] if best.names else []
+        return choice.value(np.array([*beside, log_level])), log_level
+
+    return unseen_walk(at, likelihood.least_walk + _DETECTION_LOG_RATIO, best.value)
+
+
+def _step(function: Callable[[Array], float], x: Array) -> Array:
+    """Return x a step of Newton's further uphill, no further than a function rises."""
+    middle, gradient, hessian = _derivatives(function, x)
+    values, vectors = np.linalg.eigh(-hessian)
+    step = vectors @ ((vectors.T @ gradient) / np.maximum(values, _LEAST_CURVATURE))
+    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
+    while np.abs(step).max() >= _LAST_STEP and function(x + step) < middle:
+        step = step / 4.0
+    return np.asarray(x + step)
+
+
+def _polished(function: Callable[[Array], float], x: Array) -> Array:
+    """Return x a last step further, with slopes from two neighbours on either side."""
+    _, near, hessian = _derivatives(function, x)
+    wide = [function(x + sign * one) for sign in (2.0, -2.0) for one in _STEP * np.eye(x.size)]
+    far = (np.array(wide[: x.size]) - np.array(wide[x.size :])) / (4.0 * _STEP)
+    if np.linalg.eigvalsh(-hessian)[0] < _LEAST_CURVATURE:
+        return x
+    step = np.linalg.solve(-hessian, (4.0 * near - far) / 3.0)
+    return np.asarray(x + step) if np.abs(step).max() < _LAST_STEP else x
+
+
+def _derivatives(function: Callable[[Array], float], x: Array) -> tuple[float, Array, Array]:
+    """Return a function's value, gradient and second derivatives, by central differences."""
+    middle, unit = function(x), _STEP * np.eye(x.size)
+    more, less = (np.array([function(x + sign * one) for one in unit]) for sign in (1.0, -1.0))
+    hessian = np.diag(more + less - 2.0 * middle)
+    for i, j in combinations(range(x.size), 2):
+        both = function(x + unit[i] + unit[j]) + function(x - unit[i] - unit[j]) - 2.0 * middle
+        hessian[i, j] = hessian[j, i] = (both - hessian[i, i] - hessian[j, j]) / 2.0
+    return middle, (more - less) / (2.0 * _STEP), hessian / _STEP**2

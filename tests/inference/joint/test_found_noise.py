@@ -1,0 +1,85 @@
+"""A wandering bias estimated, and what it does to the joint fit: coverage by seeded Monte-Carlo."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import noisy, three_rates, unknowns
+from scipy.stats import chi2
+from scipy.stats import t as student
+
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.physics.effects import RunConditions
+from counterspin.physics.simulation import bias_wander
+
+COEFFICIENTS = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
+TRUTH = np.array([5e-3, 2e-3, 2e-5, 3e-6])
+MODEL = Unknowns(unknowns(list(COEFFICIENTS)))
+UG = 9.8066e-6
+
+
+def campaign(observable, **size):
+    """Series without noise; the second and third begin later."""
+    series = three_rates(COEFFICIENTS, observable=observable, **size)
+    return [
+        replace(
+            one, trajectory=replace(one.trajectory, conditions=RunConditions(start=300.0 * place))
+        )
+        for place, one in enumerate(series)
+    ]
+
+
+def wandering(series, noise, rng):
+    """The series with all of its noise."""
+    start = series.trajectory.conditions.start
+    drawn = bias_wander(rng, series.time, noise.flicker, noise.bias_walk, series.order, start)
+    plain = Noise(noise.white, noise.random_walk)
+    return noisy(replace(series, error=series.error + drawn), plain, rng)
+
+
+@pytest.mark.parametrize(
+    ("observable", "noise"),
+    [
+        ("displacement", Noise(5e-3, 1e-5, 0.0, 2 * UG, 0.0)),
+        ("displacement", Noise(5e-3, 0.0, 0.0, 0.0, 0.5 * UG)),
+        ("velocity", Noise(1e-3, 1e-5, 0.0, 2 * UG, 0.1 * UG)),
+        ("specific_force", Noise(1e-3, 0.0, 0.0, 20 * UG, 1 * UG)),
+    ],
+    ids=["flicker", "walk of the bias", "both in velocity", "both in force"],
+)
+def test_given_wander_is_covered(observable, noise):
+    """z of the trials has the rms 1; without the wander it is several times that."""
+    rng, trials = np.random.default_rng(8), 20
+    prepared = prepare_columns(campaign(observable), MODEL, {"Qx": 1.002})
+    plain = Noise(noise.white, noise.random_walk)
+    z, blind = [], []
+    for _ in range(trials):
+        drawn = [replace(one, series=wandering(one.series, noise, rng)) for one in prepared]
+        for known, scores in ((noise, z), (plain, blind)):
+            solution = solve_joint(drawn, MODEL, {"Qx": known}).solution
+            scores.append((solution.estimate - TRUTH) / solution.u)
+    low, high = np.sqrt(chi2.ppf([1e-4, 1 - 1e-4], trials) / trials)
+    rms = np.sqrt(np.mean(np.square(z), axis=0))
+    assert (rms > low).all()
+    assert (rms < high).all()
+    assert np.sqrt(np.mean(np.square(blind), axis=0))[0] > 3.0
+
+
+def test_estimated_wander_is_covered():
+    """95 % intervals of K_F and K_II hold the truth: fewer than 7 of 10 happen once in 1000."""
+    rng = np.random.default_rng(21)
+    noise = Noise(5e-3, 0.0, 0.0, 5 * UG, 0.0)
+    series = campaign("displacement", revolutions=6, per_revolution=16)
+    request = {"Qx": Noise(WANTED, 0.0, 0.0, WANTED, 0.0)}
+    held = np.zeros(4)
+    for _ in range(10):
+        drawn = [wandering(one, noise, rng) for one in series]
+        found = estimate(drawn, MODEL, request, reject=False)
+        solution, dof = found.fit.solution, np.minimum(found.dof, 1e6)
+        held += np.abs(solution.estimate - TRUTH) < student.ppf(0.975, dof) * solution.u
+    assert held[0] >= 7
+    assert held[2] >= 7
