@@ -286,8 +286,10 @@ def test_a_model_that_lacks_a_term_is_one_finding_and_not_one_a_position(tmp_pat
     test = arm()
     values = simulated(test, np.random.default_rng(7), SIGMA)
     result = calibrated(tmp_path, model("K_F", "K_I", "K_II"), arm_runs(test, values))
-    (outlying,) = [f for f in result.findings if f.code == "outlying-reading"]
-    assert "of 24 readings on the arm are off the model" in outlying.text
+    (found,) = result.findings
+    assert found.code == "lack-of-fit"
+    assert "are what K_III makes" in found.text
+    assert found.text.endswith("24 of 24 readings on the arm are off the model.")
 
 
 def test_without_a_model_the_misalignment_of_a_tumble_is_estimated(tmp_path):

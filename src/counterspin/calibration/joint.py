@@ -11,7 +11,7 @@ from counterspin.calibration.diagnosis.credible import (
     incredible_shared,
 )
 from counterspin.calibration.diagnosis.mountings import other_mountings, unseen_axes
-from counterspin.calibration.diagnosis.reading_findings import outliers_of_means, outlying_readings
+from counterspin.calibration.diagnosis.reading_findings import outliers_of_means
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
@@ -181,7 +181,6 @@ def _accelerometer(
         findings=[
             *kinds.findings,
             *residual_findings(kinds.judged),
-            *outlying_readings(name, kinds.judged.readings),
             *outliers_of_means(name, view.readings),
             *hidden_walk(view),
             *unseen_ripple(view),

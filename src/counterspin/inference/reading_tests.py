@@ -1,9 +1,10 @@
 """What the residuals of readings follow: tests that need neither repeats nor a stated noise.
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
-the dividing head's angle, a term of the accelerometer, a drift, a warm-up, the sense of approach.
-Where the noise is estimated from the same residuals it is an F test of the column (Draper and
-Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
+the dividing head's angle, a term of the accelerometer, a drift, a warm-up, the side of approach,
+the sense of rotation. Where the noise is estimated from the same residuals it is an F test of the
+column (Draper and Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that
+is left.
 """
 
 from __future__ import annotations
@@ -26,12 +27,14 @@ from counterspin.inference.linear_readings import Readings
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
-WAVE, TERM, DRIFT, WARM_UP, HYSTERESIS = KINDS = (
+WAVE, TERM, DRIFT, WARM_UP, BEND, HYSTERESIS, SENSE = KINDS = (
     "wave",
     "term",
     "drift",
     "warm-up",
+    "bend",
     "hysteresis",
+    "sense",
 )
 
 #: Waves a revolution of the head, up to this many.
@@ -115,6 +118,7 @@ def candidates(
         *_terms(readings, unknown, followed),
         *_in_order(readings),
         *_of_approach(readings),
+        *_of_sense(readings),
     ):
         yield Alternative(
             kind, readings.accelerometer, symbol, beside={group.block: column / group.sigma}
@@ -153,6 +157,8 @@ def _in_order(readings: Readings) -> Iterator[_Column]:
     yield DRIFT, "time" if by_time else "order", x - 0.5
     for part in _WARM_UPS:
         yield WARM_UP, "time" if by_time else "order", np.exp(-x / part)
+    # A mirrored order cancels a line, and no parabola.
+    yield BEND, "time" if by_time else "order", (x - 0.5) ** 2
 
 
 def _of_approach(readings: Readings) -> Iterator[_Column]:
@@ -171,6 +177,13 @@ def _of_approach(readings: Readings) -> Iterator[_Column]:
     sense[0] = sense[1]
     if (sense > 0.0).any() and (sense < 0.0).any():
         yield HYSTERESIS, "sense of approach", sense
+
+
+def _of_sense(readings: Readings) -> Iterator[_Column]:
+    """Yield which way the machine turned, where it turned both ways."""
+    sense = np.sign([station.rate for station in readings.stations])
+    if (sense > 0.0).any() and (sense < 0.0).any():
+        yield SENSE, "sense of rotation", sense
 
 
 def most_followed(

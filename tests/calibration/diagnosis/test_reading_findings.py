@@ -90,6 +90,43 @@ def test_hysteresis_of_five_times_the_noise_is_named(tmp_path, u):
     assert found.size > 5.0
 
 
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+def test_a_drift_that_turns_back_is_named_though_a_mirrored_order_hides_it(tmp_path, u):
+    """It is the same there and back, so that each position seems to be off by itself."""
+    test, angles = there_and_back()
+    values = simulated(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
+    values += 12.0 * SIGMA * np.linspace(-1.0, 1.0, 24) ** 2
+    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    assert "drift and turn back with the order in which they were taken" in found.text
+
+
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+def test_what_depends_on_the_sense_of_rotation_is_named(tmp_path, u):
+    test = arm()
+    truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
+    values = simulated(test, np.random.default_rng(13), SIGMA, truth=truth)
+    values += 4.0 * SIGMA * np.sign([station.rate for station in test[0]])
+    spread = "" if u is None else f" ± {1.25 * u!r}"
+    runs = [
+        on_arm(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r}{spread} mA", side=side)
+        for k, (station, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
+    ]
+    model = f"[model]\nassume = 'all'\nterms = {list(truth)}\n".replace("'", '"')
+    (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
+    result = calibrate(tmp_path)
+    assert result.state == "contradicted"
+    assert "depend on the sense in which the machine turned" in misfits(result)[0].text
+
+
+def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
+    values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
+    three = calibrated(tmp_path, even(4)[:3], values[:3], u=SIGMA)
+    assert [f.code for f in three.findings] == ["unjudged-readings"]
+    assert "3 readings are no more than the coefficients" in three.findings[0].text
+    assert three.state == "reservations"
+    assert calibrated(tmp_path, even(4), values, u=SIGMA).state == "good"
+
+
 def test_a_warm_up_is_named(tmp_path):
     values = simulated(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)

@@ -21,8 +21,10 @@ from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.reading_tests import (
+    BEND,
     DRIFT,
     HYSTERESIS,
+    SENSE,
     TERM,
     WARM_UP,
     WAVE,
@@ -48,14 +50,15 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
 
     Noise that was stated is what they are compared with; noise that was estimated shows a misfit
     where positions were read more than once. Beside that, whatever the noise, it is asked what the
-    residuals follow. Both share the significance, and so do the motions.
+    residuals follow. Both share the significance, and so do the motions. Single readings that stand
+    out have findings of their own, but where many do and it is known what they follow.
     """
     parts = view.readings
     level = 0.5 * SIGNIFICANCE
     followed = {place: one for place, one in _followed(view) if one.p * one.tests < level}
-    findings = []
+    findings = _none_left(view)
     for place, part in enumerate(parts):
-        if part.dof < FEWEST_FREEDOM:
+        if part.dof < FEWEST_FREEDOM and not findings:
             findings.append(_unjudged(view.name, part))
         residual = residual_of([part])
         stated = math.isinf(part.dof)
@@ -70,11 +73,31 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
             )
             sentences = [f"{said} (p = {p:.2g})."]
         general = lack_of_fit(view.name, sentences, residual) if sentences else None
+        outlying = _outlying_of(view.name, part)
         if place in followed:
-            findings.append(_explained(view.name, part, followed[place], general))
-        elif general is not None:
-            findings.append(general)
+            general = _explained(view.name, part, followed[place], general)
+            if len(part.outlying()) > _most_lone(part):
+                general, outlying = _with_many(general, part, outlying[0]), []
+        findings += [general, *outlying] if general else outlying
     return findings
+
+
+def _none_left(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where readings are no more than the coefficients that they alone tell."""
+    free = [
+        unknown.symbol
+        for unknown in view.fit.model.unknowns
+        if unknown.owner == view.name and math.isinf(unknown.prior[1])
+    ]
+    count = sum(part.readings.size for part in view.readings)
+    if view.has_records or not view.readings or count > len(free):
+        return []
+    text = (
+        f"{count} readings are no more than the coefficients that they determine "
+        f"({', '.join(free)}): they fit whatever is wrong, and nothing can be judged. Take more of "
+        "them."
+    )
+    return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
 
 def _unjudged(name: str, part: AccelerometerReadings) -> Finding:
@@ -166,26 +189,34 @@ def _clause(other: Alternative) -> str:
         TERM: f"are what {other.symbol} makes, beyond what the model allows it",
         DRIFT: f"drift with {when}",
         WARM_UP: f"settle with {when}, as after a warm-up",
+        BEND: f"drift and turn back with {when}",
+        SENSE: "depend on the sense in which the machine turned",
         HYSTERESIS: "depend on the side from which a position was approached (hysteresis)",
     }[other.kind]
 
 
-def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
-    """Return a finding for each position that stands out, or one where many of a motion do."""
-    findings = []
-    for part in parts:
-        far_off = part.outlying()
-        if len(far_off) <= _most_lone(part):
-            findings += [_outlying(part, name, *one) for one in far_off]
-            continue
-        worst = max(far_off, key=lambda one: abs(one[2]))
-        finding = _outlying(part, name, *worst)
-        text = (
-            f"{len(far_off)} of {part.readings.size} {part.words} are off the model: so many "
-            f"point to the model and not to single readings. {finding.text}"
-        )
-        findings.append(finding.model_copy(update={"text": text}))
-    return findings
+def _outlying_of(name: str, part: AccelerometerReadings) -> list[Finding]:
+    """Return a finding for each position that stands out, or one where many do."""
+    far_off = part.outlying()
+    if len(far_off) <= _most_lone(part):
+        return [_outlying(part, name, *one) for one in far_off]
+    worst = _outlying(part, name, *max(far_off, key=lambda one: abs(one[2])))
+    text = (
+        f"{len(far_off)} of {part.readings.size} {part.words} are off the model: so many "
+        f"point to the model and not to single readings. {worst.text}"
+    )
+    return [worst.model_copy(update={"text": text})]
+
+
+def _with_many(misfit: Finding, part: AccelerometerReadings, worst: Finding) -> Finding:
+    """Return a misfit of known shape with the many positions that it puts off the model."""
+    many = f"{len(part.outlying())} of {part.readings.size} {part.words} are off the model."
+    said = {
+        "text": f"{misfit.text} {many}",
+        "size": max(misfit.size or 0.0, worst.size or 0.0),
+        "contradicts": misfit.contradicts or worst.contradicts,
+    }
+    return misfit.model_copy(update=said)
 
 
 def _most_lone(part: AccelerometerReadings) -> float:

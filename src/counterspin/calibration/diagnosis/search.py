@@ -547,7 +547,8 @@ def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
 
 
 def _checked(view: AccelerometerView) -> Iterator[Finding]:
-    yield from residual_findings(view)
+    # A reading that is off by itself stays so, whatever else is wrong.
+    yield from (f for f in residual_findings(view) if f.code != "outlying-reading")
     yield from _numbers(view, None)
     own = {
         symbol: coefficient(view.estimate, view.assessment, place)
