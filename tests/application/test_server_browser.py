@@ -143,6 +143,31 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     assert b"digitalCalibrationCertificate" in certificate.read_bytes()
 
 
+def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):
+    tab = opened("/campaign/three")
+    tab.get_by_role("navigation", name="On this page").get_by_role("button", name="Runs").click()
+    assert tab.evaluate("document.activeElement.textContent") == "Runs"
+    tab.get_by_text("Copy, rename, put away").click()
+    tab.get_by_label("Name of the folder").fill("four")
+    tab.get_by_role("button", name="Copy").click()
+    tab.get_by_text(re.compile(r" four$")).wait_for()
+    tab.get_by_text("Copy, rename, put away").click()
+    tab.get_by_label("Name of the folder").fill("three")
+    tab.get_by_role("button", name="Rename").click()
+    tab.get_by_text("three exists, and is not replaced").wait_for()
+    tab.goto(tab.url.partition("#")[0] + "#/")
+    tab.locator(".card").nth(1).wait_for()
+    tab.get_by_label("Search").fill("fou")
+    tab.get_by_text("1 of 2").wait_for()
+    tab.locator(".card a").click()
+    tab.get_by_text(re.compile(r" four$")).wait_for()
+    tab.get_by_text("Copy, rename, put away").click()
+    tab.get_by_role("button", name="Put away").click()
+    tab.wait_for_url("**#/")
+    assert not (folder / "four").exists()
+    assert (folder / "three" / "campaign.toml").is_file()
+
+
 def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
     tab = opened("/runs/three")
     tab.locator(".canvas canvas").nth(2).wait_for()

@@ -9,6 +9,7 @@ is done by a click is a command too, and the page says which.
 - `folder`: the files of the folder, and no others; versions, so that no edit is lost
 - `desk`: what all requests share
 - `campaigns`: the folder's campaigns and results, with their state
+- `keeping`: campaigns copied, renamed and put away
 - `form`, `editing`, `descriptions`: a form made of the models' keys, the text beside it, and both
   of a campaign or a laboratory
 - `processes`: work in a process of its own, told through a pipe

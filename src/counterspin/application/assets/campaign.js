@@ -1,12 +1,13 @@
 // @ts-check
 // One campaign: calibrate, and what came of it.
 
-import { resultAddress } from "./addresses.js";
+import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, stateMark, warning } from "./dom.js";
+import { bring } from "./api.js";
+import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { follow } from "./job.js";
-import { pagePart, resultLinks } from "./result.js";
+import { pagePart, resultLinks, withContents } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
 /** @typedef {import("./job.js").Job} Job */
@@ -62,6 +63,51 @@ function calibration(campaign) {
 }
 
 /**
+ * What can be done with the campaign as a folder.
+ * @param {string} name
+ */
+function keeping(name) {
+  const to = make("input", { value: name, required: true, autocomplete: "off" });
+  const files = make("input", { type: "file", multiple: true });
+  const place = make("div");
+
+  /**
+   * @param {() => Promise<string>} work it returns what to say
+   * @param {() => void} then
+   */
+  const doing = async (work, then) => {
+    try {
+      say(await work());
+      then();
+    } catch (error) {
+      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+  };
+  const go = (/** @type {string} */ where) => () => { location.hash = where; };
+  const moved = (/** @type {"copy"|"rename"} */ how, /** @type {string} */ said) => () =>
+    doing(async () => {
+      const made = await send("POST", how, { name, to: to.value.trim() });
+      return `${said} ${made.name}.`;
+    }, () => go(campaignAddress(to.value.trim()))());
+  files.addEventListener("change", () => doing(async () => {
+    for (const file of files.files ?? []) await bring(name ? `${name}/${file.name}` : file.name, file);
+    return "The records are in the folder; name them in the description.";
+  }, go(`#/description/${encodeURIComponent(name)}`)));
+  return make("details", { class: "keeping" }, make("summary", {}, "Copy, rename, put away, add a record"),
+    make("div", { class: "row" }, labelled("Name of the folder", to),
+      make("button", { type: "button", onclick: moved("copy", "Copied to") }, "Copy"),
+      make("button", { type: "button", onclick: moved("rename", "It is now called") }, "Rename"),
+      make("button", {
+        type: "button",
+        onclick: () => doing(async () => {
+          const { place: where } = await send("POST", "put-away", { name });
+          return `It is in ${where}; move it back from there to have it again.`;
+        }, go("#/")),
+      }, "Put away")),
+    labelled("Add records to the folder", files), place);
+}
+
+/**
  * The page of a campaign.
  * @param {string} name
  */
@@ -87,8 +133,9 @@ export async function campaignView(name) {
     const { told, part } = await pagePart("result", [result.name]);
     // The campaign's own title stands above.
     part?.querySelector("h1")?.remove();
-    content.push(make("section", { "aria-label": "Result" }, ...part ? [part] : []),
-      resultLinks(result.name), commandLine(told.command));
+    content.push(make("section", { "aria-label": "Result" },
+      part ? withContents(result.name, part) : resultLinks(result.name)), commandLine(told.command));
   }
+  content.push(keeping(name));
   return { title: campaign.title, content };
 }

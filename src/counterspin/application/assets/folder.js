@@ -38,6 +38,39 @@ function campaignCard(campaign) {
       make("p", { class: "answer-line" }, `${a.name} = ${a.text}`)));
 }
 
+/** What campaigns are sorted by -> what a campaign has of it, the first one least. */
+const ORDERS = {
+  "name": (/** @type {any} */ one) => one.name,
+  "title": (/** @type {any} */ one) => one.title,
+  "newest result": (/** @type {any} */ one) => -(one.results[0]?.written ?? 0),
+  "state": (/** @type {any} */ one) => one.words,
+};
+
+/**
+ * The campaigns, of which those are shown that a search finds.
+ * @param {any[]} campaigns
+ */
+function campaignList(campaigns) {
+  const cards = campaigns.map((campaign) => ({ campaign, card: campaignCard(campaign) }));
+  const list = make("ul", { class: "cards" }, ...cards.map(({ card }) => card));
+  if (campaigns.length < 2) return [list];
+  const sought = make("input", { type: "search", autocomplete: "off" });
+  const order = make("select", {}, ...Object.keys(ORDERS).map((one) => make("option", {}, one)));
+  const count = make("p", { class: "quiet", role: "status" });
+  const arrange = () => {
+    const words = sought.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const key = ORDERS[/** @type {keyof typeof ORDERS} */ (order.value)];
+    const found = cards.filter(({ card }) =>
+      words.every((word) => card.textContent?.toLowerCase().includes(word)));
+    found.sort((one, other) => (key(one.campaign) < key(other.campaign) ? -1 : 1));
+    list.replaceChildren(...found.map(({ card }) => card));
+    count.textContent = words.length ? `${found.length} of ${cards.length}` : "";
+  };
+  sought.addEventListener("input", arrange);
+  order.addEventListener("change", arrange);
+  return [make("div", { class: "row" }, labelled("Search", sought), labelled("Sort by", order), count), list];
+}
+
 function newCampaign() {
   const name = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
   const test = make("select", {},
@@ -72,9 +105,9 @@ export async function folderView() {
   const results = folder.results.filter(/** @param {any} r */ (r) => r.state !== "damaged");
   const content = [
     make("h1", {}, folder.folder),
-    folder.campaigns.length
-      ? make("ul", { class: "cards" }, ...folder.campaigns.map(campaignCard))
-      : make("p", {}, "There is no campaign in this folder yet."),
+    ...folder.campaigns.length
+      ? campaignList(folder.campaigns)
+      : [make("p", {}, "There is no campaign in this folder yet.")],
     make("section", {}, ...newCampaign()),
   ];
   if (results.length) {

@@ -92,7 +92,34 @@ export const saving = (words, name, said) => make("button", {
 export const resultLinks = (name) => make("p", { class: "links" },
   make("a", { href: `#/certificate/${encodeURIComponent(name)}` }, "Certificate of this result"),
   ...["html", "pdf", "md"].map((kind) =>
-    saving(`Report as ${kind === "md" ? "Markdown" : kind.toUpperCase()}`, "report", { name, kind })));
+    saving(`Report as ${kind === "md" ? "Markdown" : kind.toUpperCase()}`, "report", { name, kind })),
+  saving("Result as JSON", "file", { name }));
+
+/**
+ * The headings of a part, as links that go there.
+ * @param {HTMLElement} part
+ */
+export function contents(part) {
+  const headings = [...part.querySelectorAll("h2")].filter((one) => one.textContent?.trim());
+  return make("nav", { class: "contents", "aria-label": "On this page" },
+    make("p", { class: "quiet" }, "On this page"),
+    make("ol", {}, ...headings.map((one) => make("li", {}, make("button", {
+      type: "button",
+      onclick: () => {
+        one.tabIndex = -1;
+        one.scrollIntoView();
+        one.focus({ preventScroll: true });
+      },
+    }, one.textContent)))));
+}
+
+/**
+ * A result's page: what can be made of it above, its contents at the side.
+ * @param {string} name
+ * @param {HTMLElement} part
+ */
+export const withContents = (name, part) =>
+  make("div", { class: "beside" }, make("div", {}, resultLinks(name), part), contents(part));
 
 /**
  * The page of a result.
@@ -103,8 +130,7 @@ export async function resultView(name) {
   return {
     title: told.title,
     content: [
-      ...part ? [part] : [],
-      resultLinks(name),
+      part ? withContents(name, part) : resultLinks(name),
       commandLine(told.command),
     ],
   };

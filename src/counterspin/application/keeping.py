@@ -1,0 +1,98 @@
+"""Campaigns as folders: copied, given another name, put away; nothing is ever lost."""
+
+from __future__ import annotations
+
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.application.desk import Desk
+from counterspin.application.folder import OutsideError
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.errors import CounterspinError
+from counterspin.output import make_folder
+
+#: Where campaigns go that are put away; as a hidden folder it is no part of the page.
+TRASH: Final = ".counterspin-trash"
+
+
+def copy_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:
+    """Copy a campaign's folder, with records and results; return the copy's name."""
+    source, place = _source(desk, name), _new_place(desk, name, to)
+    part = place.parent / f".{place.name}.part"
+    try:
+        shutil.copytree(source, part, ignore=shutil.ignore_patterns(".*"))
+        part.rename(place)
+    except OSError as error:
+        raise CounterspinError(f"{to}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return {"name": desk.folder.name(place)}
+
+
+def rename_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:
+    """Give a campaign's folder another name; return it."""
+    source, place = _idle(desk, name), _new_place(desk, name, to)
+    _move(source, place)
+    return {"name": desk.folder.name(place)}
+
+
+def put_away(desk: Desk, name: str) -> dict[str, Any]:
+    """Move a campaign's folder to the trash; return where it then is."""
+    source = _idle(desk, name)
+    moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
+    place = desk.folder.root / TRASH / f"{moment}-{source.name}"
+    make_folder(place.parent)
+    _move(source, place)
+    return {"place": desk.folder.name(place)}
+
+
+def _source(desk: Desk, name: str) -> Path:
+    """Return a campaign's folder; OutsideError of what would lead out of the folder served."""
+    source = desk.description(name).parent
+    if source == desk.folder.root:
+        raise CounterspinError("this campaign is the folder that is served; move it by hand")
+    if desk.folder.root.joinpath(*Path(name).parts).is_symlink():
+        raise OutsideError(f"{name} is a link to a folder; nothing is done with it from here")
+    for path in source.rglob("*"):
+        if path.is_symlink():
+            raise OutsideError(f"{desk.folder.name(path)} is a link; copy or move it by hand")
+    return source
+
+
+def _idle(desk: Desk, name: str) -> Path:
+    """Return a campaign's folder if no job is at work in it."""
+    source = _source(desk, name)
+    busy = [job for job in desk.jobs.all() if job.state in ("waiting", "running")]
+    if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in busy):
+        raise CounterspinError(f"{name}: a job is at work in it; wait for its end, or stop it")
+    return source
+
+
+def _new_place(desk: Desk, name: str, to: str) -> Path:
+    """Return where a campaign may go: a free place, from which its records are found."""
+    place = desk.folder.path(to)
+    if place == desk.folder.root or place.exists():
+        raise CounterspinError(f"{to or 'this folder'} exists, and is not replaced")
+    source = desk.description(name).parent
+    if place.is_relative_to(source):
+        raise CounterspinError(f"{to} lies in {name}; choose a place beside it")
+    try:
+        away = ".." in str(load_document(source / DESCRIPTION_NAME))
+    except CounterspinError:
+        away = True  # a description that cannot be read may name anything
+    if away and place.parent != source.parent:
+        raise CounterspinError(
+            f"{name}: its description names files outside of its folder, relative to it; choose a "
+            "name in the same folder"
+        )
+    make_folder(place.parent)
+    return place
+
+
+def _move(source: Path, place: Path) -> None:
+    try:
+        source.rename(place)
+    except OSError as error:
+        raise CounterspinError(f"{source.name}: cannot be moved ({error.strerror})") from error
