@@ -17,6 +17,7 @@ from typing import Any, Final, Literal, get_args, get_type_hints
 from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
+from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import ReadingsSettings
@@ -26,11 +27,10 @@ from counterspin.campaign.settings import (
     CentrifugeSettings,
     DocumentSettings,
     ModelSettings,
-    NoiseSettings,
-    RecordsSettings,
     RunSettings,
     SimulationSettings,
     SiteSettings,
+    StatedNoise,
 )
 from counterspin.campaign.specification import SpecificationSettings
 from counterspin.campaign.truth import (
@@ -140,7 +140,7 @@ def _sections(to: _Definitions) -> dict[str, Json]:
         "records": to(RecordsSettings),
         "readings": to(ReadingsSettings),
         "accelerometers": to.named(AccelerometerSettings) | {"minProperties": 1},
-        "noise": to(NoiseSettings),
+        "noise": to(StatedNoise),
         "model": to(ModelSettings),
         "specification": to.open(SpecificationSettings, additionalProperties=limits),
         "runs": {"type": "array", "items": {"anyOf": in_runs}},
@@ -302,7 +302,7 @@ def _comments(source: str, fields: set[str]) -> dict[str, str]:
         if name:
             words, above = behind or " ".join(above), []
             if field in fields and words:
-                found[field] = _NONE.sub("null", _unlinked(words))
+                found[field] = _NONE.sub("null", unlinked(words))
         else:
             above = [*above, behind] if behind else []
     return found
@@ -340,15 +340,15 @@ def _plain(value: Any, *, nulls: bool) -> Any:
         table = _OF_TABLE.fullmatch(said)
         if table is not None:
             made["title"], said = table[1], table[2][:1].upper() + table[2][1:]
-        made["description"] = _unlinked(said)
+        made["description"] = unlinked(said)
     made.pop("x-kind", None)
     if (absent := made.pop("x-absent", None)) is not None and "description" in made:
-        made["description"] += f" (if left out: {_unlinked(absent)})"
+        made["description"] += f" (if left out: {unlinked(absent)})"
     if "x-unit" in json.dumps([made.get("anyOf"), *made]):
         made.pop("default", None)  # which is in SI, not as it is written
     return made
 
 
-def _unlinked(markdown: str) -> str:
+def unlinked(markdown: str) -> str:
     """Return Markdown without its links, in one line."""
     return " ".join(_LINK.sub(r"\1", markdown).replace("``", "`").split())

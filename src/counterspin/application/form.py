@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
+from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.readings_table import ReadingsSettings
@@ -20,11 +21,10 @@ from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
     ModelSettings,
-    NoiseSettings,
-    RecordsSettings,
     RunSettings,
     SimulationSettings,
     SiteSettings,
+    StatedNoise,
 )
 from counterspin.campaign.specification import SpecificationSettings
 from counterspin.campaign.truth import (
@@ -46,7 +46,7 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "fixture": FixtureSettings,
     "records": RecordsSettings,
     "accelerometers": AccelerometerSettings,
-    "noise": NoiseSettings,
+    "noise": StatedNoise,
     "model": ModelSettings,
     "readings": ReadingsSettings,
     "runs": RunSettings,
@@ -62,7 +62,7 @@ _TRUTH: Final[Mapping[str, type[BaseModel]]] = {
     "platform": PlatformTruthSettings,
     "centrifuge": CentrifugeTruthSettings,
     "encoder": EncoderTruthSettings,
-    "noise": NoiseSettings,
+    "noise": StatedNoise,
 }
 
 #: Sections that hold a table for each name, and those that are a list of tables.

@@ -5,6 +5,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
 - `attitude`: directions and platform attitudes
 - `kinds`: kinds of values: how each is read, and what its schema says
+- `columns`: columns of record files, and how these are read
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
 - `terms`: the error terms of a campaign's model, and their priors
@@ -24,6 +25,5 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `starter`: a commented campaign to start from
 - `simulable`: whether a campaign can be simulated, and has room to be computed
 - `simulation`: records and readings of a campaign whose coefficients are known
-- `reading_simulation`, `reading_files`: simulated readings: their values, and files with
-  them
+- `reading_simulation`: simulated readings: their values, and files with them
 """

@@ -7,21 +7,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.kinds import exact
-from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.readings import Output, is_reading
-from counterspin.campaign.resolved import Accelerometer, Channel, StatedNoise
+from counterspin.campaign.columns import Channel, RecordsSettings
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import is_reading
+from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import (
     OBSERVABLES,
     AccelerometerSettings,
     AxesSettings,
-    RecordsSettings,
+    Output,
+    StatedNoise,
 )
 from counterspin.campaign.terms import about_nominal
 from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import COMMON_NAMES, TERMS
-from counterspin.units import check_unit, unit_factor
+from counterspin.units import unit_factor
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
@@ -145,7 +146,7 @@ class AccelerometersReader:
             return {}
         priors = {symbol: getattr(table, symbol) for symbol in TERMS}
         if table.sensitivity_prior is not None:
-            priors["K_I"] = self._sensitivity_prior(name, table)
+            priors["K_I"] = table.sensitivity_prior
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(table, key)) is not None:
                 path = ("accelerometers", name, key)
@@ -160,42 +161,9 @@ class AccelerometersReader:
             priors[symbol] = priors[symbol] if value is None else value
         return {symbol: prior for symbol, prior in priors.items() if prior is not None}
 
-    def _sensitivity_prior(self, name: str, table: Any) -> Quantity | None:
-        """Return what is known of the sensitivity as the prior of K_I."""
-        path = ("accelerometers", name, "sensitivity_prior")
-        if table.output is None:
-            self.problems.add(path, "needs output = { unit = ..., sensitivity = ... } beside it")
-            return None
-        plain = self.problems.attempt(
-            ("accelerometers", name, "output", "unit"), check_unit, table.output.unit
-        )
-        if plain is None:
-            return None
-        unit = f"{plain}/g"
-        known = self.problems.attempt(path, parse, table.sensitivity_prior, unit)
-        nominal = self.problems.attempt(path, _per_g, table.output.sensitivity, plain)
-        if known is None or not nominal:
-            return None
-        return Quantity(known.value / nominal, known.u / abs(nominal), "g/g")
-
     def outputs(self, tables: Mapping[str, Any]) -> dict[str, Output | None]:
         """Return what each accelerometer's readings are in."""
-        outputs: dict[str, Output | None] = dict.fromkeys(tables)
-        for name, table in tables.items():
-            if table is None or table.output is None:
-                continue
-            path = ("accelerometers", name, "output")
-            unit = self.problems.attempt((*path, "unit"), check_unit, table.output.unit)
-            if unit is None:
-                continue
-            sensitivity = self.problems.attempt(
-                (*path, "sensitivity"), _per_g, table.output.sensitivity, unit
-            )
-            if sensitivity == 0.0:
-                self.problems.add((*path, "sensitivity"), "must not be zero")
-            elif sensitivity is not None:
-                outputs[name] = Output(unit, sensitivity)
-        return outputs
+        return {name: None if table is None else table.output for name, table in tables.items()}
 
     def _recorded(self, name: str, table: Any, observable: str, output: Output | None) -> Channel:
         """Return the column of an accelerometer; an output such as a current as m/s^2."""
@@ -246,13 +214,3 @@ class AccelerometersReader:
                     tuple(key.split(".")), f'column "{column}" is used by {seen[column]} already'
                 )
             seen[column] = key
-
-
-def _per_g(sensitivity: str | None, unit: str) -> float:
-    """Return the nominal output per g, of an output in g without a word."""
-    if sensitivity is not None:
-        return exact(sensitivity, f"{unit}/g")
-    try:
-        return unit_factor("g", unit)
-    except ValueError:
-        raise ValueError(f'is missing: the nominal output, such as "1.25 {unit}/g"') from None

@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from counterspin.campaign.accelerometers import AccelerometersReader
 from counterspin.campaign.checking import M, Problems
+from counterspin.campaign.columns import Channel, Recording, RecordsSettings
 from counterspin.campaign.machine import (
     FixtureSettings,
     MachineModel,
@@ -22,26 +23,20 @@ from counterspin.campaign.memory.source import Source, keep, source_of
 from counterspin.campaign.memory.writing import write_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import (
-    Output,
     Reading,
     is_reading,
     positioned,
-    read_temperature,
     resolve_reading,
 )
 from counterspin.campaign.readings_table import read_table
 from counterspin.campaign.resolved import (
     Accelerometer,
-    Channel,
     ErrorModel,
-    Recording,
     Run,
     Simulation,
-    StatedNoise,
 )
 from counterspin.campaign.runs import (
     RunDefaults,
-    recording_of,
     resolve_runs,
     skipped_runs,
     taken_runs,
@@ -51,10 +46,10 @@ from counterspin.campaign.settings import (
     CentrifugeSettings,
     DocumentSettings,
     ModelSettings,
-    NoiseSettings,
-    RecordsSettings,
+    Output,
     SimulationSettings,
     SiteSettings,
+    StatedNoise,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import (
@@ -79,6 +74,9 @@ from counterspin.physics.terms import term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
+
+#: Of a campaign without records.
+NOT_RECORDED: Final = Recording(Channel("", 1.0, "s"), None)
 
 
 @frozen
@@ -387,11 +385,7 @@ class _DescriptionReader:
             said = "are all left out by skip = true" if self.all_runs else said
             problems.add(("runs",), said)
         given = self.accelerometers.given_priors(tables)
-        reference = problems.attempt(
-            ("centrifuge", "reference_temperature"),
-            read_temperature,
-            centrifuge.reference_temperature if centrifuge else None,
-        )
+        reference = centrifuge.reference_temperature if centrifuge else None
         model, priors, machine = None, given, MachineModel()
         if settings is not None:
             attitudes = [run.attitude for run in runs]
@@ -436,7 +430,7 @@ class _DescriptionReader:
             self.accelerometers.check_columns(records, accelerometers)
         if problems.lines:
             return None
-        site, recording = self.site, recording_of(records)
+        site, recording = self.site, records.recording if records else NOT_RECORDED
         return Campaign(
             title=info.title or self.file.parent.name,
             path=self.file,
@@ -533,10 +527,7 @@ class _DescriptionReader:
     def _noise(self) -> StatedNoise | None:
         if not isinstance(self.raw.get("noise"), dict):
             return None
-        settings = self.problems.check(
-            NoiseSettings, self.raw["noise"], ("noise",), gravity=self.gravity
-        )
-        return StatedNoise(**settings.model_dump()) if settings else None
+        return self.problems.check(StatedNoise, self.raw["noise"], ("noise",), gravity=self.gravity)
 
     def _runs(self) -> list[Run]:
         simulated = of_records(self._table("truth"), {}, self.problems)

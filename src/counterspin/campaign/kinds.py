@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import datetime
 import math
+import re
 from contextlib import suppress
 from functools import partial
 from pathlib import PurePath
@@ -42,6 +43,11 @@ COMPASS: Final = {
 
 #: Written in [noise] where a component is to be estimated from the residuals.
 ESTIMATE: Final = "estimate"
+
+#: Kelvin at 0 degC; only differences of temperature count.
+_ZERO_CELSIUS: Final = 273.15
+
+_TEMPERATURE: Final = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
 
 #: Gravity of any laboratory on Earth, m/s^2, with room to spare.
 _GRAVITY_RANGE: Final = (9.0, 11.0)
@@ -173,14 +179,14 @@ def small_rate_error(value: float) -> float:
     return value
 
 
+def _a_unit(wanted: str, unit: str, info: ValidationInfo) -> str:
+    unit_factor(unit, wanted, gravity=_gravity(info))
+    return unit
+
+
 def unit_of(wanted: str) -> AfterValidator:
     """Return the validator of a unit's name, of one dimension."""
-
-    def check(unit: str, info: ValidationInfo) -> str:
-        unit_factor(unit, wanted, gravity=_gravity(info))
-        return unit
-
-    return AfterValidator(check)
+    return AfterValidator(partial(_a_unit, wanted))
 
 
 #: What an accelerometer's output may be, beside a specific force.
@@ -213,6 +219,16 @@ def record_file(name: str) -> str:
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
         raise ValueError(f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}')
     return name
+
+
+def a_temperature(value: object) -> float:
+    """Return a temperature, K."""
+    if not isinstance(value, str):
+        raise ValueError("must be text")
+    match = _TEMPERATURE.fullmatch(value)
+    if match is None:
+        raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')
+    return float(match[1]) + (0.0 if match[2] == "K" else _ZERO_CELSIUS)
 
 
 def date_or_text(value: object) -> str:
@@ -292,9 +308,10 @@ Attitude = Annotated[Any, PlainValidator(attitude_rows, Text | dict[str, Any])]
 Ratio = Annotated[float, PlainValidator(a_ratio, float | _written("1"))]
 DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
 Part = Annotated[Quantity, PlainValidator(a_part, str)]
-ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, str)]
+ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, Literal[tuple(COMPASS)] | str)]
 Several = Annotated[list[Text], BeforeValidator(several, Text | list[Text])]
 PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
+Temperature = Annotated[float, PlainValidator(a_temperature, Text)]
 Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 
 

@@ -8,7 +8,6 @@ checked alike.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,25 +24,20 @@ from counterspin.campaign.kinds import (
     PositiveRatio,
     Seconds,
     SettingsSection,
+    Temperature,
     Text,
     described,
     read_exactly,
     record_file,
 )
 from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.settings import Output
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES, MotionKind
 
 #: Stands where a reading has no value yet: before it is taken, or simulated.
 BLANK: Final = "?"
-
-#: Kelvin at 0 degC; only differences of temperature count.
-_ZERO_CELSIUS: Final = 273.15
-
-_TEMPERATURE = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
-
-#: The motions, as they are written.
 
 
 #: A reading, or repeats of one at the same setting.
@@ -99,7 +93,7 @@ class ReadingRunSettings(SettingsSection):
         absent="`attitude`",
     )
     mounting: str = described("name of the position on the fixture", "in", "")
-    temperature: Text | None = described("in this run", "23.4 degC", None)
+    temperature: Temperature | None = described("in this run", "23.4 degC", None, kind="text")
     time: Annotated[float, read_exactly("s")] | None = described(
         "when it was read, by any clock", "12 min", None
     )
@@ -115,14 +109,6 @@ class ReadingRunSettings(SettingsSection):
         None,
         absent="those of `[simulation]`",
     )
-
-
-@frozen
-class Output:
-    """What an accelerometer's readings are in."""
-
-    unit: str  #: Such as ``mA``.
-    sensitivity: float  #: Nominal, in that unit per g.
 
 
 @frozen
@@ -187,7 +173,6 @@ def resolve_reading(
     before = len(problems.lines)
     _check_station(settings, path, problems)
     attitude = problems.attempt((*path, "attitude"), _attitude, settings.attitude or "level")
-    temperature = problems.attempt((*path, "temperature"), read_temperature, settings.temperature)
     duration = _duration(settings, path, problems)
     if (settings.reading is None) == (settings.record is None):
         problems.add(path, "give one of reading and record")
@@ -233,7 +218,7 @@ def resolve_reading(
                 u=read.u,
                 head=head,
                 u_head=u_head,
-                temperature=temperature,
+                temperature=settings.temperature,
                 time=settings.time,
                 record=folder / settings.record if settings.record else None,
                 duration=duration,
@@ -288,16 +273,6 @@ def _duration(settings: ReadingRunSettings, path: KeyPath, problems: Problems) -
     elif settings.rate == 0.0:
         problems.add((*path, "revolutions"), "a run that does not turn has a duration")
     return 2.0 * math.pi * settings.revolutions / abs(settings.rate or 1.0)
-
-
-def read_temperature(text: str | None) -> float | None:
-    """Return a temperature in K; ValueError if it is none."""
-    if text is None:
-        return None
-    match = _TEMPERATURE.fullmatch(text)
-    if match is None:
-        raise ValueError(f'{text!r} is not a temperature; write "23.4 degC" or "296.5 K"')
-    return float(match[1]) + (0.0 if match[2] == "K" else _ZERO_CELSIUS)
 
 
 @frozen

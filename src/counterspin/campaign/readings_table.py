@@ -15,10 +15,11 @@ from pydantic import AfterValidator
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import TableDialect
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
-from counterspin.campaign.readings import BLANK, Output, ReadingAxes
+from counterspin.campaign.readings import BLANK, ReadingAxes
 from counterspin.campaign.resolved import MOST_READINGS
-from counterspin.campaign.settings import TableDialect
+from counterspin.campaign.settings import Output
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Final
 
 from counterspin.arrays import Array
+from counterspin.campaign.columns import Channel, Recording
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Output
+from counterspin.campaign.settings import Output, StatedNoise
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE
 from counterspin.physics.spindle import Spindle
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.record import ColumnKind, ColumnSpec
-from counterspin.units import base_unit
 
 #: Most rows, those of all accelerometers together, that are computed at once of records that exist
 #: only on paper. A line of a description can state any length, and what is made from it takes
@@ -50,57 +48,6 @@ def sample_count(duration: float, sampling_rate: float) -> int:
 
 
 @frozen
-class Channel:
-    """One column of the record files."""
-
-    column: str  #: Its name in the file.
-    #: Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g it
-    #: is the site's gravity.
-    factor: float
-    unit: str  #: The unit in the file, as the campaign writes it; empty text: the file says it.
-    offset: float = 0.0  #: What is added then, SI: the direction of an encoder's zero, rad.
-    #: The SI unit of what comes out; empty text: an output such as a current, as m/s^2.
-    si_unit: str = ""
-    #: As of `counterspin.records.record.ColumnSpec`.
-    kind: ColumnKind = "numbers"
-    per_revolution: float = 1.0
-
-    @property
-    def in_g(self) -> bool:
-        """Whether the gravity assumed is in its numbers: recorded in g, or as a current."""
-        if self.si_unit:
-            return bool(self.unit) and base_unit(self.unit)[1]["[gravity]"] != 0.0
-        return bool(self.column)
-
-    def filed(self, values: Array) -> Array:
-        """Return values in SI as the column has them."""
-        filed: Array = (values - self.offset) / self.factor
-        return filed
-
-    def spec(self, gravity: float) -> ColumnSpec:
-        """Return the column as the records know it; `gravity` is the site's, m/s^2."""
-        return ColumnSpec(
-            self.column,
-            self.factor,
-            self.offset,
-            self.unit or None,
-            self.si_unit,
-            gravity,
-            self.kind,
-            self.per_revolution,
-        )
-
-
-@frozen
-class Recording:
-    """How a record is read: its time, its angle (or None), and how its file is written."""
-
-    time: Channel
-    angle: Channel | None
-    dialect: Dialect = TO_BE_FOUND
-
-
-@frozen
 class Accelerometer:
     """One accelerometer under calibration."""
 
@@ -119,30 +66,6 @@ class Accelerometer:
     force: Channel | None = None
     #: One of `counterspin.physics.grades.GRADES`: how large its terms may be.
     grade: str = DEFAULT_GRADE
-
-
-@frozen
-class StatedNoise:
-    """Noise of the records: SI, or ``"estimate"`` where it is to be estimated from residuals."""
-
-    #: White noise of the observable, standard deviation a sample: m, m/s, m/s^2.
-    displacement: float | str = 0.0
-    velocity: float | str = 0.0
-    specific_force: float | str = 0.0
-    #: White noise of the accelerometer, random-walk coefficient N: m/s^2/Hz^0.5.
-    acceleration: float | str = 0.0
-    #: Wander of the accelerometer's bias: instability B, m/s^2, and random walk K, m/s^2/s^0.5.
-    flicker: float | str = 0.0
-    bias_walk: float | str = 0.0
-    quantisation: float | str = 0.0  #: Step of the recorded displacement, m.
-    #: White noise of the encoder and of the time stamps, rad and s.
-    angle: float | str = 0.0
-    timing: float | str = 0.0
-
-    @property
-    def wanders(self) -> bool:
-        """Whether the bias wanders, or may."""
-        return self.flicker != 0.0 or self.bias_walk != 0.0
 
 
 @frozen

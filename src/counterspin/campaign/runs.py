@@ -9,15 +9,15 @@ from typing import Any, Final
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.kinds import STAMPS, exact
+from counterspin.campaign.columns import Recording, RecordsSettings
+from counterspin.campaign.kinds import exact
 from counterspin.campaign.memory.documents import patched
-from counterspin.campaign.readings import is_reading, read_temperature
-from counterspin.campaign.resolved import Channel, Recording, Run, RunTruth
-from counterspin.campaign.settings import AngleChannel, RecordsSettings, RunSettings, TimeChannel
+from counterspin.campaign.readings import is_reading
+from counterspin.campaign.resolved import Run, RunTruth
+from counterspin.campaign.settings import RunSettings
 from counterspin.campaign.truth import resolve_run_truth
 from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
-from counterspin.units import unit_factor
 
 #: Keys of [records] that a run has of its own.
 _OWN: Final = ("time", "angle", *Dialect.__dataclass_fields__)
@@ -48,44 +48,6 @@ def _is_skipped(run: Any) -> bool:
     return isinstance(run, Mapping) and run.get("skip") is True
 
 
-def recording_of(settings: RecordsSettings | None) -> Recording:
-    """Return how records are read; None: there are none."""
-    if settings is None:
-        return Recording(Channel("", 1.0, "s"), None)
-    angle = None if settings.angle is None else _angle(settings.angle)
-    return Recording(_time(settings.time), angle, settings.dialect)
-
-
-def _time(settings: TimeChannel) -> Channel:
-    if settings.column is None:
-        step = 1.0 / settings.sampling_rate if settings.sampling_rate else math.nan
-        return Channel("", step, "s", si_unit="s", kind="rows")
-    if settings.unit == STAMPS:
-        return Channel(settings.column, 1.0, STAMPS, si_unit="s", kind="stamps")
-    factor = unit_factor(settings.unit, "s") if settings.unit else 1.0
-    return Channel(settings.column, factor, settings.unit or "", si_unit="s")
-
-
-def _angle(settings: AngleChannel) -> Channel:
-    sign = -1.0 if settings.sense == "clockwise" else 1.0
-    unit = settings.unit or ""
-    if settings.pulses:
-        return Channel(
-            settings.column,
-            unit_factor(unit, "s") if unit else 1.0,
-            unit,
-            settings.zero,
-            "s",
-            "pulses",
-            settings.per_revolution or 1.0,
-        )
-    if settings.per_revolution is not None:
-        factor = sign * unit_factor(unit, "count") * 2.0 * math.pi / settings.per_revolution
-        return Channel(settings.column, factor, unit, settings.zero)
-    factor = sign * (unit_factor(unit, "rad") if unit else 1.0)
-    return Channel(settings.column, factor, unit, settings.zero, "rad")
-
-
 def resolve_runs(
     runs: Sequence[tuple[int, Any]], defaults: RunDefaults, problems: Problems
 ) -> list[Run]:
@@ -106,7 +68,6 @@ def resolve_runs(
         if settings is None:
             continue
         _check_files(settings, path, problems)
-        warmth = problems.attempt((*path, "temperature"), read_temperature, settings.temperature)
         duration = _duration(settings, defaults, path, problems)
         resolved.append(
             Run(
@@ -116,7 +77,7 @@ def resolve_runs(
                 attitude=settings.attitude,
                 duration=duration,
                 truth=_truth(settings, defaults, path, problems),
-                temperature=warmth,
+                temperature=settings.temperature,
                 time=settings.time,
                 recording=_own_recording(settings, defaults, path, problems),
                 part=_part(settings, path, problems),
@@ -209,7 +170,7 @@ def _own_recording(
     if "angle" in settings.records and "angle" not in defaults.records:
         problems.add((*path, "angle"), "state an angle in [records], for all runs")
     own = problems.check(RecordsSettings, patched(defaults.records, settings.records), path)
-    return None if own is None else recording_of(own)
+    return None if own is None else own.recording
 
 
 def _part(settings: RunSettings, path: KeyPath, problems: Problems) -> tuple[float, float]:

@@ -9,49 +9,46 @@ The keys that name coefficients are not written here: they are made from the ter
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
     Field,
     PlainValidator,
+    ValidationInfo,
     create_model,
-    model_validator,
 )
 
 from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.columns import DisplacementChannel, ForceChannel, VelocityChannel
 from counterspin.campaign.kinds import (
     Attitude,
     DateOrText,
     Direction,
-    Part,
     PositiveRatio,
     Schema,
     Seconds,
     SettingsSection,
     Several,
+    Temperature,
     Text,
-    ZeroDirection,
     a_latitude,
-    an_encoding,
-    angle_unit,
     described,
-    force_or_output,
-    is_unit,
+    exact,
     known,
     noise_size,
     of_earth,
     positive,
     read_exactly,
     record_file,
-    time_unit,
     turning,
-    unit_of,
 )
-from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.terms import TERMS, Term
-from counterspin.records.dialect import Dialect
+from counterspin.records.formats import RECORD_FORMATS
+from counterspin.units import check_unit, unit_factor
 
 #: What an accelerometer's record may hold -> its SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
@@ -154,165 +151,11 @@ class CentrifugeSettings(SettingsSection):
     axis_tilt: Annotated[Quantity, known("rad", "arcsec")] | None = described(
         "likewise: tilt of the spindle's axis about east and about north", "0 ± 5 arcsec", None
     )
-    reference_temperature: Text | None = described(
+    reference_temperature: Temperature | None = described(
         "from which slopes with temperature count; by default the mean of all temperatures",
         "23 degC",
         None,
-    )
-
-
-class _Channel(SettingsSection):
-    column: Text = described("name of the column in the file", "channel 1")
-
-
-class TimeChannel(SettingsSection):
-    """The column that holds the time, or how many rows there are a second."""
-
-    column: Text | None = described(
-        "name of the column in the file", "time_s", None, absent="counted"
-    )
-    unit: Annotated[str, AfterValidator(time_unit)] | None = described(
-        "of its numbers; `iso`: time stamps in ISO 8601, counted from the first",
-        "ms",
-        None,
-        absent="the file's",
-        kind="unit of time, `iso`",
-    )
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        described("in place of a column: rows a second", "50 Hz", None)
-    )
-
-    @model_validator(mode="after")
-    def _one_of_two(self) -> Self:
-        if (self.column is None) == (self.sampling_rate is None):
-            raise ValueError("give a column, or a sampling_rate")
-        if self.unit is not None and self.column is None:
-            raise ValueError("a unit belongs to a column; with sampling_rate there is none")
-        return self
-
-
-class AngleChannel(_Channel):
-    """The column that holds the spindle's angle, or the times of its pulses."""
-
-    pulses: bool = described(
-        "whether the column has the times, in `unit`, at which the arm passed `zero`", False, False
-    )
-    unit: Annotated[str, AfterValidator(angle_unit)] | None = described(
-        "of its numbers", "count", None, absent="the file's", kind="unit of angle, `count`"
-    )
-    sense: Literal["counterclockwise", "clockwise"] = described(
-        "in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
-    )
-    zero: ZeroDirection = described(
-        "where the arm points when the encoder shows zero",
-        "north",
-        0.0,
-        absent="0 (east)",
-        kind="compass direction, or angle from east towards north",
-    )
-    per_revolution: PositiveRatio | None = described(
-        "counts (or pulses) of one revolution", 65536, None
-    )
-
-    @model_validator(mode="after")
-    def _counts(self) -> Self:
-        counted = self.unit is not None and is_unit(self.unit, "count")
-        if counted and self.per_revolution is None:
-            raise ValueError("counts need per_revolution: how many make one revolution")
-        if self.per_revolution is not None and not (counted or self.pulses):
-            raise ValueError('per_revolution belongs to pulses, or to unit = "count"')
-        return self
-
-
-class TableDialect(SettingsSection):
-    """How a table is written, as far as a person says it: of records and of readings alike."""
-
-    skip_lines: Annotated[int, Field(ge=0)] | None = described(
-        "lines (of a sheet: rows) before the names of the columns", 5, None, absent="found"
-    )
-    delimiter: Literal[",", ";", "\t"] | None = described(
-        "between the cells of a file of text", ";", None, absent="found", kind="`,` `;` or tab"
-    )
-    decimal: Literal[".", ","] | None = described(
-        "in its numbers; of a table of readings a comma must be said",
-        ",",
-        None,
-        absent="found",
-        kind="`.` or `,`",
-    )
-    encoding: Annotated[str, AfterValidator(an_encoding)] | None = described(
-        "of its text", "latin-1", None, absent="found"
-    )
-    units_row: bool | None = described(
-        "whether a row of units stands below the names", True, None, absent="found"
-    )
-    sheet: Text | None = described("of an Excel file", "Run 1", None, absent="the only one")
-
-    @property
-    def dialect(self) -> Dialect:
-        """The same, as files are read."""
-        keys = Dialect.__dataclass_fields__
-        return Dialect(**{key: getattr(self, key) for key in keys if hasattr(self, key)})
-
-
-class _TimeAndAngle(SettingsSection):
-    time: TimeChannel = described("time of each row", {"column": "time_s", "unit": "s"})
-    angle: AngleChannel | None = described(
-        "spindle angle, wrapped or not",
-        {"column": "angle_rad", "unit": "rad"},
-        None,
-        absent="nominal rate",
-    )
-
-
-# The fields of the last base come first.
-class RecordsSettings(TableDialect, _TimeAndAngle):
-    """[records]: how to read every run's file."""
-
-    group: Text | None = described(
-        "of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it",
-        "run1/data",
-        None,
-        absent="the only one",
-    )
-    timing_offset: Annotated[Quantity, known("s")] | None = described(
-        "how much later than its displacement an angle is sampled", "0 ± 1e-5 s", None
-    )
-    clock: Part | None = described(
-        "by how much of itself the recorder's clock runs fast, also in `ppm`; see below",
-        "0 ± 1e-7",
-        None,
-        kind="part ±",
-    )
-    reference: Literal["platform", "own velocity"] = described(
-        "whose velocity the navigation computer takes for the Coriolis acceleration "
-        "that it removes; see below",
-        "own velocity",
-        "platform",
-    )
-
-
-class DisplacementChannel(_Channel):
-    """The column that holds the displacement along the input axis."""
-
-    unit: Annotated[str, unit_of("m")] | None = described(
-        "of its numbers", "mm", None, absent="the file's", kind="unit"
-    )
-
-
-class VelocityChannel(_Channel):
-    """The column that holds the velocity along the input axis."""
-
-    unit: Annotated[str, unit_of("m/s")] | None = described(
-        "of its numbers", "mm/s", None, absent="the file's", kind="unit"
-    )
-
-
-class ForceChannel(_Channel):
-    """The column that holds the indicated specific force, or an output such as a current."""
-
-    unit: Annotated[str, AfterValidator(force_or_output)] = described(
-        "of its numbers", "mg", kind="unit"
+        kind="text",
     )
 
 
@@ -328,16 +171,46 @@ class AxesSettings(SettingsSection):
     )
 
 
-class OutputSettings(SettingsSection):
+def _per_g(value: object, info: ValidationInfo) -> float:
+    """Read the nominal output per g; of an output in g it needs no word."""
+    unit = info.data.get("unit")
+    if unit is None:
+        return math.nan  # which is a mistake already
+    if value is None:
+        try:
+            return unit_factor("g", unit)
+        except ValueError:
+            raise ValueError(f'is missing: the nominal output, such as "1.25 {unit}/g"') from None
+    sensitivity = exact(value, f"{unit}/g")
+    if sensitivity == 0.0:
+        raise ValueError("must not be zero")
+    return sensitivity
+
+
+class Output(SettingsSection):
     """``output``: what an accelerometer's readings are in, and its nominal sensitivity."""
 
-    unit: Text = described("of the readings", "mA")
-    sensitivity: Text | None = described(
+    unit: Annotated[Text, AfterValidator(check_unit)] = described("of the readings", "mA")
+    #: In that unit per g.
+    sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = described(
         "nominal: K_I is the true one over it; any other unit needs it",
         "1.25 mA/g",
         None,
         absent="of an output in g, `mg`, ...: exact",
+        kind="text",
+        validate_default=True,
     )
+
+
+def _of_output(value: object, info: ValidationInfo) -> Quantity:
+    """Read what is known of a sensitivity as the prior of K_I."""
+    output = info.data.get("output")
+    if output is None:
+        if "output" in info.data:
+            raise ValueError("needs output = { unit = ..., sensitivity = ... } beside it")
+        return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
+    stated = parse(value, f"{output.unit}/g")
+    return Quantity(stated.value / output.sensitivity, stated.u / abs(output.sensitivity), "g/g")
 
 
 class _AccelerometerKeys(AxesSettings):
@@ -349,14 +222,18 @@ class _AccelerometerKeys(AxesSettings):
         "navigation",
         kind='`"navigation"`, `"tactical"` or `"consumer"`',
     )
-    output: OutputSettings | None = described(
+    output: Output | None = described(
         "what its [readings](readings.md) are in, and the nominal sensitivity",
         {"unit": "mA", "sensitivity": "1.25 mA/g"},
         None,
         absent="g",
     )
-    sensitivity_prior: Text | None = described(
-        "K_I known beforehand, in that unit", "1.25 ± 0.01 mA/g", None, absent="unknown"
+    sensitivity_prior: Annotated[Quantity, PlainValidator(_of_output, Text)] | None = described(
+        "K_I known beforehand, in that unit",
+        "1.25 ± 0.01 mA/g",
+        None,
+        absent="unknown",
+        kind="text",
     )
     bias: Annotated[Quantity, known("g")] | None = described(
         "K_F known beforehand", "0.00503 ± 2e-6 g", None, absent="unknown"
@@ -416,7 +293,7 @@ AccelerometerSettings = create_model(
 )
 
 
-class NoiseSettings(SettingsSection):
+class StatedNoise(SettingsSection):
     """[noise] and [truth.noise]: standard deviations a sample, SI."""
 
     displacement: Annotated[float | str, noise_size("m")] = described(
@@ -458,6 +335,11 @@ class NoiseSettings(SettingsSection):
     timing: Annotated[float | str, noise_size("s")] = described(
         "noise of the time stamps", "1 us", 0.0, kind="quantity, s"
     )
+
+    @property
+    def wanders(self) -> bool:
+        """Whether the bias wanders, or may."""
+        return self.flicker != 0.0 or self.bias_walk != 0.0
 
 
 class ModelSettings(SettingsSection):
@@ -532,8 +414,7 @@ class RunSettings(SettingsSection):
         "nominal rate; negative is the other sense", "0.25 rev/s"
     )
     record: Annotated[Text, AfterValidator(record_file)] = described(
-        "file, from the campaign's folder: .csv, .txt, .tsv, .lvm, .parquet, .h5, "
-        ".hdf5, .mat, .xlsx, .tdms",
+        f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}",
         "run1.csv",
     )
     attitude: Attitude = described(
@@ -552,8 +433,8 @@ class RunSettings(SettingsSection):
     revolutions: PositiveRatio | None = described(
         "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
     )
-    temperature: Text | None = described(
-        "in this run, for slopes with temperature; or in K", "23.4 degC", None
+    temperature: Temperature | None = described(
+        "in this run, for slopes with temperature; or in K", "23.4 degC", None, kind="text"
     )
     time: Annotated[float, read_exactly("s")] | None = described(
         "when the run began, by any clock, for `K_F.trend`",

@@ -23,12 +23,13 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.machine import expand, less_nominal, symbols_shown
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Output, Reading
-from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation, StatedNoise
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation
 from counterspin.campaign.settings import (
     CentrifugeSettings,
-    NoiseSettings,
+    Output,
     SimulationSettings,
+    StatedNoise,
     term_keys,
 )
 from counterspin.campaign.toml_file import flat_keys
@@ -216,8 +217,8 @@ def _true_noise(
     if "noise" not in raw_truth:
         return noise or StatedNoise()
     path = ("truth", "noise")
-    settings = problems.check(NoiseSettings, raw_truth["noise"], path, gravity=gravity)
-    return StatedNoise(**settings.model_dump()) if settings else StatedNoise()
+    found = problems.check(StatedNoise, raw_truth["noise"], path, gravity=gravity)
+    return found or StatedNoise()
 
 
 def resolve_run_truth(

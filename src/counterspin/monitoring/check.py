@@ -8,8 +8,8 @@ from pathlib import Path
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.resolved import Run, StatedNoise
-from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.resolved import Run
+from counterspin.campaign.settings import OBSERVABLES, StatedNoise
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.monitoring.judging import remarks_of, run_state
 from counterspin.monitoring.observing import Observer, record_name
@@ -187,10 +187,9 @@ def _expected(
     }
     noise = {
         key: found.get(key, 0.0) if campaign.noise is None or isinstance(value, str) else value
-        for key, value in vars(stated).items()
-        if not key.startswith("_")
+        for key, value in stated
     }
-    whole = replace(campaign, runs=tuple(runs), noise=StatedNoise(**noise))
+    whole = replace(campaign, runs=tuple(runs), noise=stated.model_copy(update=noise))
     try:
         predicted = forecast(whole, sampling_rate=1.0 / observed.record.report.step)
     except CounterspinError as error:

@@ -167,7 +167,7 @@ def _check(campaign: Campaign, sampling_rate: float | None) -> None:
 
 def _noise(campaign: Campaign) -> Mapping[str, float | str]:
     """Return the noise that is stated; what is to be estimated, from a simulation's truth."""
-    stated = vars(campaign.noise) if campaign.noise else {}
+    stated = dict(campaign.noise or ())
     truth = vars(campaign.simulation.truth.noise) if campaign.simulation else {}
     return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
         key: size for key, size in truth.items() if not isinstance(stated.get(key), float)

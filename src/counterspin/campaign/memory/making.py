@@ -12,8 +12,8 @@ from counterspin.campaign.description import Campaign, resolved_in_memory
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.memory.records import give_records, name_records
 from counterspin.campaign.memory.source import Source
-from counterspin.campaign.readings import Output
 from counterspin.campaign.readings_table import ReadingsSettings, runs_of
+from counterspin.campaign.settings import Output
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     description_file,
@@ -128,4 +128,4 @@ def _output(table: Any) -> Output | None:
     """Return what an accelerometer's readings are in, as far as its unit tells."""
     output = table.get("output") if isinstance(table, Mapping) else None
     unit = output.get("unit") if isinstance(output, Mapping) else None
-    return Output(unit, 1.0) if isinstance(unit, str) else None
+    return Output.model_construct(unit=unit) if isinstance(unit, str) else None

@@ -1,0 +1,269 @@
+"""Columns of record files: the tables of ``campaign.toml`` that name them, and what is read."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from counterspin.arrays import Array
+from counterspin.campaign.kinds import (
+    STAMPS,
+    Part,
+    PositiveRatio,
+    SettingsSection,
+    Text,
+    ZeroDirection,
+    an_encoding,
+    angle_unit,
+    described,
+    force_or_output,
+    is_unit,
+    known,
+    positive,
+    read_exactly,
+    time_unit,
+    unit_of,
+)
+from counterspin.campaign.quantity import Quantity
+from counterspin.frozen import frozen
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.record import ColumnKind, ColumnSpec
+from counterspin.units import base_unit, unit_factor
+
+
+@frozen
+class Channel:
+    """One column of the record files."""
+
+    column: str  #: Its name in the file.
+    #: Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g it
+    #: is the site's gravity.
+    factor: float
+    unit: str  #: The unit in the file, as the campaign writes it; empty text: the file says it.
+    offset: float = 0.0  #: What is added then, SI: the direction of an encoder's zero, rad.
+    #: The SI unit of what comes out; empty text: an output such as a current, as m/s^2.
+    si_unit: str = ""
+    #: As of `counterspin.records.record.ColumnSpec`.
+    kind: ColumnKind = "numbers"
+    per_revolution: float = 1.0
+
+    @property
+    def in_g(self) -> bool:
+        """Whether the gravity assumed is in its numbers: recorded in g, or as a current."""
+        if self.si_unit:
+            return bool(self.unit) and base_unit(self.unit)[1]["[gravity]"] != 0.0
+        return bool(self.column)
+
+    def filed(self, values: Array) -> Array:
+        """Return values in SI as the column has them."""
+        filed: Array = (values - self.offset) / self.factor
+        return filed
+
+    def spec(self, gravity: float) -> ColumnSpec:
+        """Return the column as the records know it; `gravity` is the site's, m/s^2."""
+        return ColumnSpec(
+            self.column,
+            self.factor,
+            self.offset,
+            self.unit or None,
+            self.si_unit,
+            gravity,
+            self.kind,
+            self.per_revolution,
+        )
+
+
+@frozen
+class Recording:
+    """How a record is read: its time, its angle (or None), and how its file is written."""
+
+    time: Channel
+    angle: Channel | None
+    dialect: Dialect = TO_BE_FOUND
+
+
+class _Channel(SettingsSection):
+    column: Text = described("name of the column in the file", "channel 1")
+
+
+class TimeChannel(SettingsSection):
+    """The column that holds the time, or how many rows there are a second."""
+
+    column: Text | None = described(
+        "name of the column in the file", "time_s", None, absent="counted"
+    )
+    unit: Annotated[str, AfterValidator(time_unit)] | None = described(
+        "of its numbers; `iso`: time stamps in ISO 8601, counted from the first",
+        "ms",
+        None,
+        absent="the file's",
+        kind="unit of time, `iso`",
+    )
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+        described("in place of a column: rows a second", "50 Hz", None)
+    )
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.column is None) == (self.sampling_rate is None):
+            raise ValueError("give a column, or a sampling_rate")
+        if self.unit is not None and self.column is None:
+            raise ValueError("a unit belongs to a column; with sampling_rate there is none")
+        return self
+
+    @property
+    def channel(self) -> Channel:
+        """The column, s."""
+        if self.column is None:
+            step = 1.0 / self.sampling_rate if self.sampling_rate else math.nan
+            return Channel("", step, "s", si_unit="s", kind="rows")
+        if self.unit == STAMPS:
+            return Channel(self.column, 1.0, STAMPS, si_unit="s", kind="stamps")
+        factor = unit_factor(self.unit, "s") if self.unit else 1.0
+        return Channel(self.column, factor, self.unit or "", si_unit="s")
+
+
+class AngleChannel(_Channel):
+    """The column that holds the spindle's angle, or the times of its pulses."""
+
+    pulses: bool = described(
+        "whether the column has the times, in `unit`, at which the arm passed `zero`", False, False
+    )
+    unit: Annotated[str, AfterValidator(angle_unit)] | None = described(
+        "of its numbers", "count", None, absent="the file's", kind="unit of angle, `count`"
+    )
+    sense: Literal["counterclockwise", "clockwise"] = described(
+        "in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
+    )
+    zero: ZeroDirection = described(
+        "where the arm points when the encoder shows zero",
+        "north",
+        0.0,
+        absent="0 (east)",
+        kind="compass direction, or angle from east towards north",
+    )
+    per_revolution: PositiveRatio | None = described(
+        "counts (or pulses) of one revolution", 65536, None
+    )
+
+    @model_validator(mode="after")
+    def _counts(self) -> Self:
+        counted = self.unit is not None and is_unit(self.unit, "count")
+        if counted and self.per_revolution is None:
+            raise ValueError("counts need per_revolution: how many make one revolution")
+        if self.per_revolution is not None and not (counted or self.pulses):
+            raise ValueError('per_revolution belongs to pulses, or to unit = "count"')
+        return self
+
+    @property
+    def channel(self) -> Channel:
+        """The column, rad; of pulses, their times in s."""
+        sign, unit = -1.0 if self.sense == "clockwise" else 1.0, self.unit or ""
+        if self.pulses:
+            factor, turn = unit_factor(unit, "s") if unit else 1.0, self.per_revolution or 1.0
+            return Channel(self.column, factor, unit, self.zero, "s", "pulses", turn)
+        if self.per_revolution is not None:
+            factor = sign * unit_factor(unit, "count") * 2.0 * math.pi / self.per_revolution
+            return Channel(self.column, factor, unit, self.zero)
+        factor = sign * (unit_factor(unit, "rad") if unit else 1.0)
+        return Channel(self.column, factor, unit, self.zero, "rad")
+
+
+class TableDialect(SettingsSection):
+    """How a table is written, as far as a person says it: of records and of readings alike."""
+
+    skip_lines: Annotated[int, Field(ge=0)] | None = described(
+        "lines (of a sheet: rows) before the names of the columns", 5, None, absent="found"
+    )
+    delimiter: Literal[",", ";", "\t"] | None = described(
+        "between the cells of a file of text", ";", None, absent="found", kind="`,` `;` or tab"
+    )
+    decimal: Literal[".", ","] | None = described(
+        "in its numbers; of a table of readings a comma must be said",
+        ",",
+        None,
+        absent="found",
+        kind="`.` or `,`",
+    )
+    encoding: Annotated[str, AfterValidator(an_encoding)] | None = described(
+        "of its text", "latin-1", None, absent="found"
+    )
+    units_row: bool | None = described(
+        "whether a row of units stands below the names", True, None, absent="found"
+    )
+    sheet: Text | None = described("of an Excel file", "Run 1", None, absent="the only one")
+
+    @property
+    def dialect(self) -> Dialect:
+        """The same, as files are read."""
+        keys = Dialect.__dataclass_fields__
+        return Dialect(**{key: getattr(self, key) for key in keys if hasattr(self, key)})
+
+
+class _TimeAndAngle(SettingsSection):
+    time: TimeChannel = described("time of each row", {"column": "time_s", "unit": "s"})
+    angle: AngleChannel | None = described(
+        "spindle angle, wrapped or not",
+        {"column": "angle_rad", "unit": "rad"},
+        None,
+        absent="nominal rate",
+    )
+
+
+# The fields of the last base come first.
+class RecordsSettings(TableDialect, _TimeAndAngle):
+    """[records]: how to read every run's file."""
+
+    group: Text | None = described(
+        "of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it",
+        "run1/data",
+        None,
+        absent="the only one",
+    )
+    timing_offset: Annotated[Quantity, known("s")] | None = described(
+        "how much later than its displacement an angle is sampled", "0 ± 1e-5 s", None
+    )
+    clock: Part | None = described(
+        "by how much of itself the recorder's clock runs fast, also in `ppm`; see below",
+        "0 ± 1e-7",
+        None,
+        kind="part ±",
+    )
+    reference: Literal["platform", "own velocity"] = described(
+        "whose velocity the navigation computer takes for the Coriolis acceleration "
+        "that it removes; see below",
+        "own velocity",
+        "platform",
+    )
+
+    @property
+    def recording(self) -> Recording:
+        """How every run's file is read, where the run itself says nothing else."""
+        angle = None if self.angle is None else self.angle.channel
+        return Recording(self.time.channel, angle, self.dialect)
+
+
+class DisplacementChannel(_Channel):
+    """The column that holds the displacement along the input axis."""
+
+    unit: Annotated[str, unit_of("m")] | None = described(
+        "of its numbers", "mm", None, absent="the file's", kind="unit"
+    )
+
+
+class VelocityChannel(_Channel):
+    """The column that holds the velocity along the input axis."""
+
+    unit: Annotated[str, unit_of("m/s")] | None = described(
+        "of its numbers", "mm/s", None, absent="the file's", kind="unit"
+    )
+
+
+class ForceChannel(_Channel):
+    """The column that holds the indicated specific force, or an output such as a current."""
+
+    unit: Annotated[str, AfterValidator(force_or_output)] = described(
+        "of its numbers", "mg", kind="unit"
+    )
