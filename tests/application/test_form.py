@@ -5,10 +5,14 @@ import re
 from prose import sentences
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_kinds
+from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.settings import DocumentSettings
+from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.certificates.lab import Lab
-from counterspin.physics.terms import TERMS
+from counterspin.physics.accelerometer import DIRECTIONS
+from counterspin.physics.terms import OWN_TERMS, TERMS, is_term
+from counterspin.units import unit_factor
 
 
 def section(form, key):
@@ -37,12 +41,11 @@ def test_every_section_is_in_the_form():
 
 def test_quantities_say_their_unit_and_coefficients_are_all_there():
     form = campaign_form()
-    assert field(form, "site", "latitude") == {
-        "key": "latitude",
-        "required": True,
-        "kind": "text",
-        "unit": "rad",
-    }
+    latitude = field(form, "site", "latitude")
+    assert latitude["kind"] == "quantity"
+    assert latitude["unit"] == "rad"
+    assert latitude["units"][0] == "deg"  # in which it is usually written
+    assert set(latitude["units"]) > {"rad", "arcsec"}
     assert field(form, "noise", "acceleration")["unit"] == "m/s^2/Hz^0.5"
     assert field(form, "runs", "rate")["unit"] == "rad/s"
     units = {f["key"]: f.get("unit") for f in section(form, "accelerometers")["fields"]}
@@ -58,14 +61,17 @@ def test_kinds_of_values():
         ("records", "skip_lines"): "number",
         ("runs", "skip"): "flag",
         ("runs", "revolutions"): "number",
-        ("model", "terms"): "list",
+        ("model", "terms"): "terms",
+        ("runs", "continued_in"): "list",
         ("model", "priors"): "table",
         ("accelerometers", "input_axis"): "text",
+        ("campaign", "date"): "date",
+        ("runs", "temperature"): "quantity",
     }
     kinds |= {
         ("specification", "decision_rule"): "choice",
         ("specification", "guard_factor"): "number",
-        ("simulation", "sampling_rate"): "text",
+        ("simulation", "sampling_rate"): "quantity",
         ("study", "trials"): "number",
         ("study", "vary"): "table",
     }
@@ -74,6 +80,60 @@ def test_kinds_of_values():
     assert field(lab_form(), "certificate", "begin")["kind"] == "date"
     assert section(form, "accelerometers")["repeat"] == "names"
     assert section(lab_form(), "persons")["repeat"] == "list"
+
+
+def inside(fields):
+    """Yield every field, those of groups too."""
+    for one in fields:
+        yield one
+        yield from inside(one.get("fields", []))
+
+
+def test_every_field_has_a_label_and_help_in_words():
+    for form in (campaign_form(), lab_form()):
+        for one in form:
+            for asked in inside(one["fields"]):
+                assert re.match(r"[A-Z][a-z]", asked["label"]), asked
+                assert asked["key"] in OWN_TERMS or "_" not in asked["label"], asked
+                assert asked["help"] or asked["key"] in OWN_TERMS, asked
+                assert not re.search(r"`|\]\(", asked["help"]), asked
+    assert field(campaign_form(), "accelerometers", "K_II")["label"] == (
+        "Second-order coefficient (K_II)"
+    )
+
+
+def test_units_offered_are_units_of_the_key():
+    fields = [one for part in campaign_form() for one in inside(part["fields"])]
+    quantities = [one for one in fields if one["kind"] == "quantity"]
+    assert len(quantities) > 40
+    for one in quantities:
+        for unit in one["units"]:
+            if unit != "degC":
+                unit_factor(unit, one["unit"], gravity=9.8)
+    columns = field(campaign_form(), "records", "time", "unit")
+    assert "ms" in columns["suggestions"]
+    assert "iso" in columns["suggestions"]
+    force = field(campaign_form(), "accelerometers", "specific_force", "unit")
+    assert {"mm/s^2", "ug", "A"} <= set(force["suggestions"])
+
+
+def test_choices_are_offered_where_other_things_may_stand_too():
+    form = campaign_form()
+    assert field(form, "accelerometers", "input_axis")["suggestions"] == list(DIRECTIONS)
+    assert field(form, "records", "angle", "zero")["suggestions"] == list(COMPASS)
+    assert field(form, "noise", "acceleration")["suggestions"] == ["estimate"]
+    assert field(lab_form(), "laboratory", "country")["kind"] == "country"
+    assert field(lab_form(), "certificate", "language")["kind"] == "language"
+
+
+def test_terms_to_tick_are_those_that_a_model_may_name():
+    rows = field(campaign_form(), "model", "terms")["rows"]
+    symbols = [row["key"] for row in rows]
+    assert len(symbols) == len(set(symbols))
+    assert set(OWN_TERMS) < set(symbols)
+    assert all(is_term(s) or s in BARE_NAMES for s in symbols)
+    assert {name for name in BARE_NAMES if name.count(".") == 1} < set(symbols)
+    assert all(re.match("[A-Z]", row["words"]) for row in rows)
 
 
 def test_readings_among_the_runs_have_their_own_keys():

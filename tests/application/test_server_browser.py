@@ -289,21 +289,53 @@ def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
     tab.close()
 
 
+def wait_until(tab, holds):
+    """Wait until something holds; the page's policy lets no text be evaluated while it waits."""
+    for _ in range(200):
+        if holds():
+            return
+        tab.wait_for_timeout(50)
+    assert holds()
+
+
 def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder):
     tab = opened("/description/three")
-    radius, text = tab.get_by_label("radius"), tab.get_by_label("campaign.toml")
+    radius, text = tab.get_by_label("Radius", exact=True), tab.get_by_label("campaign.toml")
+    unit = tab.get_by_label("Unit of Radius")
     radius.fill("2.5 kg")
     radius.press("Tab")
-    wrong = tab.locator("label", has=radius).locator(".wrong")
+    wrong = tab.locator(".field", has=radius).locator(".wrong")
     wrong.wait_for()
     assert radius.get_attribute("aria-invalid") == "true"
     assert 'radius = "2.5 kg"' in text.input_value()
     text.fill(text.input_value().replace("2.5 kg", "2.75 m"))
     wrong.wait_for(state="detached")
-    assert radius.input_value() == "2.75 m"
+    assert (radius.input_value(), unit.input_value()) == ("2.75", "m")
+    radius.fill("2750 ± 0.5")
+    unit.select_option("mm")
+    wait_until(tab, lambda: "2750 ± 0.5 mm" in text.input_value())
     tab.get_by_role("button", name="Save").click()
     tab.get_by_text("Saved three/campaign.toml").wait_for()
-    assert 'radius = "2.75 m"' in (folder / "three" / "campaign.toml").read_text()
+    assert 'radius = "2750 ± 0.5 mm"' in (folder / "three" / "campaign.toml").read_text()
+
+
+def test_terms_are_ticked_beside_what_they_do_and_what_is_known_of_them(opened, folder):
+    tab = opened("/description/three")
+    model = tab.locator("#s-model")
+    model.locator("details.terms").first.wait_for(state="attached")
+    table = tab.locator("#t-model\\.terms")
+    table.evaluate(
+        "one => { for (let up = one; up; up = up.parentElement.closest('details')) up.open = true }"
+    )
+    row = table.get_by_role("row", name="K_OQ")
+    assert "Odd second-order coefficient" in row.inner_text()
+    row.get_by_role("checkbox").check()
+    text = tab.get_by_label("campaign.toml")
+    wait_until(tab, lambda: '"K_OQ"' in text.input_value())
+    table.get_by_role("row", name="K_OQ").get_by_role("checkbox").uncheck()
+    wait_until(tab, lambda: "K_OQ" not in text.input_value())
+    assert "1.002 g/g (Qx)" in table.get_by_role("row", name="K_I Scale factor").inner_text()
+    assert table.evaluate("one => one.querySelector('.ticks').scrollWidth <= one.clientWidth")
 
 
 def test_mistakes_are_read_out_at_the_fields_of_a_name_with_a_blank(opened, folder):
@@ -314,6 +346,7 @@ def test_mistakes_are_read_out_at_the_fields_of_a_name_with_a_blank(opened, fold
     tab.locator("[aria-invalid]").first.wait_for()
     read = tab.locator("[aria-invalid]").evaluate_all(
         """(all) => all.flatMap((one) => one.getAttribute("aria-describedby").split(" ")
+          .filter((id) => id.startsWith("wrong"))
           .map((id) => document.getElementById(id)?.textContent))"""
     )
     listed = tab.locator(".editor .warning li").all_inner_texts()
@@ -335,8 +368,8 @@ def test_of_two_windows_none_loses_an_edit(opened, folder):
     file = folder / "three" / "campaign.toml"
     tabs = [opened("/description/three"), opened("/description/three")]
     for tab, radius in zip(tabs, ("3 m", "4 m"), strict=True):
-        tab.get_by_label("radius").fill(radius)
-        tab.get_by_label("radius").press("Tab")
+        tab.get_by_label("Radius", exact=True).fill(radius)
+        tab.get_by_label("Radius", exact=True).press("Tab")
         tab.locator(".editor button.main:enabled").wait_for()
     first, second = tabs
     first.get_by_role("button", name="Save").click()

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import datetime
+import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, PlainValidator
+from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
 from counterspin.campaign.columns import RecordsSettings
+from counterspin.campaign.kinds import (
+    OUTPUTS,
+    STAMPS,
+    a_temperature,
+    angle_unit,
+    force_or_output,
+    time_unit,
+)
 from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.readings_table import ReadingsSettings
@@ -27,6 +36,7 @@ from counterspin.campaign.settings import (
     StatedNoise,
 )
 from counterspin.campaign.specification import SpecificationSettings
+from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import (
     AccelerometerTruthSettings,
     CentrifugeTruthSettings,
@@ -35,8 +45,10 @@ from counterspin.campaign.truth import (
     SpindleTruthSettings,
 )
 from counterspin.certificates.lab import Lab
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
+from counterspin.schemas import unlinked
 from counterspin.studies.description import StudySettings
+from counterspin.units import advice, check_unit
 
 #: Section of ``campaign.toml`` -> its model.
 SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
@@ -71,6 +83,14 @@ _REPEATED: Final = {
     "runs": "list",
     "persons": "list",
     "truth": "names",
+}
+
+#: Check of a unit's name -> units of the dimensions that it lets pass.
+_UNITS_WANTED: Final[Mapping[Any, tuple[str, ...]]] = {
+    time_unit: ("s", STAMPS),
+    angle_unit: ("rad", "count"),
+    force_or_output: ("m/s^2", "g", *OUTPUTS),
+    check_unit: ("g", *OUTPUTS),
 }
 
 #: Type -> how it is asked for; others as text.
@@ -125,7 +145,14 @@ def run_kinds(document: Mapping[str, Any]) -> list[str]:
 def _limits() -> list[Field]:
     """Return the fields of tolerance limits, one for each term of an accelerometer."""
     return [
-        {"key": symbol, "required": False, "kind": "text", "example": f"abs <= … {row.unit}"}
+        {
+            "key": symbol,
+            "label": _label(symbol),
+            "help": "",
+            "required": False,
+            "kind": "text",
+            "example": f"abs <= … {row.unit}",
+        }
         for symbol, row in TERMS.items()
     ]
 
@@ -148,7 +175,53 @@ def _fields(model: type[BaseModel]) -> list[Field]:
 
 def _field(key: str, field: FieldInfo) -> Field:
     base, metadata = _unwrapped(field.annotation, field.metadata)
-    return {"key": key, "required": field.is_required(), **_kind(base, metadata)}
+    extra: Any = field.json_schema_extra or {}
+    absent = extra.get("x-absent")
+    meaning = "" if key in OWN_TERMS else (field.description or "").removesuffix("; see below")
+    said = [meaning, f"if left out: {absent}" if absent else ""]
+    asked = {
+        "key": key,
+        "label": extra.get("x-label") or _label(key),
+        "help": unlinked("; ".join(filter(None, said))).replace("`", ""),
+        "required": field.is_required(),
+        **_kind(base, metadata),
+    }
+    words = extra.get("x-kind", "")
+    if words.startswith("date") or words in ("country", "language"):
+        asked["kind"] = words.partition(" ")[0]
+    elif words.startswith("list of terms"):
+        asked |= {"kind": "terms", "rows": _term_rows()}
+    (example,) = field.examples or [None]
+    if isinstance(example, str | int | float) and not isinstance(example, bool):
+        asked["example"] = str(example)
+        usual = re.fullmatch(r"\S+(?: ± \S+)? (.+)", asked["example"])
+        if asked["kind"] == "quantity" and usual is not None:
+            asked["units"] = list(dict.fromkeys([usual[1], *asked["units"]]))
+    return asked
+
+
+def _label(key: str) -> str:
+    """Return a key in words: those of a term, with its symbol."""
+    if key in OWN_TERMS:
+        words = OWN_TERMS[key].words
+        return f"{words[:1].upper()}{words[1:]} ({key})"
+    of_what = key.removeprefix("u").removeprefix("_")
+    if key in ("u", f"u_{of_what}"):
+        key = "_of_".join(filter(None, ("uncertainty", of_what)))
+    return key[:1].upper() + key[1:].replace("_", " ")
+
+
+@cache
+def _term_rows() -> tuple[Field, ...]:
+    """Return what a list of terms may name, each with what it does: terms, families of them."""
+    rows = {symbol: row.words for symbol, row in OWN_TERMS.items()}
+    for family, of_family in BARE_NAMES.items():
+        if family.count(".") == 1:
+            rows[family] = f"{of_family[0].words}, and so on"
+    for symbol, row in (*SHARED_TERMS.items(), *READING_TERMS.items()):
+        if symbol.count(".") == 1:
+            rows.setdefault(symbol, row.words)
+    return tuple({"key": s, "words": words[:1].upper() + words[1:]} for s, words in rows.items())
 
 
 def _unwrapped(annotation: Any, metadata: Sequence[Any]) -> tuple[Any, list[Any]]:
@@ -173,19 +246,53 @@ def _a_table(some: Sequence[Any]) -> bool:
 
 
 def _kind(base: Any, metadata: Sequence[Any]) -> Field:
-    """Return how a value is asked for."""
+    """Return how a value is asked for: its choices or suggestions, its unit and others of it."""
     if typing.get_origin(base) is Literal:
         return {"kind": "choice", "choices": list(typing.get_args(base))}
-    readers = [said.func for said in metadata if isinstance(said, PlainValidator)]
+    readers = [said for said in metadata if isinstance(said, PlainValidator)]
     if readers:
-        of_unit = next((reader for reader in readers if isinstance(reader, partial)), None)
-        if of_unit is not None:
-            return {"kind": "text", "unit": of_unit.args[0]}
-        return {"kind": "number" if base in (float, int) else "text"}
+        read, written = readers[0].func, readers[0].json_schema_input_type
+        asked: Field = {"kind": "number" if _is_number(written, base) else "text"}
+        if isinstance(read, partial):
+            units = advice(read.args[0])[1].split(", ")
+            asked = {"kind": "quantity", "unit": read.args[0], "units": units}
+        elif read is a_temperature:
+            asked = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
+        named = [choice for part in _parts(written) for choice in _choices(part)]
+        return asked | ({"suggestions": named} if named else {})
     if isinstance(base, type) and issubclass(base, BaseModel):
         return {"kind": "group", "fields": _fields(base)}
+    checks = [said.func for said in metadata if isinstance(said, AfterValidator)]
+    wanted = next((found for check in checks if (found := _units_wanted(check))), ())
+    if wanted:
+        named = [unit for one in wanted for unit in advice(one)[1].split(", ")]
+        return {"kind": "text", "suggestions": list(dict.fromkeys(named))}
     origin = typing.get_origin(base)
     return {"kind": _KINDS.get(origin or base, "text")}
+
+
+def _parts(written: Any) -> Sequence[Any]:
+    """Return what a value may be written as, one by one."""
+    return typing.get_args(written) if _is_union(written) else [written]
+
+
+def _is_union(written: Any) -> bool:
+    return typing.get_origin(written) in (typing.Union, types.UnionType)
+
+
+def _choices(written: Any) -> Sequence[Any]:
+    return typing.get_args(written) if typing.get_origin(written) is Literal else ()
+
+
+def _is_number(written: Any, base: Any) -> bool:
+    return any(part in (float, int) for part in _parts(base if written is Any else written))
+
+
+def _units_wanted(check: Any) -> tuple[str, ...]:
+    """Return units of the dimensions that a check of a unit's name lets pass."""
+    if isinstance(check, partial):
+        return tuple(check.args)
+    return _UNITS_WANTED.get(check, ())
 
 
 def _model_inside(annotation: Any) -> type[BaseModel] | None:

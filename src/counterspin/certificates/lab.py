@@ -103,6 +103,7 @@ class CertificateSettings(SettingsSection):
             "of the words in this file; those of counterspin are English, and they are what binds",
             "de",
             "en",
+            kind="language",
         )
     )
     begin: datetime.date = described("first day of the calibration", datetime.date(2026, 3, 2))
@@ -163,7 +164,7 @@ class Contact(SettingsSection):
     number: Words | None = described("of the house", "12", None)
     post_code: Words | None = described("of the city", "12345", None)
     city: Words = described("of the address", "Exampletown")
-    country: Country | None = described("two letters by ISO 3166-1", "DE", None)
+    country: Country | None = described("two letters by ISO 3166-1", "DE", None, kind="country")
     email: Words | None = described("at which it is reached", "lab@example.org", None)
     phone: Words | None = described("at which it is reached", "+49 30 123456", None)
 
@@ -171,7 +172,7 @@ class Contact(SettingsSection):
 class Laboratory(Contact):
     """[laboratory]: the calibration laboratory; `code` is that of the accreditation."""
 
-    country: Country = described("two letters by ISO 3166-1", "DE")
+    country: Country = described("two letters by ISO 3166-1", "DE", kind="country")
     code: Words | None = described("of the accreditation", "D-K-00000-01-00", None)
 
 

@@ -6,8 +6,9 @@ import { labelled, make, say, warning } from "./dom.js";
 
 /**
  * @typedef {string | number} Part
- * @typedef {{key: string, kind: string, required: boolean, unit?: string, example?: string, choices?: any[],
- *   fields?: Field[]}} Field
+ * @typedef {{key: string, label: string, help: string, kind: string, required: boolean, unit?: string,
+ *   units?: string[], example?: string, choices?: any[], suggestions?: string[],
+ *   rows?: {key: string, words: string}[], fields?: Field[]}} Field
  * @typedef {{key: string, words: string, repeat: string | null, fields: Field[],
  *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
  * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
@@ -23,6 +24,36 @@ const keyPath = (path) => path.reduce((/** @type {string} */ text, part) => {
   const plain = /^[\p{L}\p{N}]+$/u.test(part.replaceAll("_", "").replaceAll("-", ""));
   return `${text}${text && "."}${plain ? part : `"${part}"`}`;
 }, "");
+
+/** A number, perhaps with its uncertainty, by itself and before a unit. */
+const NUMBER = String.raw`[+−-]?\s*[\d.]+(?:[eE][+-]?\d+)?`;
+const BEGINNING = String.raw`^\s*(${NUMBER}(?:\s*(?:±|\+/-|\+-)\s*${NUMBER})?)\s*`;
+const STATED = new RegExp(`${BEGINNING}$`, "u");
+const QUANTITY = new RegExp(String.raw`${BEGINNING}([^\d\s.±+-].*)$`, "u");
+
+/**
+ * The codes of two letters that have a name, with it; these are all that the browser knows.
+ * @param {"region" | "language"} type
+ */
+function named(type) {
+  const names = new Intl.DisplayNames(["en"], { type, fallback: "none" });
+  const letters = [..."abcdefghijklmnopqrstuvwxyz"];
+  const codes = letters.flatMap((one) => letters.map((other) => one + other));
+  return codes.map((code) => (type === "region" ? code.toUpperCase() : code))
+    .filter((code) => names.of(code) && !["EU", "EZ", "UN", "QO", "XA", "XB", "ZZ"].includes(code))
+    .map((code) => ({ code, name: /** @type {string} */ (names.of(code)) }))
+    .sort((one, other) => one.name.localeCompare(other.name));
+}
+
+/**
+ * A table's values by keys with dots, as priors are named.
+ * @param {any} table
+ * @param {string} [before]
+ * @returns {Record<string, any>}
+ */
+const flat = (table, before = "") => Object.entries(table ?? {}).reduce((all, [key, value]) => (
+  value && typeof value === "object" && !Array.isArray(value)
+    ? { ...all, ...flat(value, `${before}${key}.`) } : { ...all, [before + key]: value }), {});
 
 /** @param {any} value */
 const shown = (value) => {
@@ -244,7 +275,7 @@ export class Editor {
     const value = this.now.document[key];
     const here = value !== undefined;
     const details = make("details", { id: `s-${key}`, open: here },
-      make("summary", {}, key.replaceAll("_", " ")),
+      make("summary", {}, key[0].toUpperCase() + key.slice(1).replaceAll("_", " ")),
       section.words ? make("p", { class: "quiet" }, section.words) : null);
     this.places?.set(key, details);
     if (!repeat) {
@@ -329,7 +360,7 @@ export class Editor {
       ...seen.map((field) => this.field(field, [...path, field.key], value[field.key])))];
     if (others.length) {
       content.push(make("details", { class: "optional", id: `m-${keyPath(path)}`, open: !seen.length },
-        make("summary", {}, "More keys"),
+        make("summary", {}, "More"),
         make("div", { class: "grid" },
           ...others.map((field) => this.field(field, [...path, field.key], undefined)))));
     }
@@ -345,18 +376,24 @@ export class Editor {
   field(field, path, value) {
     const key = keyPath(path);
     const id = `f-${key}`;
-    const name = field.key.replaceAll("_", " ");
+    const help = field.help ? make("p", { class: "help", id: `h-${key.replace(/\s/g, "_")}` }, field.help) : null;
     /** @type {HTMLElement} */
     let place;
     if (field.kind === "group") {
-      place = make("fieldset", {}, make("legend", {}, name),
+      place = make("fieldset", {}, make("legend", {}, field.label), help,
         ...(value !== undefined || field.required
           ? this.group(field.fields ?? [], path, typeof value === "object" ? value : {})
           : this.group((field.fields ?? []).map((one) => ({ ...one, required: false })), path, {})));
     } else if (field.kind === "table") {
-      place = this.table(name, path, value);
+      place = this.table(field, path, value, help);
+    } else if (field.kind === "terms") {
+      place = this.terms(field, path, value, help);
     } else {
-      place = labelled(name, this.control(field, path, value, id));
+      // A unit stands beside the label, not in it, for a label is what is read out of its control.
+      const [control, unit] = field.kind === "quantity" ? this.quantity(field, path, value, id)
+        : [this.control(field, path, value, id), null];
+      place = make("div", { class: unit ? "field quantity" : "field" }, labelled(field.label, control), unit, help);
+      if (help) control.setAttribute("aria-describedby", help.id);
     }
     this.places?.set(key, place);
     return place;
@@ -385,6 +422,14 @@ export class Editor {
         make("option", { value: i, selected: choice === value }, choiceWords(choice))));
       return select;
     }
+    if (kind === "country" || kind === "language") {
+      const some = named(kind === "country" ? "region" : "language");
+      return make("select", {
+        id, onchange: (/** @type {any} */ e) => this.change(path, e.target.value || null),
+      }, make("option", { value: "" }, ""),
+      some.every(({ code }) => code !== value) && value ? make("option", { value, selected: true }, shown(value)) : null,
+      ...some.map(({ code, name }) => make("option", { value: code, selected: code === value }, `${name} (${code})`)));
+    }
     if (kind === "text" && shown(value).length > 50) {
       return make("textarea", {
         id, rows: 4, class: "words", value: shown(value),
@@ -393,24 +438,117 @@ export class Editor {
     }
     return make("input", {
       id,
-      type: kind === "date" ? "date" : "text",
+      type: kind === "date" && /^(\d{4}-\d{2}-\d{2})?$/.test(shown(value)) ? "date" : "text",
+      list: field.suggestions ? this.suggestions(field.suggestions) : null,
       value: shown(value),
       autocomplete: "off",
       spellcheck: false,
-      placeholder: field.example ?? (field.unit ? `… ${field.unit}` : null),
+      placeholder: field.example ?? null,
       "aria-required": field.required ? "true" : null,
       onchange: (/** @type {any} */ e) => this.change(path, typed(e.target.value, kind),
-        kind === "date" && e.target.value ? "date" : ""),
+        e.target.type === "date" && e.target.value ? "date" : ""),
     });
   }
 
   /**
-   * A table of keys that no form knows beforehand, such as priors of terms.
-   * @param {string} name
+   * A number, perhaps with its uncertainty, and its unit; or else what is typed in their place.
+   * @param {Field} field
    * @param {Part[]} path
    * @param {any} value
+   * @param {string} id
+   * @returns {[HTMLInputElement, HTMLSelectElement]}
    */
-  table(name, path, value) {
+  quantity(field, path, value, id) {
+    const [, stated, unit] = QUANTITY.exec(shown(value)) ?? ["", shown(value), ""];
+    const [, example] = QUANTITY.exec(field.example ?? "") ?? [];
+    const units = [...new Set([...(unit ? [unit] : []), ...(field.units ?? [])])];
+    const change = () => {
+      const alone = STATED.exec(number.value);
+      this.change(path, alone ? `${alone[1]} ${choice.value}` : number.value.trim() || null);
+    };
+    const number = make("input", {
+      id, type: "text", value: stated, autocomplete: "off", spellcheck: false,
+      placeholder: example ?? field.example ?? null,
+      list: field.suggestions ? this.suggestions(field.suggestions) : null,
+      "aria-required": field.required ? "true" : null,
+      onchange: change,
+    });
+    const choice = make("select", {
+      id: `u-${keyPath(path)}`, "aria-label": `Unit of ${field.label}`,
+      onchange: () => { if (STATED.test(number.value)) change(); },
+    }, ...units.map((one) => make("option", { value: one, selected: one === unit }, one)));
+    return [number, choice];
+  }
+
+  /**
+   * The id of a list of what may be typed.
+   * @param {string[]} words
+   */
+  suggestions(words) {
+    const id = `list-${words.join("-").replace(/[^\w-]/g, "_")}`;
+    if (!document.getElementById(id)) {
+      document.body.append(make("datalist", { id }, ...words.map((value) => make("option", { value }))));
+    }
+    return id;
+  }
+
+  /**
+   * Terms to tick: what each does, and what is known of it.
+   * @param {Field} field
+   * @param {Part[]} path
+   * @param {any} value
+   * @param {HTMLElement | null} help
+   */
+  terms(field, path, value, help) {
+    const ticked = /** @type {string[]} */ (typeof value === "string" ? [value] : Array.isArray(value) ? value : []);
+    const rows = field.rows ?? [];
+    const others = ticked.filter((one) => rows.every(({ key }) => key !== one));
+    const known = this.known();
+    const row = (/** @type {string} */ symbol, /** @type {string} */ words) => make("tr", {},
+      make("td", {}, make("input", {
+        type: "checkbox", id: `f-${keyPath(path)}.${symbol}`, "aria-label": `${field.label}: ${symbol}`,
+        checked: ticked.includes(symbol),
+        onchange: (/** @type {any} */ e) => {
+          const now = e.target.checked ? [...ticked, symbol] : ticked.filter((one) => one !== symbol);
+          this.change(path, now.length ? now : null);
+        },
+      })),
+      make("th", { scope: "row" }, symbol), make("td", {}, words), make("td", {}, known[symbol] ?? ""));
+    return make("details", { class: "terms", id: `t-${keyPath(path)}`, open: ticked.length > 0 },
+      make("summary", {}, ticked.length ? `${field.label}: ${ticked.join(", ")}` : field.label), help,
+      make("div", { class: "ticks" }, make("table", {},
+        make("thead", {}, make("tr", {}, make("td", {}), ...["Term", "What it is", "Known beforehand"]
+          .map((words) => make("th", { scope: "col" }, words)))),
+        make("tbody", {}, ...others.map((one) => row(one, "")),
+          ...rows.map(({ key, words }) => row(key, words))))));
+  }
+
+  /** What the description says of each term beforehand. */
+  known() {
+    const { model, accelerometers } = this.now.document;
+    /** @type {Record<string, string>} */
+    const found = {};
+    const note = (/** @type {string} */ symbol, /** @type {string} */ words) => {
+      found[symbol] = found[symbol] ? `${found[symbol]}; ${words}` : words;
+    };
+    for (const [symbol, value] of Object.entries(flat(model?.priors))) note(symbol, shown(value));
+    for (const [name, keys] of Object.entries(accelerometers ?? {})) {
+      for (const [key, value] of Object.entries(keys && typeof keys === "object" ? keys : {})) {
+        const symbol = /** @type {Record<string, string>} */ ({ bias: "K_F", scale_factor: "K_I" })[key] ?? key;
+        if (typeof value === "string" && /^(K_|delta_)/.test(symbol)) note(symbol, `${value} (${name})`);
+      }
+    }
+    return found;
+  }
+
+  /**
+   * A table of keys that no form knows beforehand, such as priors of terms.
+   * @param {Field} field
+   * @param {Part[]} path
+   * @param {any} value
+   * @param {HTMLElement | null} help
+   */
+  table(field, path, value, help) {
     const rows = Object.entries(typeof value === "object" && value ? value : {}).map(([key, one]) => {
       const inner = [...path, key];
       const place = labelled(key, make("input", {
@@ -422,7 +560,7 @@ export class Editor {
     });
     const key = make("input", { id: `nk-${keyPath(path)}`, autocomplete: "off" });
     const one = make("input", { id: `nv-${keyPath(path)}`, autocomplete: "off" });
-    return make("fieldset", {}, make("legend", {}, name), ...rows,
+    return make("fieldset", {}, make("legend", {}, field.label), help, ...rows,
       make("div", { class: "row" }, labelled("Another key", key), labelled("Its value", one),
         make("button", {
           type: "button",
