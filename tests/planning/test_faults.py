@@ -21,7 +21,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.search import Search
-from counterspin.planning.watching import watch
+from counterspin.planning.sensitivities import sensitivities
 from counterspin.reports.text import report_console
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
@@ -61,7 +61,7 @@ def fault(prediction, symbol):
     """Return a fault and its place among those of a campaign."""
     faults = faults_of(prediction.campaign, "Qx")
     index = [one.symbol for one in faults].index(symbol)
-    return watch(prediction, faults), index
+    return sensitivities(prediction, faults), index
 
 
 # Against the model that knows them
@@ -78,21 +78,21 @@ def test_shift_is_what_the_term_adds_to_u_when_it_is_held(symbol, size, predict)
     named = ('# hold = ["K_PP"]  ', f'hold = ["{name}"]')
     held = [named, ("[model.priors]", known)]
     left_out = predict(*out)
-    watched, index = fault(left_out, symbol)
+    found, index = fault(left_out, symbol)
     told = predict(*out, *held).fit.solution
     place = place_of(left_out)
     added = math.sqrt(told.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
-    assert watched.shift(index, place) == pytest.approx(added, rel=1e-6)
+    assert found.shift(index, place) == pytest.approx(added, rel=1e-6)
 
 
 @pytest.mark.parametrize("symbol", ["K_OO", "K_IO"])
 def test_deviation_is_that_of_a_fit_that_estimates_it(symbol, predict):
     left_out = predict(*VELOCITY)
-    watched, index = fault(left_out, symbol)
+    found, index = fault(left_out, symbol)
     estimated = predict(*VELOCITY, ('"K_III", ', f'"K_III", "{symbol}", '))
     u = estimated.u[f"Qx.{symbol}"]
-    size = watched.faults[index].size
-    assert watched.deviation(index, place_of(left_out)) == pytest.approx(size / u, rel=1e-6)
+    size = found.faults[index].size
+    assert found.deviation(index, place_of(left_out)) == pytest.approx(size / u, rel=1e-6)
 
 
 # Against records that have the fault
@@ -104,9 +104,9 @@ OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
     prediction = predict(*changes)
-    watched = watch(prediction, [ECCENTRICITY])
+    found = sensitivities(prediction, [ECCENTRICITY])
     place = place_of(prediction)
-    moved = watched.moved[0][place]
+    moved = found.moved[0][place]
     phase = moved / np.linalg.norm(moved)
     prepared = []
     for part in prediction.fit.prepared:
@@ -115,10 +115,10 @@ def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
         prepared.append(replace(part, series=replace(part.series, error=error)))
     fit = solve_joint(prepared, prediction.fit.model, prediction.fit.noise)
     estimate = float(fit.solution.estimate[place])
-    assert estimate == pytest.approx(watched.shift(0, place), rel=1e-6)
+    assert estimate == pytest.approx(found.shift(0, place), rel=1e-6)
     # And what it leaves in the residuals is what the test of them will see.
     left = sum(float(residual.whitened @ residual.whitened) for residual in fit.residuals)
-    seen = watched._square(watched.left_in["Qx"], 0, place)
+    seen = found._square(found.left_in["Qx"], 0, place)
     assert left == pytest.approx(seen, rel=1e-4)
 
 
@@ -174,8 +174,8 @@ def test_stretch_looks_like_a_radius_for_each_rate(predict):
 
 def share(prediction):
     place = place_of(prediction)
-    watched = watch(prediction, [mean_square("Qx"), square("Qx")])
-    mean, whole = (moved[place, 0] for moved in watched.moved)
+    found = sensitivities(prediction, [mean_square("Qx"), square("Qx")])
+    mean, whole = (moved[place, 0] for moved in found.moved)
     return 1.0 - mean / whole
 
 

@@ -10,7 +10,7 @@ from counterspin.campaign.starter import init
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan
-from counterspin.planning.watching import watch
+from counterspin.planning.sensitivities import sensitivities
 from counterspin.reports.text import report_console
 from counterspin.toml_text import write_document
 
@@ -40,14 +40,14 @@ def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
     prediction = forecast(planned_campaign(planned, starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
-    watched = watch(prediction, [of_path(symbol) for symbol in paths])
+    found = sensitivities(prediction, [of_path(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
     for index, words in enumerate(("eccentric encoder", "imbalance")):
         size = next(size for key, size in sizes.items() if words in key)
-        added = watched.sensitivity(index, place) * size / prediction.u["Qx.K_II"]
+        added = found.sensitivity(index, place) * size / prediction.u["Qx.K_II"]
         assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
     # A second of arc would be far too much, where a force is recorded.
-    assert watched.shift(0, place) > 10.0 * prediction.u["Qx.K_II"]
+    assert found.shift(0, place) > 10.0 * prediction.u["Qx.K_II"]
 
 
 def planned_campaign(planned, starter):

@@ -9,7 +9,7 @@
 - `relaxation`, `polishing`, `optimisation`: the best plan, and what no plan can better
 - `search`, `feasibility`: the plan's problem, solved; whether its goal can be had
 - `readings`: the same for readings: what may be read, how often to read it, and in which order
-- `faults`, `watching`: what may be wrong, and what a campaign would notice of it
+- `faults`, `sensitivities`: what may be wrong, what it would shift and leave in the residuals
 - `predicted`, `requirements`: the expected uncertainties, and requirements for the centrifuge
 - `figure_curves`: the curves of the figures
 - `result`: what planning found, its JSON

@@ -25,7 +25,7 @@ from counterspin.planning.result import (
     PlannedRun,
     Predicted,
 )
-from counterspin.planning.watching import watch
+from counterspin.planning.sensitivities import sensitivities
 
 #: Probability of failing the test of the residuals above which a fault counts as noticed.
 _DETECTION_PROBABILITY: Final = 0.95
@@ -70,14 +70,14 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
     The first is None where there are readings, which are means.
     """
     faults = faults_of(prediction.campaign, name)
-    watched = watch(prediction, [*faults, mean_square(name), square(name)])
-    *_, of_mean, of_square = (float(moved[k_ii, 0]) for moved in watched.moved)
+    found = sensitivities(prediction, [*faults, mean_square(name), square(name)])
+    *_, of_mean, of_square = (float(moved[k_ii, 0]) for moved in found.moved)
     u = float(prediction.fit.solution.u[k_ii])
     effects = []
     for place, fault in enumerate(faults):
-        shift = watched.shift(place, k_ii)
+        shift = found.shift(place, k_ii)
         if shift > u:
-            detection = watched.detection(place, k_ii, name, SIGNIFICANCE)
+            detection = found.detection(place, k_ii, name, SIGNIFICANCE)
             effects.append(
                 FaultEffect(
                     symbol=fault.symbol,
@@ -86,7 +86,7 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
                     unit=fault.unit,
                     shift=shift,
                     ratio=shift / u,
-                    deviation=watched.deviation(place, k_ii),
+                    deviation=found.deviation(place, k_ii),
                     detection=detection,
                     noticed=detection >= _DETECTION_PROBABILITY,
                 )

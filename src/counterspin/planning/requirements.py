@@ -11,17 +11,20 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import sample_count
-from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns, prepared_for
+from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns, unit_of
-from counterspin.planning.faults import of_path
+from counterspin.planning.faults import Fault, Part, of_path
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
 from counterspin.planning.result import Requirement
-from counterspin.planning.watching import watch
+from counterspin.planning.sensitivities import sensitivities
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
 _TOLERABLE_PART_OF_U: Final = math.sqrt(1.05**2 - 1.0)
+
+#: The inputs of which something is required.
+_INPUTS: Final = ("centrifuge.radius", TIMING)
 
 #: No centrifuge has larger faults; a length is a part of the radius.
 _LARGEST_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
@@ -37,10 +40,16 @@ def requirements_of(
     sampling_rate: Hz.
     """
     campaign = prediction.campaign
-    faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
+    paths = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
     # A fit that has a fault among its unknowns gives way to it: it says nothing of its own need.
-    symbols = {part.term.symbol for fault in faults for part in fault.parts}
-    model = prediction.fit.model.without({*symbols, *INPUTS, TIMING})
+    symbols = {part.term.symbol for fault in paths for part in fault.parts}
+    before, factors = prediction.fit, scale_factors(campaign)
+    model = before.model.without({*symbols, *INPUTS, TIMING})
+    fit = replace(
+        before,
+        model=model,
+        prepared=prepared_for(before.prepared, before.model, model, factors, {}),
+    )
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
@@ -49,64 +58,61 @@ def requirements_of(
         expected[place] = unknown.limit
         unit = unit_of(unknown.symbol)
         words = f"if {name} were as large as is credible, {unknown.limit:.3g} {unit}"
-    rotation = tuple(
-        Considered(run.name, symbol, (0.0, 1.0), 1.0)
-        for run in campaign.runs
+    # An input acts on what is expected: nothing else is needed for its column.
+    acting = np.flatnonzero(expected)
+    on = Unknowns(tuple(model.unknowns[i] for i in acting))
+
+    def part(owner: str, symbol: str) -> Part:
+        term = Considered(owner, symbol, (0.0, 1.0), 1.0)
+        model = Unknowns(on.unknowns, (term,))
+
+        def columns(series: Series) -> Array | None:
+            if not term.concerns(series):
+                return None
+            prepared = prepare_columns([series], model, factors, expected[acting])
+            return np.asarray(prepared[0].fixed[:, 0])
+
+        return Part(columns)
+
+    # A fault of the rotation has its own size in each run.
+    faults = [
+        Fault(symbol, "", 1.0, "", tuple(part(run.name, symbol) for run in campaign.runs))
         for symbol in ROTATION
-    )
-    inputs = tuple(Considered("", symbol, (0.0, 1.0), 1.0) for symbol in (*INPUTS, TIMING))
-    watched = Unknowns(model.unknowns, (*rotation, *inputs))
-    factors, noise = scale_factors(campaign), prediction.fit.noise
-    # One after the other: the columns of all of them together would take much memory.
-    blocks = [
-        block
-        for record in prediction.fit.prepared
-        for block in blocks_of(
-            prepare_columns([record.series], watched, factors, expected), watched, noise
-        )
     ]
-    solution = solve_blocks(blocks, watched)
-    allowed = _TOLERABLE_PART_OF_U * prediction.u[name]
-    row = solution.sensitivity_considered[place]
-    of_run = row[: len(rotation)].reshape(len(campaign.runs), len(ROTATION))
-    of_input = dict(zip((*INPUTS, TIMING), row[len(rotation) :], strict=True))
+    faults += [Fault(symbol, "", 1.0, "", (part("", symbol),)) for symbol in _INPUTS]
+    moved = sensitivities(replace(prediction, fit=fit), [*faults, *paths]).moved
+    zero, rate, drift, radius, delay, *machine = (one[place] for one in moved)
     rates = np.array([run.rate for run in campaign.runs])
-    before = prediction.fit
-    without = prepared_for(before.prepared, before.model, model, factors, {})
-    fit = replace(before, model=model, prepared=without)
-    machine = watch(replace(prediction, fit=fit), faults)
-    eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
-        ("radius", of_input["centrifuge.radius"], "m"),
+        ("radius", radius, "m"),
+        ("drift of the rate that the recorded angle does not show", drift, "1/s"),
+        ("rate, relative, the same error in all runs", rate @ rates, "1"),
+        ("zero of the angle, new in each run", zero, "rad"),
         (
-            "drift of the rate that the recorded angle does not show",
-            _norm(of_run[:, 2]),
-            "1/s",
+            "noise of the angle, per sample",
+            _angle_noise(campaign, np.column_stack([zero, rate, drift]), sampling_rate),
+            "rad",
         ),
-        ("rate, relative, the same error in all runs", float(of_run[:, 1] @ rates), "1"),
-        ("zero of the angle, new in each run", _norm(of_run[:, 0]), "rad"),
-        ("noise of the angle, per sample", _angle_noise(campaign, of_run, sampling_rate), "rad"),
-        (f"{faults[0].words}, the same in all runs", eccentricity, "rad"),
-        (faults[1].words, imbalance, "m"),
-        ("delay between the clocks of angle and output", of_input[TIMING], "s"),
+        (f"{paths[0].words}, the same in all runs", machine[0], "rad"),
+        (paths[1].words, machine[1], "m"),
+        ("delay between the clocks of angle and output", delay, "s"),
     ]
+    allowed = _TOLERABLE_PART_OF_U * prediction.u[name]
     largest = {**_LARGEST_SIZES, "m": _LARGEST_SIZES["1"] * campaign.radius.value}
     return words, [
         Requirement(
             words=text,
-            size=size if (size := _over(allowed, abs(sensitivity))) <= largest[unit] else None,
+            size=size if (size := _over(allowed, moved)) <= largest[unit] else None,
             unit=unit,
         )
-        for text, sensitivity, unit in lines
+        for text, moved, unit in lines
     ]
 
 
-def _over(allowed: float, sensitivity: float) -> float:
+def _over(allowed: float, moved: Array | float) -> float:
+    """Return the size of a fault whose parts, one unit each, move the coefficient so."""
+    sensitivity = float(np.linalg.norm(moved))
     return allowed / sensitivity if sensitivity > 0.0 else math.inf
-
-
-def _norm(values: Array) -> float:
-    return float(np.linalg.norm(values))
 
 
 def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> float:

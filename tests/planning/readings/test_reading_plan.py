@@ -16,7 +16,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.readings.reading_plan import in_order
 from counterspin.planning.readings.stations import read_reading_plan
-from counterspin.planning.watching import watch
+from counterspin.planning.sensitivities import sensitivities
 
 HEAD = """
 schema = 1
@@ -246,7 +246,7 @@ def test_stretch_of_the_arm(ways, written, tmp_path):
     faults = faults_of(prediction.campaign, "A")
     index = [fault.symbol for fault in faults].index("centrifuge.stretch")
     place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
-    shift = watch(prediction, faults).shift(index, place)
+    shift = sensitivities(prediction, faults).shift(index, place)
     expected = 4.6e-9 * 9.80665 if len(ways) == 1 else 0.0
     # The Earth's rate is in the radius's force and not in the stretch.
     assert shift == pytest.approx(expected, rel=1e-4, abs=1e-11)

@@ -1,4 +1,4 @@
-"""What a campaign's fit would make of faults that its model does not know."""
+"""What faults that a campaign's model does not know would shift, and leave in the residuals."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _PARTS_AT_ONCE: Final = 16
 
 
 @frozen(eq=False)
-class Watched:
-    """What a fit would make of faults."""
+class Sensitivities:
+    """What faults would shift, each by itself, and what they would leave in the residuals."""
 
     faults: tuple[Fault, ...]  #: The faults.
     #: For each fault, what one unit of each of its parts moves the unknowns by, (p, k).
@@ -68,15 +68,15 @@ class Watched:
         return max(0.0, size**2 * float(phase @ products @ phase))
 
 
-def watch(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
-    """Return what a campaign's fit would make of faults, each by itself."""
+def sensitivities(prediction: Forecast, faults: Sequence[Fault]) -> Sensitivities:
+    """Return what faults would do to a campaign's fit, each by itself."""
     groups: list[list[Fault]] = [[]]
     for fault in faults:
         if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _PARTS_AT_ONCE:
             groups.append([])
         groups[-1].append(fault)
-    found = [_watched(prediction, group) for group in groups]
-    return Watched(
+    found = [_together(prediction, group) for group in groups]
+    return Sensitivities(
         tuple(faults),
         tuple(moved for one in found for moved in one.moved),
         tuple(left for one in found for left in one.left),
@@ -88,12 +88,12 @@ def watch(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
     )
 
 
-def _watched(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
+def _together(prediction: Forecast, faults: Sequence[Fault]) -> Sensitivities:
     model, campaign = prediction.fit.model, prediction.campaign
     parts = [(index, part) for index, fault in enumerate(faults) for part in fault.parts]
     before, count = len(model.considered), len(parts)
     names = [part.term for _, part in parts]
-    watched = Unknowns(model.unknowns, (*model.considered, *names))
+    extended = Unknowns(model.unknowns, (*model.considered, *names))
     blocks = []
     for record in prediction.fit.prepared:
         shown = [(before + i, part.columns(record.series)) for i, (_, part) in enumerate(parts)]
@@ -104,11 +104,11 @@ def _watched(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
             considered=(*record.considered, *(place for place, _ in seen)),
         )
         # One after the other: the columns of all of them together would take much memory.
-        blocks += blocks_of([prepared], watched, prediction.fit.noise)
+        blocks += blocks_of([prepared], extended, prediction.fit.noise)
     groups = groups_of(campaign, campaign.readings)
     expected = expected_values(campaign, model.unknowns)
-    blocks += blocks_at(groups, watched, expected)
-    solution = solve_blocks(blocks, watched)
+    blocks += blocks_at(groups, extended, expected)
+    solution = solve_blocks(blocks, extended)
     owners = [record.accelerometer for record in prediction.fit.prepared]
     owners += [group.accelerometer for group in groups]
     here = np.arange(before, before + count)
@@ -116,14 +116,14 @@ def _watched(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
         np.flatnonzero([index == fault for index, _ in parts]) for fault in range(len(faults))
     ]
     moved = -solution.sensitivity_considered[:, here]
-    total, left_in = _left(blocks, owners, watched, here)
+    total, left_in = _left(blocks, owners, extended, here)
     kept = solution.leverages
     ends = np.cumsum([block.factor.shape[0] for block in blocks])
     freedom: dict[str, float] = {}
     for owner, block, followed in zip(owners, blocks, np.split(kept, ends[:-1]), strict=True):
         own = block.rows - block.nuisance - float(followed.sum())
         freedom[owner] = freedom.get(owner, 0.0) + own
-    return Watched(
+    return Sensitivities(
         tuple(faults),
         tuple(moved[:, places] for places in of_fault),
         tuple(total[np.ix_(places, places)] for places in of_fault),
@@ -136,23 +136,23 @@ def _watched(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
 
 
 def _left(
-    blocks: Sequence[Block], owners: Sequence[str], model: Unknowns, watched: Places
+    blocks: Sequence[Block], owners: Sequence[str], model: Unknowns, faulty: Places
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the products of what the watched columns leave in rows and priors.
+    """Return the products of what the faults' columns leave in rows and priors.
 
     What is considered is followed here as what is estimated: the test of the residuals allows
     for it.
     """
-    others = np.setdiff1d(np.arange(len(model.considered_names)), watched)
+    others = np.setdiff1d(np.arange(len(model.considered_names)), faulty)
     sizes = np.array(model.considered_sizes)[others]
     spread = np.array([*(u.spread for u in model.unknowns), *sizes])
     p = spread.size
     held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
     rows = [
-        np.hstack([block.factor, block.considered[:, others], block.considered[:, watched]])
+        np.hstack([block.factor, block.considered[:, others], block.considered[:, faulty]])
         for block in blocks
     ]
-    prior = np.hstack([held, np.zeros((p, watched.size))])
+    prior = np.hstack([held, np.zeros((p, faulty.size))])
     triangle = triangle_of(np.vstack([*rows, prior]))
     rest = triangle[p:, p:]
     followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
