@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -18,7 +18,7 @@ from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Predictor, RunType
-from counterspin.planning.forecast import forecast, setup_of
+from counterspin.planning.forecast import Forecast, forecast, setup_of
 from counterspin.planning.relaxation import relax
 from counterspin.planning.run_information import RunInformation
 from counterspin.planning.search import Search
@@ -36,21 +36,15 @@ _UNLIMITED_TIME: Final = 1e4
 
 def require_determined(search: Search) -> None:
     """Refuse a goal that no campaign within the limits determines, however it is spent."""
-    goal = search.plan.goal.sizes
-    kinds = search.limits.types
-    assessment = _assessed(search, search.predictor, kinds)
-    missing = [name for name in goal if not assessment.determined[name]]
+    assessment = _assessed(search, search.predictor, search.limits.types)
+    missing, text = not_determined(
+        assessment,
+        search.plan.goal.sizes,
+        "any campaign within these limits",
+        f"in the attitudes allowed ({', '.join(search.plan.attitudes)}) ",
+    )
     if not missing:
         return
-    name = missing[0]
-    also = f" (nor are {', '.join(missing[1:])})" if missing[1:] else ""
-    text = f"{name} is not determined by any campaign within these limits{also}"
-    confounded = [item for item in assessment.confounded if name in item.terms]
-    if confounded:
-        text += (
-            f": in the attitudes allowed ({', '.join(search.plan.attitudes)}) only "
-            f"{confounded[0].determined} is"
-        )
     helps = _helpful(search, missing)
     text += (
         f'. Allow the attitude "{helps}" too (limits.attitudes)'
@@ -59,6 +53,46 @@ def require_determined(search: Search) -> None:
         "model.terms"
     )
     raise NotIdentifiableError(text + ".")
+
+
+def not_determined(
+    assessment: Assessment, goal: Iterable[str], by: str, where: str = ""
+) -> tuple[list[str], str]:
+    """Return what of a goal is not determined, and a sentence without its end that says so.
+
+    by, where: Words: what does not determine it; in what.
+    """
+    missing = [name for name in goal if not assessment.determined[name]]
+    if not missing:
+        return [], ""
+    also = f" (nor are {', '.join(missing[1:])})" if missing[1:] else ""
+    text = f"{missing[0]} is not determined by {by}{also}"
+    confounded = [item for item in assessment.confounded if missing[0] in item.terms]
+    return missing, text + (f": {where}only {confounded[0].determined} is" if confounded else "")
+
+
+def missed(prediction: Forecast, goal: Mapping[str, float], none: str, best: str) -> str:
+    """Return a sentence without its end: which target is missed most, by how much, and why.
+
+    none, best: Words: what does not reach it; the best of these, whose forecast this is.
+    """
+    u = prediction.u
+    name = max(goal, key=lambda key: u[key] / goal[key])
+    unit = term(symbol_of(name)).unit
+    index = [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
+    shares: dict[str, float] = {}
+    for line in budget(prediction.fit, index):
+        # The tilts of all runs are one source in words.
+        owner, _, symbol = line.source.partition(".")
+        of_run = owner in {run.name for run in prediction.campaign.runs}
+        words = f"{symbol} of the runs" if of_run else line.source
+        shares[words] = shares.get(words, 0.0) + line.share
+    named = sorted(shares.items(), key=lambda pair: -pair[1])[:_SOURCES_NAMED]
+    sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
+    return (
+        f"{none} reaches u({name}) = {format_apart(goal[name], u[name])} {unit}. {best} has "
+        f"{format_apart(u[name], goal[name])} {unit}, of whose square: {sources}"
+    )
 
 
 def _assessed(search: Search, predictor: Predictor, kinds: tuple[RunType, ...]) -> Assessment:
@@ -126,40 +160,29 @@ def _helpful(search: Search, missing: list[str]) -> str | None:
 def unreachable(search: Search) -> CounterspinError:
     """Return the error for a target that no plan within the limits reaches."""
     best = search.smallest()
-    u = dict(zip(search.predictor.names, search.predictor.u(best.design), strict=True))
     goal: Mapping[str, float] = search.plan.goal.sizes
-    name = max(goal, key=lambda key: u[key] / goal[key])
+    text = missed(
+        forecast(search.campaign(best.design)),
+        goal,
+        f"no plan {'within the limits' if search.bounded else 'that was found'}",
+        f"The best, in {search.limits.time(best.design):.4g} s,",
+    )
+    if len(goal) > 1:
+        return CounterspinError(text + ".")
+    ((name, size),) = goal.items()
     unit = term(symbol_of(name)).unit
-    prediction = forecast(search.campaign(best.design))
-    index = [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
-    shares: dict[str, float] = {}
-    for line in budget(prediction.fit, index):
-        # The tilts of all runs are one source in words.
-        owner, _, symbol = line.source.partition(".")
-        of_run = owner in {run.name for run in prediction.campaign.runs}
-        words = f"{symbol} of the runs" if of_run else line.source
-        shares[words] = shares.get(words, 0.0) + line.share
-    named = sorted(shares.items(), key=lambda pair: -pair[1])[:_SOURCES_NAMED]
-    sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
-    unlimited = replace(
-        search.limits, total_time=search.limits.total_time * _UNLIMITED_TIME, attitude_change=0.0
-    )
-    relaxed = relax(
-        search.relaxing or search.predictor,
-        unlimited,
-        search.criterion,
-    )
-    floor = math.exp(relaxed.value) * goal[name] if len(goal) == 1 else None
-    text = (
-        f"no plan {'within the limits' if search.bounded else 'that was found'} reaches "
-        f"u({name}) = {format_apart(goal[name], u[name])} {unit}. The best has "
-        f"{format_apart(u[name], goal[name])} {unit} in {search.limits.time(best.design):.4g} s, "
-        f"of whose square: {sources}"
-    )
-    if floor is not None and search.bounded and floor > goal[name]:
-        text += f". With any amount of time it would be {format_apart(floor, goal[name])} {unit}"
+    if search.bounded:
+        unlimited = replace(
+            search.limits,
+            total_time=search.limits.total_time * _UNLIMITED_TIME,
+            attitude_change=0.0,
+        )
+        relaxed = relax(search.relaxing or search.predictor, unlimited, search.criterion)
+        floor = math.exp(relaxed.value) * size
+        if floor > size:
+            text += f". With any amount of time it would be {format_apart(floor, size)} {unit}"
     if all(kind.sense == 1 for kind in search.limits.types):
         both = search.smallest(search.relaxed("senses"), best.design)
         there = search.predictor.u(both.design)[search.predictor.names.index(name)]
-        text += f", with both senses of the spin {format_apart(there, goal[name])} {unit}"
+        text += f", with both senses of the spin {format_apart(there, size)} {unit}"
     return CounterspinError(text + ".")

@@ -9,12 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin._version import __version__
-from counterspin.calibration.model import assumed
-from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.questions import questions
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
@@ -25,12 +21,7 @@ from counterspin.planning.figure_curves import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.optimisation import Optimum
 from counterspin.planning.plan_file import load_plan, plan_name, read_plan
-from counterspin.planning.predicted import (
-    accelerometers_of,
-    planned_readings,
-    planned_runs,
-    platform_of,
-)
+from counterspin.planning.predicted import result_of
 from counterspin.planning.readings.reading_plan import plan_readings
 from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.requirements import requirements_of
@@ -110,7 +101,7 @@ def plan(
     total = search.limits.time(design)
     first = next(iter(described.goal.sizes))
     words, requirements = _requirements(prediction, first, described.sampling_rate)
-    result = _result(
+    result = result_of(
         prediction,
         described.sampling_rate,
         total,
@@ -202,7 +193,7 @@ def check(
         sampling_rate = campaign.simulation.sampling_rate
     attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
     total = sum(run.duration or 0.0 for run in campaign.runs)
-    result = _result(prediction, sampling_rate, total, attitudes, None)
+    result = result_of(prediction, sampling_rate, total, attitudes, None)
     symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]
     name = f"{next(iter(campaign.accelerometers))}.{symbol}"
     words: str = ""
@@ -245,43 +236,6 @@ def write_example(file: Path) -> Path:
         raise CounterspinError(f"{file} exists; edit it, or choose another name")
     write_text(file, (files("counterspin.planning") / "starter.toml").read_text("utf-8"))
     return file
-
-
-def _result(
-    prediction: Forecast,
-    sampling_rate: float | None,
-    total: float,
-    attitudes: dict[str, str],
-    starts: dict[str, float] | None,
-) -> PlanResult:
-    campaign = prediction.campaign
-    return PlanResult(
-        title=campaign.title,
-        gravity=campaign.site.gravity,
-        radius=campaign.radius.value,
-        sampling_rate=sampling_rate,
-        total_time=total,
-        runs=planned_runs(campaign, attitudes, starts),
-        readings=planned_readings(campaign),
-        accelerometers=accelerometers_of(prediction),
-        platform=platform_of(prediction),
-        assumed=list(assumed(campaign)),
-        warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
-        provenance=Provenance(version=__version__, inputs={}),
-    )
-
-
-def _one_rate(campaign: Campaign) -> list[str]:
-    """Return what runs that all have one rate cannot tell; nothing of other campaigns."""
-    rates = [abs(run.rate) for run in campaign.runs]
-    if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
-        return []
-    return [
-        f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean force of K_F, K_II, "
-        "K_4 and K_F.heating is alike, so that K_II rests on what is known of the others "
-        "beforehand; if that is wrong, nothing in these records will show it. Runs at a second "
-        "rate would."
-    ]
 
 
 def _attitudes(campaign: Campaign, design: Design) -> dict[str, str]:

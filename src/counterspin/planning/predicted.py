@@ -9,9 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from counterspin._version import __version__
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import coefficient
+from counterspin.calibration.model import assumed
+from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.questions import questions
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.budget import budget
 from counterspin.physics.station import FRAMES
@@ -23,12 +27,55 @@ from counterspin.planning.result import (
     PlannedAccelerometer,
     PlannedReading,
     PlannedRun,
+    PlanResult,
     Predicted,
 )
 from counterspin.planning.sensitivities import sensitivities
 
 #: Probability of failing the test of the residuals above which a fault counts as noticed.
 _DETECTION_PROBABILITY: Final = 0.95
+
+
+def result_of(
+    prediction: Forecast,
+    sampling_rate: float | None,
+    total_time: float,
+    attitudes: Mapping[str, str] | None = None,
+    starts: Mapping[str, float] | None = None,
+) -> PlanResult:
+    """Return what a forecast says of a campaign, without a goal and what limits it.
+
+    attitudes, starts: Of each run by name, in words and s, as of `planned_runs`; None: runs are
+        there already.
+    """
+    campaign = prediction.campaign
+    return PlanResult(
+        title=campaign.title,
+        gravity=campaign.site.gravity,
+        radius=campaign.radius.value,
+        sampling_rate=sampling_rate,
+        total_time=total_time,
+        runs=[] if attitudes is None else planned_runs(campaign, attitudes, starts),
+        readings=planned_readings(campaign),
+        accelerometers=accelerometers_of(prediction),
+        platform=platform_of(prediction),
+        assumed=list(assumed(campaign)),
+        warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
+        provenance=Provenance(version=__version__, inputs={}),
+    )
+
+
+def _one_rate(campaign: Campaign) -> list[str]:
+    """Return what runs that all have one rate cannot tell; nothing of other campaigns."""
+    rates = [abs(run.rate) for run in campaign.runs]
+    if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
+        return []
+    return [
+        f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean force of K_F, K_II, "
+        "K_4 and K_F.heating is alike, so that K_II rests on what is known of the others "
+        "beforehand; if that is wrong, nothing in these records will show it. Runs at a second "
+        "rate would."
+    ]
 
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:

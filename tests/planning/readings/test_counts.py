@@ -56,9 +56,16 @@ def test_time_is_kept_and_the_least_is_least():
     assert chosen.counts.sum() == 7
     u = math.exp(chosen.value)
     target = Criterion((2,), (u,))
-    least, floor = least_counts(possible, target, math.inf, 60.0)
+
+    def least_of(possible, target, *limits):
+        def u_of(counts):
+            return np.sqrt(np.diag(possible.covariance(counts)))[list(target.places)]
+
+        return least_counts(possible, target, *limits, u_of)
+
+    least, floor = least_of(possible, target, math.inf, 60.0)
     assert least.counts.sum() == 7
     assert floor * 60.0 <= 14.0 + 1e-9
-    by_number, _ = least_counts(possibilities(), target, 30, math.inf)
+    by_number, _ = least_of(possibilities(), target, 30, math.inf)
     assert by_number.counts.sum() == 7
-    assert least_counts(possibilities(), Criterion((2,), (1e-3,)), 30, math.inf) is None
+    assert least_of(possibilities(), Criterion((2,), (1e-3,)), 30, math.inf) is None

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections import Counter
 from itertools import combinations_with_replacement
 
@@ -127,6 +128,40 @@ def test_a_target_takes_the_fewest_readings(written):
     fewer = (target, ("readings = 24", f"readings = {len(result.readings) - 1}"))
     with pytest.raises(CounterspinError, match=r"reaches u\(A.K_II\) = 1e-08 g/g\^2. The best"):
         plan(written(ARM, *fewer))
+
+
+DRIFTING = [
+    ('assume = "all"', 'assume = "all"\npriors = { "K_F.trend" = "0 ± 1e-9 g/s" }'),
+    ("positions = 24", 'positions = 24\ntime = "10 min"'),
+    ('criterion = "determinant"', ""),
+]
+
+
+def test_a_target_holds_with_what_changes_with_time(written):
+    """Read in the order of the angle, a drift of the bias looks like a misalignment."""
+
+    def planned(order, goal):
+        limit = ("readings = 24", f'readings = 24\norder = "{order}"')
+        return plan(written(TUMBLE, *DRIFTING, limit, (SOUGHT, goal))).result
+
+    best = planned("listed", 'minimise = ["delta_O"]')
+    u = u_of(best, "delta_O")
+    steady = planned("mirrored", 'minimise = ["delta_O"]')
+    assert u > 1.05 * u_of(steady, "delta_O")
+    # The search knows nothing of it; what is stated of its plan does.
+    ratio = u_of(steady, "delta_O") / u
+    assert best.goal.efficiency == pytest.approx(ratio * steady.goal.efficiency, rel=1e-6)
+    for more in (1.1, 1.3, 1.6):
+        target = planned("listed", f'target = {{ delta_O = "{more * u!r} rad" }}')
+        assert u_of(target, "delta_O") <= more * u
+        assert len(target.readings) < len(best.readings)
+        assert 0.1 < target.goal.efficiency < 1.0
+    with pytest.raises(CounterspinError, match="no choice of readings") as raised:
+        planned("listed", f'target = {{ delta_O = "{u * (1.0 - 1e-5)!r} rad" }}')
+    # Digits that tell the two apart, and where the best comes from.
+    asked, had = re.findall(r"(\d\.?\d*e-\d+) rad", str(raised.value))
+    assert float(asked) < float(had)
+    assert "of whose square: " in str(raised.value)
 
 
 def test_a_limit_of_time(written):

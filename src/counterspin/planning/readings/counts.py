@@ -7,7 +7,7 @@ rounded, and one reading after another is exchanged for a better one for as long
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -27,6 +27,9 @@ _EXCHANGES: Final = 400
 #: Added to the scaled information, so that readings that do not determine all unknowns have a
 #: large uncertainty and no infinite one.
 _RIDGE: Final = 1e-12
+
+#: A target is reached to rounding.
+_ROUNDING: Final = 1e-9
 
 #: Steps of the search for the least limit.
 _BISECTIONS: Final = 12
@@ -148,39 +151,49 @@ def _neighbours(
 
 
 def least_counts(
-    possible: Possibilities, criterion: Criterion, number: float, time: float
+    possible: Possibilities,
+    criterion: Criterion,
+    number: float,
+    time: float,
+    u_of: Callable[[Counts], Array],
 ) -> tuple[Chosen, float] | None:
     """Return the fewest readings, or the least time, with which every u is at most its scale.
 
+    u_of: What u will be, of all that the criterion asks for, in its order: what goes with time
+        makes it larger than `Possibilities` know.
     Returns: the choice; the part of the limit below which none can be. None if all of the limit
         does not suffice.
     """
+    scales = np.array(criterion.scales)
 
-    def worst(chosen: Chosen) -> float:
+    def reached(chosen: Chosen) -> bool:
         variance = np.diag(possible.covariance(chosen.counts))[list(criterion.places)]
-        return float(np.max(np.sqrt(variance) / np.array(criterion.scales)))
+        near = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _ROUNDING)))
+        return near and bool(np.all(u_of(chosen.counts) <= scales * (1.0 + _ROUNDING)))
 
-    def within(part: float) -> Chosen:
+    def limits(part: float) -> tuple[float, float] | None:
         if math.isfinite(time):
-            return best_counts(possible, criterion, number, part * time)
-        return best_counts(possible, criterion, math.floor(part * number + 1e-9), time)
+            return (number, part * time) if part * time >= float(possible.time.min()) else None
+        return (whole, time) if (whole := math.floor(part * number + 1e-9)) else None
 
-    best = within(1.0)
-    if worst(best) > 1.0:
+    best = best_counts(possible, criterion, number, time)
+    if not reached(best):
         return None
     low, high = 0.0, 1.0
-    floor = 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if math.isfinite(time):
-            possible_at_all = middle * time >= float(possible.time.min())
-        else:
-            possible_at_all = middle * number >= 1.0
-        chosen = within(middle) if possible_at_all else None
-        if chosen is not None and worst(chosen) <= 1.0:
+        within = limits(middle)
+        chosen = None if within is None else best_counts(possible, criterion, *within)
+        if chosen is not None and reached(chosen):
             best, high = chosen, middle
         else:
             low = middle
-        if chosen is None or chosen.bound > 0.0:
-            floor = max(floor, middle)
+    floor = 0.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (floor + high)
+        within = limits(middle)
+        if within is None or possible.relaxed(criterion, *within)[1] > 0.0:
+            floor = middle
+        else:
+            high = middle
     return best, floor

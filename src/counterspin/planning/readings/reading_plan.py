@@ -9,20 +9,19 @@ from typing import Final
 
 import numpy as np
 
-from counterspin._version import __version__
 from counterspin.arrays import Array
-from counterspin.calibration.model import assumed, model_of
-from counterspin.calibration.result_parts import Provenance
+from counterspin.calibration.model import model_of
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
-from counterspin.inference.joint.unknowns import Unknowns, unit_of
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import rows_at
 from counterspin.planning.design import Criterion
+from counterspin.planning.feasibility import missed, not_determined
 from counterspin.planning.forecast import Forecast, expected_values, forecast
-from counterspin.planning.predicted import accelerometers_of, planned_readings, platform_of
+from counterspin.planning.plan_file import Goal
+from counterspin.planning.predicted import planned_readings, result_of
 from counterspin.planning.readings.counts import (
     Chosen,
     Counts,
@@ -45,54 +44,82 @@ def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleRead
     """Find the readings for a plan's goal."""
     _require_determined(described)
     possible, criterion = _problem(described)
-    limits = (described.readings, described.total_time)
+    chosen, floor, prediction = _chosen(described, possible, criterion)
+    readings = _in_order(described, chosen.counts)
     goal = described.goal
-    if goal.kind == "minimise":
-        chosen, efficiency = best_counts(possible, criterion, *limits), None
+    if floor is None:
+        # Of what is reported: what goes with time is unknown to the search.
+        efficiency = math.exp(chosen.bound - _value(prediction, goal))
+    elif math.isfinite(described.total_time):
+        efficiency = floor * described.total_time / float(possible.time @ chosen.counts)
     else:
-        least = least_counts(possible, criterion, *limits)
-        if least is None:
-            raise _unreachable(described, best_counts(possible, criterion, *limits))
-        chosen, floor = least
-        used = float(possible.time @ chosen.counts) / limits[1]
-        efficiency = floor / (used if math.isfinite(limits[1]) else chosen.counts.sum() / limits[0])
-    if chosen.counts.sum() > MOST_READINGS:
-        raise CounterspinError(
-            f"{described.path}: limits.total_time leaves time for {chosen.counts.sum():.3g} "
-            f"readings, and a campaign has {MOST_READINGS} at most; state limits.readings, or "
-            "less time"
-        )
-    order = in_order(chosen.counts, described.order)
-    readings = [described.possible[index] for index in order]
-    prediction = _told(described, readings)
+        efficiency = floor * described.readings / float(chosen.counts.sum())
+    result = result_of(prediction, None, sum(reading.time for reading in readings))
     return (
-        PlanResult(
-            title=described.stand_in.title,
-            gravity=described.stand_in.site.gravity,
-            radius=described.stand_in.radius.value,
-            sampling_rate=None,
-            total_time=sum(reading.time for reading in readings),
-            runs=[],
-            readings=planned_readings(_new_of(described, prediction.campaign)),
-            order=described.order,
-            accelerometers=accelerometers_of(prediction),
-            platform=platform_of(prediction),
-            assumed=list(assumed(prediction.campaign)),
-            warnings=[question.text for question in questions(prediction.campaign)],
-            goal=GoalResult(
-                kind=goal.kind,
-                criterion=goal.criterion,
-                sizes=dict(goal.sizes),
-                efficiency=math.exp(chosen.bound - chosen.value)
-                if efficiency is None
-                else min(1.0, efficiency),
-            ),
-            others=_others(described, possible, chosen, prediction),
-            limits=_limits(described, possible, criterion, chosen),
-            provenance=Provenance(version=__version__, inputs={}),
+        result.model_copy(
+            update={
+                "readings": planned_readings(_new_of(described, prediction.campaign)),
+                "order": described.order,
+                "goal": GoalResult(
+                    kind=goal.kind,
+                    criterion=goal.criterion,
+                    sizes=dict(goal.sizes),
+                    efficiency=min(1.0, efficiency),
+                ),
+                "others": _others(described, possible, chosen, prediction),
+                "limits": _limits(described, possible, criterion, chosen),
+            }
         ),
         readings,
     )
+
+
+def _chosen(
+    described: ReadingPlan, possible: Possibilities, criterion: Criterion
+) -> tuple[Chosen, float | None, Forecast]:
+    """Return the readings, for a target the part of the limit that it needs, and the forecast."""
+    limits, goal = (described.readings, described.total_time), described.goal
+    if goal.kind == "minimise":
+        chosen = best_counts(possible, criterion, *limits)
+        return chosen, None, _forecast_of(described, _in_order(described, chosen.counts))
+
+    def u_of(counts: Counts) -> Array:
+        there = _forecast_of(described, _in_order(described, counts)).u
+        return np.array([there[name] for name in goal.sizes])
+
+    least = least_counts(possible, criterion, *limits, u_of)
+    if least is not None:
+        chosen, floor = least
+        return chosen, floor, _forecast_of(described, _in_order(described, chosen.counts))
+    best = _in_order(described, best_counts(possible, criterion, *limits).counts)
+    text = missed(
+        _forecast_of(described, best),
+        goal.sizes,
+        "no choice of readings within the limits",
+        f"The best, {len(best)} readings,",
+    )
+    raise CounterspinError(text + ".")
+
+
+def _in_order(described: ReadingPlan, counts: Counts) -> list[PossibleReading]:
+    """Return readings in the order in which to take them; refused if they are too many."""
+    if counts.sum() > MOST_READINGS:
+        raise CounterspinError(
+            f"{described.path}: limits.total_time leaves time for {counts.sum():.3g} readings, and "
+            f"a campaign has {MOST_READINGS} at most; state limits.readings, or less time"
+        )
+    return [described.possible[index] for index in in_order(counts, described.order)]
+
+
+def _value(prediction: Forecast, goal: Goal) -> float:
+    """Return the criterion of a forecast, as of `Criterion.value`."""
+    names = [unknown.name for unknown in prediction.fit.model.unknowns]
+    return float(_criterion(goal, names).value(prediction.fit.solution.covariance))
+
+
+def _criterion(goal: Goal, names: Sequence[str]) -> Criterion:
+    places = tuple(names.index(name) for name in goal.sizes)
+    return Criterion(places, tuple(goal.sizes.values()), goal.criterion)
 
 
 def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
@@ -111,8 +138,6 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
         places = [names.index(name) for name in group.names]
         row = accelerometers.index(group.accelerometer)
         design[places, row], fixed[places, row] = own, others
-    sought = [unknown.name for unknown in model.unknowns]
-    goal = described.goal
     return (
         Possibilities(
             design,
@@ -122,11 +147,7 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
             taken,
             taken_fixed * np.array(model.considered_sizes),
         ),
-        Criterion(
-            tuple(sought.index(name) for name in goal.sizes),
-            tuple(goal.sizes.values()),
-            goal.criterion,
-        ),
+        _criterion(described.goal, [unknown.name for unknown in model.unknowns]),
     )
 
 
@@ -153,40 +174,24 @@ def _new_of(described: ReadingPlan, campaign: Campaign) -> Campaign:
     return replace(campaign, readings=campaign.readings[before:])
 
 
-def _told(described: ReadingPlan, readings: Sequence[PossibleReading]) -> Forecast:
-    """Return what a calibration will say with these readings."""
+def _forecast_of(described: ReadingPlan, readings: Sequence[PossibleReading]) -> Forecast:
+    """Return the forecast of a campaign with these readings."""
     return forecast(described.campaign(readings), sampling_rate=described.sampling_rate)
 
 
 def _require_determined(described: ReadingPlan) -> None:
     """Refuse a goal that all possible readings together do not determine."""
     many = described.possible * 4
-    assessment = _told(described, many).assessment
-    missing = [name for name in described.goal.sizes if not assessment.determined[name]]
+    assessment = _forecast_of(described, many).assessment
+    by = "any number of these readings"
+    missing, text = not_determined(assessment, described.goal.sizes, by)
     if not missing:
         return
-    name = missing[0]
-    text = f"{name} is not determined by any number of these readings"
-    confounded = [item for item in assessment.confounded if name in item.terms]
-    if confounded:
-        text += f": only {confounded[0].determined} is"
-    elif all(reading.motion == "static" for reading in described.stand_in.readings):
+    if text.endswith(by) and all(r.motion == "static" for r in described.stand_in.readings):
         text += ": at 1 g the squares of the specific forces add up to one"
     raise NotIdentifiableError(
         text + ". Allow other stations, such as an arm or other axes, or give what is known of the "
         "other terms in [model.priors]."
-    )
-
-
-def _unreachable(described: ReadingPlan, best: Chosen) -> CounterspinError:
-    order = in_order(best.counts, described.order)
-    u = _told(described, [described.possible[index] for index in order]).u
-    goal = described.goal.sizes
-    name = max(goal, key=lambda key: u[key] / goal[key])
-    unit = unit_of(name.rpartition(".")[2])
-    return CounterspinError(
-        f"no choice of readings within the limits reaches u({name}) = {goal[name]:.3g} {unit}. "
-        f"The best, {len(order)} readings, has {u[name]:.3g} {unit}."
     )
 
 
@@ -222,8 +227,7 @@ def _others(
     spread = np.floor(np.arange(number) * size / number).astype(np.int64)
     counts = np.bincount(spread, minlength=size)
     names = list(described.goal.sizes)
-    order = in_order(counts, described.order)
-    there = _told(described, [described.possible[index] for index in order])
+    there = _forecast_of(described, _in_order(described, counts))
     if not all(there.assessment.determined[name] for name in names):
         return []
     return [
