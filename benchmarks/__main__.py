@@ -2,15 +2,13 @@
 
     python benchmarks                 # small sizes; tables in build/benchmarks
     python benchmarks --full          # the sizes of the targets; tables there too
-    python benchmarks --full --keep   # for a release: renews benchmarks/results.* and the docs
+    python benchmarks --full --keep   # for a release: renews benchmarks/results.json and the docs
     python benchmarks --full --only machine,study   # renews these tables alone
 
 What documentation quotes, and tests hold it to, is what was kept: from a full run only.
 """
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import calibrate
 import commands
@@ -19,9 +17,7 @@ import machine
 import plan
 import study
 import workers
-from table import insert, load, merge, options, place, render, save
-
-ROOT = Path(__file__).parent.parent
+from table import ROOT, options, place, render, save
 
 BENCHMARKS = {
     "machine": machine,
@@ -41,22 +37,15 @@ def main(arguments: list[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     if chosen.keep and not chosen.full:
         parser.error("only a full run is kept: give --full too")
-    folder = place(ROOT, chosen.keep)
-    tables = []
+    measured = []
     for name in chosen.only.split(",") if chosen.only else BENCHMARKS:
         found = BENCHMARKS[name].tables(chosen.full, chosen.repeats)
         print(render(found), flush=True)
-        tables += found
-    if chosen.only and (folder / "results.json").exists():
-        tables = merge(load(folder), tables)
-    save(tables, folder)
+        measured += found
+    tables = save(measured, chosen.keep, ROOT)
     if {costs.TRIALS, costs.SAMPLES} <= {table.title for table in tables}:
-        pictures = ROOT / "docs/images" if chosen.keep else folder
+        pictures = ROOT / "docs/images" if chosen.keep else place(ROOT, keep=False)
         costs.draw(tables, pictures / "benchmarks.svg")
-    if chosen.keep:
-        page = ROOT / "docs" / "benchmarks.md"
-        page.write_text(insert(tables, page.read_text("utf-8")), encoding="utf-8")
-    print(f"Wrote results.md and results.json to {folder}.")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """How soon a record is drawn in the page of `counterspin serve`, in Chromium.
 
     python benchmarks/page.py          # 100,000 and 1,000,000 rows; in build/benchmarks too
-    python benchmarks/page.py --keep   # for a release: in benchmarks, for the docs
+    python benchmarks/page.py --keep   # for a release: into benchmarks/results.json and the docs
 
 For each record: the first look, for which its file is read, a later one, and a zoom; seconds from
 the click to the last curve, the fastest of three. It stands outside of `make bench`, for it needs
@@ -24,7 +24,7 @@ from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import Door
 from counterspin.application.server import listening, server_of
 from header import EAST, NORTH, header
-from table import note
+from table import Table, render, save
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "builders"))
 
@@ -100,7 +100,15 @@ def main(keep: bool) -> None:
                 found[rows] = [round(seconds, 2) for seconds in best]
         server.should_exit = True
         thread.join()
-    note("page", found, keep)
+    measured = Table(
+        "Records in the page",
+        "Seconds from a click on a campaign's records to their last curve, three columns of them, "
+        "in Chromium; the fastest of three, by `benchmarks/page.py`.",
+        ["rows", "first look, the file being read", "later look", "zoom"],
+        [[f"{rows:,}", *times] for rows, times in found.items()],
+    )
+    print(render([measured]))
+    save([measured], keep)
 
 
 if __name__ == "__main__":

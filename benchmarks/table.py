@@ -2,8 +2,8 @@
 
 - `Table`: figures with a heading and a remark
 - `render`: tables as Markdown
-- `save`, `load`: as Markdown and JSON
-- `place`: the folder for what was measured, or for what is kept of it; `note`: some figures there
+- `place`: the folder for what was measured, or for what is kept of it
+- `save`, `load`: all tables in one file there; what was kept stands in the documentation too
 - `merge`: tables of which some were measured again
 - `insert`: into a page of documentation
 - `options`: the choices that all scripts offer
@@ -16,6 +16,9 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+RESULTS = "results.json"
 
 #: What stands between these two lines of a page is written by a full run.
 BEGIN, END = "<!-- begin results -->", "<!-- end results -->"
@@ -68,27 +71,26 @@ def place(root: Path, keep: bool) -> Path:
     return root / ("benchmarks" if keep else "build/benchmarks")
 
 
-def note(name: str, figures: object, keep: bool) -> None:
-    """Print some figures, and write them as JSON."""
-    folder = place(Path(__file__).parent.parent, keep)
+def save(measured: Sequence[Table], keep: bool, root: Path = ROOT) -> list[Table]:
+    """Write tables beside those that are there, and return all; kept, into the documentation."""
+    folder = place(root, keep)
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(figures, indent=1) + "\n"
-    print(text, end="")
-    (folder / f"{name}.json").write_text(text, encoding="utf-8")
-
-
-def save(tables: Sequence[Table], folder: Path) -> None:
-    """Write ``results.md`` and ``results.json`` into a folder, made if it is not there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "results.md").write_text(render(tables), encoding="utf-8")
+    tables = merge(load(folder), measured)
     data = json.dumps([asdict(table) for table in tables], indent=1, ensure_ascii=False)
-    (folder / "results.json").write_text(data + "\n", encoding="utf-8")
+    (folder / RESULTS).write_text(data + "\n", encoding="utf-8")
+    if keep:
+        page = root / "docs" / "benchmarks.md"
+        page.write_text(insert(tables, page.read_text("utf-8")), encoding="utf-8")
+    print(f"Wrote {RESULTS} to {folder}.")
+    return tables
 
 
 def load(folder: Path) -> list[Table]:
-    """Read the tables that `save` has written."""
-    text = (folder / "results.json").read_text(encoding="utf-8")
-    return [Table(**table) for table in json.loads(text)]
+    """Read the tables that `save` has written; none where there are none."""
+    path = folder / RESULTS
+    return (
+        [Table(**table) for table in json.loads(path.read_text("utf-8"))] if path.exists() else []
+    )
 
 
 def merge(before: Sequence[Table], again: Sequence[Table]) -> list[Table]:

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 
 import counterspin as cs
-from table import note
+from table import Table, render, save
 
 ROWS_A_SECOND = 1000
 
@@ -87,7 +87,14 @@ def main(seconds, keep):
             "u of K_II less that of calibrate, parts of it": found["u"] / result.u - 1.0,
             "memory, MB": round(used.ru_maxrss / 1024),
         }
-        note("watching", figures, keep)
+        measured = Table(
+            "A campaign that is watched",
+            "Its third run is written by a second process meanwhile, by `benchmarks/watching.py`.",
+            ["", "measured"],
+            [[name, figure] for name, figure in figures.items()],
+        )
+        print(render([measured]))
+        save([measured], keep)
 
 
 if __name__ == "__main__":

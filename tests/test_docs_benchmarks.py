@@ -1,6 +1,5 @@
 """The figures of docs/benchmarks.md are those of the run that is kept."""
 
-import json
 import runpy
 from pathlib import Path
 
@@ -15,16 +14,24 @@ def table():
     return runpy.run_path(str(ROOT / "benchmarks" / "table.py"))
 
 
+@pytest.fixture(scope="module")
+def rows(table):
+    """Return title -> name of a row -> its figures."""
+    return {
+        one.title: {name: figures for name, *figures in one.rows}
+        for one in table["load"](ROOT / "benchmarks")
+    }
+
+
 def test_the_page_shows_the_results_that_are_kept(table):
     page = (ROOT / "docs" / "benchmarks.md").read_text("utf-8")
     kept = table["load"](ROOT / "benchmarks")
     assert table["insert"](kept, page) == page
-    assert (ROOT / "benchmarks" / "results.md").read_text("utf-8") == table["render"](kept)
 
 
-def test_the_results_are_of_a_full_run():
-    tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
-    assert ["", "1e+07 rows, csv", "1e+08 rows, parquet"] in [table["columns"] for table in tables]
+def test_the_results_are_of_a_full_run(table):
+    columns = [one.columns for one in table["load"](ROOT / "benchmarks")]
+    assert ["", "1e+07 rows, csv", "1e+08 rows, parquet"] in columns
 
 
 def test_numbers_show_three_digits(table):
@@ -32,9 +39,7 @@ def test_numbers_show_three_digits(table):
     assert shown == "## T\n\nR\n\n| a | b |\n|---|---:|\n| x | 1.23 |\n| 2 | – |\n"
 
 
-def test_the_readme_promises_what_was_measured():
-    tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
-    rows = {table["title"]: {row[0]: row[1:] for row in table["rows"]} for table in tables}
+def test_the_readme_promises_what_was_measured(rows):
     words = " ".join((ROOT / "README.md").read_text("utf-8").split())
     promised = (
         "less than a second. A hundred million rows, as Parquet, take four, and 150 MB of memory"
@@ -47,23 +52,23 @@ def test_the_readme_promises_what_was_measured():
     assert 2.0 < long["calibrate / polars"] < 2.3
 
 
-def test_as_many_predictions_are_made_as_the_page_on_plans_says():
-    tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
-    (rows,) = (table["rows"] for table in tables if table["title"] == "Predictions of u")
+def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
     words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
     assert "thousands are made in a second" in words
-    assert all(row[1] > 2000.0 for row in rows)
+    made = rows["Predictions of u"].values()
+    assert made
+    assert all(a_second > 2000.0 for a_second, _ in made)
 
 
-def test_what_a_watch_took_is_what_was_kept():
-    kept = json.loads((ROOT / "benchmarks" / "watching.json").read_text("utf-8"))
+def test_what_a_watch_took_is_what_was_kept(rows):
+    kept = {name: figure for name, (figure,) in rows["A campaign that is watched"].items()}
     used, lasted = told("monitoring", "the watch took {} s of processor time in {} s, start")
     (share,) = told("monitoring", "included: **{} % of a core**")
-    rows, late = (
+    a_second, late = (
         *told("monitoring", "a second process writes {} rows a second"),
         *told("monitoring", "Its last state came {} s after the last row"),
     )
-    assert [value_of(number) for number in (rows, used, lasted, share, late)] == [
+    assert [value_of(number) for number in (a_second, used, lasted, share, late)] == [
         kept["rows a second"],
         kept["processor time, s"],
         kept["time, s"],
@@ -73,8 +78,7 @@ def test_what_a_watch_took_is_what_was_kept():
     assert kept["u of K_II less that of calibrate, parts of it"] == 0.0
 
 
-def test_how_fast_records_are_drawn_is_what_was_kept():
-    kept = json.loads((ROOT / "benchmarks" / "page.json").read_text("utf-8"))
-    for rows, seconds in kept.items():
-        shown = told("application", f"| {int(rows):,} | {{}} s | {{}} s | {{}} s |")
+def test_how_fast_records_are_drawn_is_what_was_kept(rows):
+    for count, seconds in rows["Records in the page"].items():
+        shown = told("application", f"| {count} | {{}} s | {{}} s | {{}} s |")
         assert [value_of(number) for number in shown] == seconds
