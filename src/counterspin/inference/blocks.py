@@ -6,6 +6,7 @@ offset and start velocity are projected out on the way.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -33,6 +34,16 @@ class Block:
     #: Number of observations and of the record's own unknowns that were projected out.
     rows: int
     nuisance: int
+
+    def scaled(self, ratio: float) -> Block:
+        """Return the block of rows that weigh more by a factor."""
+        return replace(
+            self,
+            factor=ratio * self.factor,
+            target=ratio * self.target,
+            considered=ratio * self.considered,
+            rss=ratio**2 * self.rss,
+        )
 
 
 def reduce_block(

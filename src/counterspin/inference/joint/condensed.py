@@ -36,11 +36,11 @@ def condense(
     noise: Accelerometer -> white noise of a sample, in its record's unit; None where it is not
         known.
     """
-    others = [unknown for unknown in model.unknowns if not unknown.asked]
-    spread = np.array([other.prior[1] for other in others])
-    if not others or not np.isfinite(spread).all():
+    unasked = [unknown for unknown in model.unknowns if not unknown.asked]
+    spread = np.array([other.prior[1] for other in unasked])
+    if not unasked or not np.isfinite(spread).all():
         return tuple(prepared), model
-    mean = np.array([other.prior_mean for other in others])
+    mean = np.array([other.prior_mean for other in unasked])
     floors = {part.accelerometer: noise.get(part.accelerometer) or math.inf for part in prepared}
     for part in prepared:
         if not noise.get(part.accelerometer):
@@ -48,48 +48,47 @@ def condense(
     if min(floors.values(), default=0.0) == 0.0:
         # Nothing hides anything.
         return tuple(prepared), model
-    weighted: list[Array] = []
-    shown: list[Array] = []
+    others = [k for k, unknown in enumerate(model.unknowns) if not unknown.asked]
+    weighted = []
     for part in prepared:
-        columns = _columns(part, model)
-        weight = np.sqrt(part.series.count) / floors[part.accelerometer]
-        shown.append(columns)
-        weighted.append(triangle_of(in_parts(columns * spread * weight[:, None])))
-    if not all(np.isfinite(rows).all() for rows in weighted):
-        return tuple(prepared), model
+        rows = np.zeros((part.white.factor.shape[0], len(model.unknowns)))
+        rows[:, list(part.unknowns)] = part.white.factor
+        weighted.append(rows[:, others] * (spread / floors[part.accelerometer]))
     _, sizes, directions = np.linalg.svd(triangle_of(np.vstack(weighted)))
     kept = directions[: int(np.sum(sizes > _LEAST_EFFECT))]
     few = [Unknown("", f"condensed.{k}", (0.0, 1.0), _LIMIT, asked=False) for k in range(len(kept))]
+    shapes = np.zeros((len(model.unknowns), len(kept)))
+    shapes[others] = kept.T * spread[:, None]
+    means = np.zeros(len(model.unknowns))
+    means[others] = mean
     condensed = replace(model, unknowns=(*model.asked, *few))
-    return tuple(
-        _condensed(part, columns, model, mean, kept.T * spread[:, None])
-        for part, columns in zip(prepared, shown, strict=True)
-    ), condensed
+    return tuple(_condensed(part, model, means, shapes) for part in prepared), condensed
 
 
-def _columns(part: Prepared, model: Unknowns) -> Array:
-    """Return the columns of what nobody asks for, zero where a record has none, (n, q)."""
-    others = [place for place, unknown in enumerate(model.unknowns) if not unknown.asked]
-    columns = np.zeros((part.series.time.size, len(others)))
-    shown = dict(zip(part.unknowns, part.design.T, strict=True))
-    for k, place in enumerate(others):
-        if place in shown:
-            columns[:, k] = shown[place]
-    return columns
+def _condensed(part: Prepared, model: Unknowns, means: Array, shapes: Array) -> Prepared:
+    """Return a record with what nobody asks for in other columns.
 
-
-def _condensed(
-    part: Prepared, columns: Array, model: Unknowns, mean: Array, directions: Array
-) -> Prepared:
-    asked = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
+    means: (p,) of the unknowns that are condensed, 0 of others.
+    shapes: (p, few): what one unit of each new unknown is.
+    """
     own = [k for k, place in enumerate(part.unknowns) if model.unknowns[place].asked]
-    few = range(len(asked), len(asked) + directions.shape[1])
-    return replace(
+    asked = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
+    places = [asked.index(part.unknowns[k]) for k in own]
+    here = list(part.unknowns)
+    turned = np.hstack([np.eye(len(here))[:, own], shapes[here]])
+    series, white = part.series, part.white
+    condensed = replace(
         part,
-        series=replace(part.series, error=part.series.error - columns @ mean),
-        unknowns=(*(asked.index(part.unknowns[k]) for k in own), *few),
-        design=np.hstack([part.design[:, own], columns @ directions]),
+        series=replace(series, error=series.error - part.design @ means[here]),
+        unknowns=(*places, *range(len(asked), len(asked) + shapes.shape[1])),
+        design=part.design @ turned,
     )
+    # Of white noise it says in the new columns what it said in the old ones.
+    triangle = replace(
+        white, factor=white.factor @ turned, target=white.target - white.factor @ means[here]
+    )
+    vars(condensed)["white"] = triangle
+    return condensed
 
 
 def white_level(part: Prepared) -> float:

@@ -12,7 +12,6 @@ The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
@@ -20,10 +19,9 @@ from functools import cached_property
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
-from counterspin.inference.blocks import Block, reduce_block
+from counterspin.inference.blocks import Block
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
@@ -60,7 +58,7 @@ class JointFit:
     def with_noise(self, noise: Mapping[str, Noise]) -> JointFit:
         """Return the fit with other noise; records whose noise stays remain as they are reduced."""
         blocks = tuple(
-            _block_again(block, prepared, self.model, self.noise[name], noise[name])
+            _block(prepared, self.model, noise[name])
             if (name := prepared.accelerometer) in noise
             else block
             for block, prepared in zip(self.blocks, self.prepared, strict=True)
@@ -142,38 +140,9 @@ def blocks_of(
     return [_block(part, model, noise[part.accelerometer]) for part in prepared]
 
 
-def _block_again(
-    block: Block, prepared: Prepared, model: Unknowns, before: Noise, after: Noise
-) -> Block:
-    """Reduce a series again; where only the level of its white noise is another, scale it."""
-    was, now = (prepared.series.total(noise) for noise in (before, after))
-    walks = was.random_walk > 0.0 or now.random_walk > 0.0
-    uneven = prepared.series.jitter > 0.0
-    if walks or uneven or was.wanders or now.wanders or now.sample_variance == 0.0:
-        return _block(prepared, model, after)
-    ratio = math.sqrt(was.sample_variance / now.sample_variance)
-    return replace(
-        block,
-        factor=ratio * block.factor,
-        target=ratio * block.target,
-        considered=ratio * block.considered,
-        rss=ratio**2 * block.rss,
-    )
-
-
 def _block(prepared: Prepared, model: Unknowns, noise: Noise) -> Block:
-    """Whiten one series and reduce it, then put its columns where the model has them."""
-    series = prepared.series
-    if series.time.size <= series.order:
-        raise NotIdentifiableError(
-            f"{series.accelerometer} in {series.run}: {series.time.size} samples do not determine "
-            "the record's own start offset and start velocity; the record is too short"
-        )
-    whiten = series.whitener(noise)
-    own = series.polynomials(whiten.polynomials)
-    rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, series.error]))
-    m, p = whiten.polynomials, prepared.design.shape[1]
-    block = reduce_block(rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1])
+    """Return a record's information, with its columns where the model has them."""
+    block = prepared.block(noise)
     factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
     factor[:, list(prepared.unknowns)] = block.factor
     fixed = np.zeros((block.factor.shape[0], len(model.considered)))

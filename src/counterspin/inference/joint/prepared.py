@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 
@@ -39,6 +44,32 @@ class Prepared:
     def run(self) -> str:
         """The run in which it was taken."""
         return self.series.run
+
+    def block(self, noise: Noise) -> Block:
+        """Return what the record says of its columns, its own start errors projected out."""
+        uneven = noise.random_walk > 0.0 or noise.wanders or self.series.jitter > 0.0
+        if uneven or noise.sample_variance == 0.0:
+            return self._weighted(noise)
+        return self.white.scaled(1.0 / math.sqrt(noise.sample_variance))
+
+    @cached_property
+    def white(self) -> Block:
+        """The same for white noise of 1 per sample: of any other size it is in proportion."""
+        return self._weighted(Noise(1.0))
+
+    def _weighted(self, noise: Noise) -> Block:
+        series = self.series
+        if series.time.size <= series.order:
+            raise NotIdentifiableError(
+                f"{series.accelerometer} in {series.run}: {series.time.size} samples do not "
+                "determine the record's own start offset and start velocity; the record is too "
+                "short"
+            )
+        whiten = series.whitener(noise)
+        own = series.polynomials(whiten.polynomials)
+        rows = whiten.apply(np.column_stack([own, self.design, self.fixed, series.error]))
+        m, p = whiten.polynomials, self.design.shape[1]
+        return reduce_block(rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1])
 
     def without(self, drop: npt.NDArray[np.bool_]) -> Prepared:
         """Return the series and its columns without the rows where `drop` is true."""
