@@ -68,3 +68,14 @@ def test_the_right_attitudes_are_good(upright):
     stated = 'delta_O = "1e-3 ± 1e-6 rad"\n'
     mistake = replace(MISTAKES[-1], sense=1, upright=upright, stated=stated)
     assert STUDY["row_of"](mistake, "tumble").code == ""
+
+
+def test_what_a_mistake_makes_of_what_is_unstated_stands_below_it():
+    """Mirrored attitudes look like a head's zero that is off by 80 typical sizes."""
+    (only,) = STUDY["calibrated"](MISTAKES[-1], "tumble").findings
+    (below,) = only.explains
+    assert (only.code, below.code, below.subject) == (
+        "wrong-mounting",
+        "beyond-typical",
+        "head.zero",
+    )

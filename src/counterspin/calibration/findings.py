@@ -62,7 +62,7 @@ def judge_result(
         for name, accelerometer in result.accelerometers.items()
     }
     own = [finding for judged in accelerometers.values() for finding in judged.findings]
-    everything = ranked(merged([*result.findings, *own]))
+    everything = ranked(merged([*below_causes("", result.findings, causes), *own]))
     state = state_of(everything)
     return result.model_copy(
         update={

@@ -115,4 +115,7 @@ def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
     assert (first.code, first.subject, wrong.state) == ("wrong-mounting", "A", "contradicted")
     assert "pointed up; it is stated as down" in first.text
     assert "the sense in which the attitudes turn, and for which axes delta_O" in first.text
-    assert {"lack-of-fit", "run-disagrees"} <= {finding.code for finding in first.explains}
+    # All that was found is below its cause.
+    assert wrong.findings == [first]
+    explained = {finding.code for finding in first.explains}
+    assert {"lack-of-fit", "run-disagrees"} <= explained

@@ -129,8 +129,11 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
     assert latitude.credible(math.radians(44.0))
     assert not latitude.credible(math.radians(45.0))
     assert not latitude.credible(math.radians(-4200.0))
-    assert not gravity.credible(0.05)
-    assert gravity.credible(-0.04)
+    # Normal gravity at 45.75 deg: 9.79763 m/s^2 at 3000 m, 9.80842 at -500 m; and 1e-3 more.
+    assert gravity.credible(9.80842 - 9.8066 + 0.9e-3)
+    assert not gravity.credible(9.80842 - 9.8066 + 1.1e-3)
+    assert gravity.credible(9.79763 - 9.8066 - 0.9e-3)
+    assert not gravity.credible(9.79763 - 9.8066 - 1.1e-3)
 
 
 def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):

@@ -17,6 +17,8 @@ ACCOUNTABLE: Final = frozenset(
         "run-disagrees",
         "methods-disagree",
         "incredible",
+        "beyond-typical",
+        "outlying-reading",
     )
 )
 
@@ -48,10 +50,13 @@ class Cause:
 
 
 def below_causes(name: str, found: Iterable[Finding], causes: Sequence[Cause]) -> list[Finding]:
-    """Return the causes of an accelerometer's findings, then what they do not account for."""
+    """Return the causes of an accelerometer's findings, then what they do not account for.
+
+    name: The accelerometer's; empty: what is found of platform, machine and inputs.
+    """
     left, heads = list(found), []
     for cause in causes:
-        if name not in cause.accelerometers:
+        if name and name not in cause.accelerometers:
             continue
         explained = [finding for finding in left if cause.accounts_for(name, finding)]
         left = [finding for finding in left if finding not in explained]

@@ -16,12 +16,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
-from counterspin.calibration.diagnosis.credible import incredible
+from counterspin.calibration.diagnosis.credible import beyond_typical, incredible
 from counterspin.calibration.diagnosis.mountings import OtherMounting, better, wrong_mounting
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import residual_findings
-from counterspin.calibration.joint_parts import coefficient, noise_lines, residual
+from counterspin.calibration.joint_parts import coefficient, knowledge, noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
@@ -51,6 +51,7 @@ from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise
+from counterspin.physics.gravity import gravity_range
 from counterspin.physics.terms import INPUTS, OWN_TERMS
 from counterspin.reports.numbers import format_number
 
@@ -84,6 +85,9 @@ _DECISIVE_PART: Final = 0.003
 
 #: How many times its largest credible size a term may have where nothing credible explains as much.
 _OUTSIZE: Final = 10.0
+
+#: Anomalies of the ground's gravity are mostly smaller, m/s^2.
+_ANOMALY: Final = 1e-3
 
 #: Steps that are tried in each record, and again about the best of them.
 _STEPS: Final = 24
@@ -258,10 +262,14 @@ def _wave(power: np.ndarray, rows: int, rate: float, interval: float, scale: flo
 def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Return alternatives with what an input may be, which hangs on what is stated of it."""
     inputs = inputs_of(campaign)
+    between = {symbol: INPUTS[symbol].effect.between for symbol in inputs}
+    low, high = gravity_range(campaign.latitude.value)
+    here = low - _ANOMALY, high + _ANOMALY
+    if here[0] <= campaign.gravity.value <= here[1]:  # else the latitude may be the wrong one
+        between["site.gravity"] = here
     possible = {
-        symbol: (least - known.value, most - known.value)
-        for symbol, known in inputs.items()
-        for least, most in [INPUTS[symbol].effect.between]
+        symbol: (least - inputs[symbol].value, most - inputs[symbol].value)
+        for symbol, (least, most) in between.items()
     }
     return tuple(
         replace(
@@ -521,11 +529,9 @@ def _remaining(
     views: Sequence[AccelerometerView], after: Estimate
 ) -> Mapping[tuple[str, str], float]:
     """Return code, subject and size of what the checks still find in another fit."""
-    return {
-        (finding.code, finding.subject): finding.size or math.inf
-        for view in views
-        for finding in _checked(_seen_again(view, after))
-    }
+    found = [finding for view in views for finding in _checked(_seen_again(view, after))]
+    found += beyond_typical(knowledge(after, inputs_of(views[0].campaign)))
+    return {(finding.code, finding.subject): finding.size or math.inf for finding in found}
 
 
 def _concerned(
@@ -547,8 +553,7 @@ def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
 
 
 def _checked(view: AccelerometerView) -> Iterator[Finding]:
-    # A reading that is off by itself stays so, whatever else is wrong.
-    yield from (f for f in residual_findings(view) if f.code != "outlying-reading")
+    yield from residual_findings(view)
     yield from _numbers(view, None)
     own = {
         symbol: coefficient(view.estimate, view.assessment, place)
