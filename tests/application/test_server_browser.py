@@ -1,6 +1,7 @@
 """The page in a browser, as a person uses it."""
 
 import io
+import math
 import re
 import shutil
 import time
@@ -141,6 +142,25 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     shown = tab.locator("code:visible").last.inner_text()
     assert shown.startswith("counterspin certificate ")
     assert b"digitalCalibrationCertificate" in certificate.read_bytes()
+
+
+def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
+    rows = [
+        f"{angle},{1.25 * math.cos(math.radians(angle)) + 0.003:.6f},2e-6"
+        for angle in range(0, 360, 30)
+    ]
+    (tmp_path / "tumble.csv").write_text("\n".join(["angle_deg,reading_mA,u_mA", *rows]) + "\n")
+    tab = opened()
+    tab.get_by_label("Folder of the new campaign").fill("tumble")
+    tab.get_by_label("What the files are").select_option("tumble")
+    tab.get_by_label("The recorder's files").set_input_files(tmp_path / "tumble.csv")
+    for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
+        tab.get_by_label(question).fill(said)
+    assert tab.get_by_label("How does the input axis point").input_value() == "up"
+    tab.get_by_role("button", name="Write the campaign").click()
+    tab.get_by_role("button", name="Calibrate").click()
+    tab.get_by_role("heading", name="Is it good?").wait_for()
+    assert (folder / "tumble" / "result.json").is_file()
 
 
 def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):

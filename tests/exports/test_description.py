@@ -7,7 +7,7 @@ from scipy.io import savemat
 
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.exports.description import described, draft, write_description
+from counterspin.exports.description import draft, write_description
 from counterspin.exports.looking import look_at
 
 TIME = np.arange(1500) * 0.02
@@ -54,7 +54,7 @@ def test_an_odd_zero_is_stated_in_degrees(tmp_path):
         return {"angle_deg": np.degrees(theta) - 12.5, **axes(theta)}
 
     files = [record(tmp_path / "a.csv", np.pi, columns)]
-    angle = described(drafted(files), tmp_path)["records"]["angle"]
+    angle = drafted(files).document(tmp_path)["records"]["angle"]
     assert angle == {"column": "angle_deg", "unit": "deg", "zero": "12.5000 deg"}
 
 
@@ -64,7 +64,7 @@ def test_velocities_are_ahead_of_displacements(tmp_path):
         return {"angle_rad": theta, "east [m/s]": east, "north [m/s]": north}
 
     files = [record(tmp_path / "a.csv", -np.pi, columns)]
-    document = described(drafted(files), tmp_path)
+    document = drafted(files).document(tmp_path)
     assert "zero" not in document["records"]["angle"]
     assert document["runs"][0]["rate"] == "-0.5 rev/s"
     assert document["accelerometers"]["Qx"]["velocity"] == {"column": "east [m/s]", "unit": "m/s"}
@@ -76,11 +76,11 @@ def test_what_files_do_not_say_is_asked(tmp_path):
     asked = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
     assert keys == asked
     with pytest.raises(CampaignError) as caught:
-        described(drafted([path], sense="left", nonsense="1"), tmp_path)
+        drafted([path], sense="left", nonsense="1").document(tmp_path)
     told = [line.partition(":")[0] for line in caught.value.problems]
     assert told == ["per_revolution", "p is", "p unit", "p axis", "sense", "nonsense"]
     more = {"per_revolution": "197386,9", "sense": "cw", "p is": "Weg", "p axis": "North"}
-    document = described(drafted([path], **more, **{"p unit": "m"}), tmp_path / "there")
+    document = drafted([path], **more, **{"p unit": "m"}).document(tmp_path / "there")
     assert document["records"]["angle"]["per_revolution"] == 197386.9
     assert document["records"]["angle"]["sense"] == "clockwise"
     assert document["accelerometers"]["Qy"]["input_axis"] == "north"
@@ -96,7 +96,7 @@ def test_guesses_may_be_overruled(tmp_path):
     found = drafted(
         files, **{"temp_m is": "unused", "east_m axis": "W", "north_m is": "ignore"}, sense="ccw"
     )
-    document = described(found, tmp_path)
+    document = found.document(tmp_path)
     assert list(document["accelerometers"]) == ["Qx"]
     assert document["accelerometers"]["Qx"]["input_axis"] == "west"
     assert document["records"]["angle"]["zero"] == "west"
@@ -115,7 +115,7 @@ def test_a_unit_that_is_answered_shows_the_rate_of_each_run(tmp_path):
     assert {"angle unit", "rate", "signal"} <= asked
     answers = {"angle unit": "count", "per_revolution": "1000", "sense": "ccw", "signal": "p"}
     more = {"p is": "displacement", "p unit": "m", "p axis": "east"}
-    document = described(drafted(paths, **answers, **more), tmp_path)
+    document = drafted(paths, **answers, **more).document(tmp_path)
     assert [run["rate"] for run in document["runs"]] == ["0.5 rev/s", "-1 rev/s"]
 
 
@@ -129,7 +129,7 @@ def test_sampling_rates_that_files_state_are_taken(tmp_path):
     assert {"fs", "rpm"} <= set(found.common.unused)
     answers = {"angle unit": "rad", "sense": "ccw", "pos.1 unit": "m", "pos.2 unit": "m"}
     more = {"pos.1 axis": "east", "pos.2 axis": "north"}
-    document = described(drafted([tmp_path / "a.mat"], **answers, **more), tmp_path)
+    document = drafted([tmp_path / "a.mat"], **answers, **more).document(tmp_path)
     assert document["records"]["time"] == {"sampling_rate": "50 Hz"}
     assert document["runs"][0]["rate"] == "0.5 rev/s"
     write_description(drafted([tmp_path / "a.mat"], **answers, **more), tmp_path)

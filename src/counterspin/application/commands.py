@@ -67,10 +67,13 @@ def simulate_command(campaign: Path, folder: Path) -> str:
     return _typed(["simulate", str(campaign), "--output", str(folder)])
 
 
-def export_command(folder: Path, files: Sequence[Path], answers: Mapping[str, str]) -> str:
+def export_command(
+    folder: Path, files: Sequence[Path], answers: Mapping[str, str], test: str
+) -> str:
     """Return the command that makes a campaign of a recorder's files."""
     said = [f"--answer={key}={answer}" for key, answer in answers.items()]
-    return _typed(["init", str(folder), "--from", *map(str, files), *said])
+    kind = [] if test == "double-turntable" else [f"--test={test}"]
+    return _typed(["init", str(folder), *kind, "--from", *map(str, files), *said])
 
 
 def check_command(record: Path, campaign: Path, run: str) -> str:

@@ -13,8 +13,11 @@ import numpy as np
 from counterspin.application.commands import export_command
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import OutsideError
-from counterspin.exports.description import Draft, draft, write_description
+from counterspin.campaign.starter import Test
+from counterspin.exports.description import Draft, write_description
+from counterspin.exports.description import drafted as described_as
 from counterspin.exports.looking import FileColumn, look_at
+from counterspin.exports.tumble import TumbleDraft
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
 from counterspin.records.formats import RECORD_FORMATS
@@ -62,23 +65,30 @@ def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
     return {"name": desk.folder.name(arrival.path), "bytes": size}
 
 
-def _draft(desk: Desk, names: Sequence[str], answers: dict[str, str] | None) -> Draft:
+def _draft(
+    desk: Desk, names: Sequence[str], answers: dict[str, str] | None, test: Test
+) -> Draft | TumbleDraft:
     files = [desk.file(name) for name in names]
     said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     sheet = said.get("sheet", "")
     looks = _LOOKS.get((sheet, *files), files, lambda: look_at(files, said))
-    return draft(looks, said)
+    return described_as(looks, said, test)
 
 
-def drafted(desk: Desk, names: list[str], answers: dict[str, str] | None = None) -> dict[str, Any]:
+def drafted(
+    desk: Desk,
+    names: list[str],
+    answers: dict[str, str] | None = None,
+    test: Test = "double-turntable",
+) -> dict[str, Any]:
     """Return what files show, in sentences and columns, what may be answered, and what is wrong."""
-    found = _draft(desk, names, answers)
+    found = _draft(desk, names, answers, test)
     return {
         "statements": list(found.statements),
         "questions": [vars(question) for question in found.questions],
         "problems": list(found.problems),
-        "file": found.common.look.path.name,
-        "columns": [_preview(column) for column in found.common.look.columns],
+        "file": found.look.path.name,
+        "columns": [_preview(column) for column in found.look.columns],
     }
 
 
@@ -94,12 +104,16 @@ def _preview(column: FileColumn) -> dict[str, Any]:
 
 
 def begin_drafted(
-    desk: Desk, folder: str, names: list[str], answers: dict[str, str] | None = None
+    desk: Desk,
+    folder: str,
+    names: list[str],
+    answers: dict[str, str] | None = None,
+    test: Test = "double-turntable",
 ) -> dict[str, Any]:
     """Write the campaign that files and answers make; return its name and the command."""
     place = desk.place(folder)
-    found = _draft(desk, names, answers)
+    found = _draft(desk, names, answers, test)
     write_description(found, place)
     files = [desk.file(name) for name in names]
-    command = export_command(place, files, dict(found.answers))
+    command = export_command(place, files, dict(found.answers), test)
     return {"name": desk.folder.name(place), "command": command}

@@ -32,18 +32,18 @@ def init(
     directory
         Folder for campaign.toml; made if it is not there.
     test
-        Kind of test of an example: records of a double turntable, readings of a multi-position
-        tumble, or readings on the arm of a centrifuge.
+        Kind of test: records of a double turntable, readings of a multi-position tumble, or
+        readings on the arm of a centrifuge (an example only).
     from_
-        Files of a recorder, one for each run: what is in them is guessed and said, what they do
-        not say is asked.
+        Files of a recorder, one for each run, or the table of a tumble's readings: what is in them
+        is guessed and said, what they do not say is asked.
     yes
         Ask nothing: fail with what the files do not say.
     answer
         What the files do not say, as in --answer "radius=2.5 m"; once for each.
     """
     if from_:
-        _from_files(directory, from_, answer or [], asks=not yes)
+        _from_files(directory, from_, answer or [], test, asks=not yes)
         return
     if yes or answer:
         raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
@@ -68,16 +68,18 @@ def _write_schema(directory: Path) -> None:
         write_text(directory / SCHEMA_NAME, schema_text("campaign"))
 
 
-def _from_files(directory: Path, files: list[Path], given: list[str], *, asks: bool) -> None:
+def _from_files(
+    directory: Path, files: list[Path], given: list[str], test: Test, *, asks: bool
+) -> None:
     """Write a campaign of a recorder's files."""
-    from counterspin.exports.description import draft, write_description
+    from counterspin.exports.description import drafted, write_description
     from counterspin.exports.looking import look_at
     from counterspin.reports.progress import work_progress
 
     answers = _answers(given)
     with work_progress("Files") as advance:
         looks = look_at(files, answers, progress=advance)
-    found = draft(looks, answers)
+    found = drafted(looks, answers, test)
     asks = asks and sys.stdin is not None and sys.stdin.isatty()
     say("Guessed from the files:", *(f"  {statement}" for statement in found.statements))
     if asks and not found.problems:
@@ -87,7 +89,7 @@ def _from_files(directory: Path, files: list[Path], given: list[str], *, asks: b
             answers[question.key] = _asked(question)
             if question.key == "sheet":
                 looks = look_at(files, answers)
-            found = draft(looks, answers)
+            found = drafted(looks, answers, test)
         more = [statement for statement in found.statements if statement not in before]
         say(*(f"  {statement}" for statement in more))
     written = write_description(found, directory)

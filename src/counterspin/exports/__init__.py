@@ -4,5 +4,6 @@
 - `waves`: the wave that a revolution makes in a column
 - `guessing`: which column is what, of every file
 - `questions`: what is asked, and what an answer means
+- `tumble`: a table of readings of a tumble
 - `description`: the description that guesses and answers make
 """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,11 +14,19 @@ from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.memory.records import record_name
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.guessing import FileGuess, agreed, guess_file
 from counterspin.exports.looking import Look
-from counterspin.exports.questions import SENSES, ExportQuestion, judged_answers, questions_of
+from counterspin.exports.questions import (
+    SENSES,
+    Answered,
+    judged_answers,
+    questions_of,
+    relative_name,
+)
+from counterspin.exports.tumble import TumbleDraft, tumble_draft
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.toml_text import write_document
@@ -33,24 +40,50 @@ _ROUND_RATE_PART: Final = 2e-4
 
 
 @frozen
-class Draft:
-    """What files show, and what a person has answered."""
+class Draft(Answered):
+    """What records show, and what a person has answered."""
 
     guesses: tuple[FileGuess, ...]  #: Of each file, or sheet.
     common: FileGuess  #: What they have in common.
-    statements: tuple[str, ...]  #: What was guessed, in whole sentences.
-    questions: tuple[ExportQuestion, ...]  #: What may be answered.
-    answers: Mapping[str, str]  #: What was answered, in the words of a description.
-    problems: tuple[str, ...]  #: What is wrong with other answers.
 
     @property
-    def open_questions(self) -> list[ExportQuestion]:
-        """What has to be answered before a description can be written."""
-        return [
-            question
-            for question in self.questions
-            if question.key not in self.answers and question.guess is None
-        ]
+    def files(self) -> list[Path]:
+        """The files of the runs."""
+        return [guess.look.path for guess in self.guesses]
+
+    @property
+    def look(self) -> Look:
+        """What is in the file that speaks for all."""
+        return self.common.look
+
+    def document(self, folder: Path) -> dict[str, Any]:
+        """Return the description that guesses and answers make; CampaignError if some are missing.
+
+        folder: The campaign's.
+        """
+        common, answers = self.common, self.complete()
+        sense, place = answers["sense"], folder.resolve()
+        document: dict[str, Any] = {
+            "schema": 1,
+            "campaign": {"title": place.name},
+            "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
+            "centrifuge": {"radius": answers["radius"]},
+            "records": _records(common, answers, sense),
+            "accelerometers": _accelerometers(common),
+        }
+        names: list[Any] = []
+        runs = []
+        for guess in self.guesses:
+            stem, sheet = guess.look.path.stem, guess.look.sheet
+            name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
+            names.append(name)
+            run: dict[str, Any] = {
+                "name": name,
+                "rate": _rate(guess, answers, sense),
+                "record": relative_name(guess.look.path, place),
+            }
+            runs.append(run | ({"records": {"sheet": sheet}} if sheet else {}))
+        return document | {"runs": runs}
 
 
 def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Draft:
@@ -72,71 +105,47 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
         # An answer may show more: with its unit, an angle shows the sense and the rates.
         taken |= more
     statements = tuple(_statements(guesses, common, _sense(common)))
-    return Draft(guesses, common, statements, questions, more, tuple(problems))
+    return Draft(statements, questions, more, tuple(problems), guesses, common)
 
 
-def described(draft: Draft, folder: Path) -> dict[str, Any]:
-    """Return the description that guesses and answers make."""
-    problems = [
-        f'{q.key}: {q.text} Say it with `answer`, such as "{q.key}={q.example}".'
-        for q in draft.open_questions
-        if not any(line.startswith(f"{q.key}: ") for line in draft.problems)
-    ]
-    if problems or draft.problems:
-        raise CampaignError("init", [*problems, *draft.problems])
-    common, answers = draft.common, draft.answers
-    sense = answers.get("sense") or _sense(common) or SENSES[0]
-    place = folder.resolve()
-    document: dict[str, Any] = {
-        "schema": 1,
-        "campaign": {"title": place.name},
-        "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
-        "centrifuge": {"radius": answers["radius"]},
-        "records": _records(common, answers, sense),
-        "accelerometers": _accelerometers(common),
-    }
-    names: list[Any] = []
-    runs = []
-    for guess in draft.guesses:
-        stem, sheet = guess.look.path.stem, guess.look.sheet
-        name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
-        names.append(name)
-        run: dict[str, Any] = {
-            "name": name,
-            "rate": _rate(guess, answers, sense),
-            "record": _relative(guess.look.path, place),
-        }
-        runs.append(run | ({"records": {"sheet": sheet}} if sheet else {}))
-    return document | {"runs": runs}
+def drafted(
+    looks: Sequence[Look], answers: Mapping[str, str], test: Test = "double-turntable"
+) -> Draft | TumbleDraft:
+    """Return what the files of a test show; RecordError for a test whose tables nobody guesses."""
+    if test == "arm":
+        raise CampaignError(
+            "init",
+            [
+                "a table of readings on an arm is described by hand: init --test arm writes an "
+                "example; put your table in the place of its readings.csv"
+            ],
+        )
+    return tumble_draft(looks, answers) if test == "tumble" else draft(looks, answers)
 
 
-def _relative(file: Path, folder: Path) -> str:
-    """Return a file's path from a folder, whole where the two share no folder to be moved with."""
-    file = file.resolve()
-    if file.anchor != folder.anchor or file.parts[1:2] != folder.parts[1:2]:
-        return str(file)
-    return Path(os.path.relpath(file, folder)).as_posix()
-
-
-def write_description(draft: Draft, folder: Path) -> Path:
+def write_description(draft: Draft | TumbleDraft, folder: Path) -> Path:
     """Write the description into the campaign's folder, with what was guessed as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; edit it, or choose another folder")
-    document = described(draft, folder)
+    document = draft.document(folder)
     problems = Problems(document)
+    new = not folder.exists()
+    make_folder(folder)  # first: names such as ../run1.csv lead on from a folder that is there
     if resolve_campaign(document, target, problems) is None:
+        if new:
+            folder.rmdir()
         raise CampaignError("init", problems.lines)
-    names = ", ".join(guess.look.path.name for guess in draft.guesses)
+    names = ", ".join(file.name for file in draft.files)
     head = [f"A campaign made from {names}.", "Guessed, to be checked:"]
     head += [f"- {statement}" for statement in draft.statements]
     comments = {
         "site": '± standard uncertainty (k = 1), as in "9.8066 ± 1e-5 m/s^2"',
         "accelerometers": 'Known beforehand: bias = "0.005 ± 2e-6 g", scale_factor likewise',
         "records": "Every key is explained in docs/campaign.md",
+        "readings": "Every key is explained in docs/readings.md",
     }
     text = "".join(f"# {line}\n" for line in head) + write_document(document, comments)
-    make_folder(folder)
     write_text(target, text)
     return target
 

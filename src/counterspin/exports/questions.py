@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Final
 
 from counterspin.campaign.quantity import BARE, parse
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.errors import CampaignError
 from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, UNUSED, FileGuess
-from counterspin.exports.looking import ALL_SHEETS
+from counterspin.exports.looking import ALL_SHEETS, Look
 from counterspin.frozen import frozen
 from counterspin.records.dialect import file_unit
 from counterspin.units import unit_factor
@@ -108,6 +111,45 @@ class ExportQuestion:
         raise ValueError(f"{answer!r} is none of {', '.join(self.choices)}{hint}")
 
 
+@frozen
+class Answered:
+    """What was guessed of files, and what a person has answered."""
+
+    statements: tuple[str, ...]  #: What was guessed, in whole sentences.
+    questions: tuple[ExportQuestion, ...]  #: What may be answered.
+    answers: Mapping[str, str]  #: What was answered, in the words of a description.
+    problems: tuple[str, ...]  #: What is wrong with other answers.
+
+    @property
+    def open_questions(self) -> list[ExportQuestion]:
+        """What has to be answered before a description can be written."""
+        return [
+            question
+            for question in self.questions
+            if question.key not in self.answers and question.guess is None
+        ]
+
+    def complete(self) -> dict[str, str]:
+        """Return guesses, and answers above them; CampaignError if one is missing or wrong."""
+        missing = [
+            f'{q.key}: {q.text} Say it with `answer`, such as "{q.key}={q.example}".'
+            for q in self.open_questions
+            if not any(line.startswith(f"{q.key}: ") for line in self.problems)
+        ]
+        if missing or self.problems:
+            raise CampaignError("init", [*missing, *self.problems])
+        guessed = {q.key: q.guess for q in self.questions if q.guess is not None}
+        return guessed | dict(self.answers)
+
+
+def relative_name(file: Path, folder: Path) -> str:
+    """Return a file's path from a folder, whole where the two share no folder to be moved with."""
+    file = file.resolve()
+    if file.anchor != folder.anchor or file.parts[1:2] != folder.parts[1:2]:
+        return str(file)
+    return Path(os.path.relpath(file, folder)).as_posix()
+
+
 def _unit_error(unit: str, wanted: str) -> str:
     try:
         unit_factor(unit, wanted, gravity=STANDARD_GRAVITY)
@@ -124,14 +166,7 @@ def questions_of(
     answered: Keys that were answered before.
     """
     names = tuple(column.name for column in common.look.columns)
-    if common.look.sheets:
-        text = f"Which sheet is the table of a run ('{ALL_SHEETS}': each of them)?"
-        choices = (*common.look.sheets, ALL_SHEETS)
-        yield ExportQuestion("sheet", text, common.look.sheets[0], choices)
-    yield ExportQuestion(
-        "gravity", "What is gravity there?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
-    )
-    yield ExportQuestion("latitude", "At which latitude?", "45.75 deg", quantity="rad")
+    yield from place_questions(common.look, ALL_SHEETS)
     text = f"How far is the platform from the spindle's axis?{_size_seen(common)}"
     yield ExportQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
     yield from _time_questions(common, names)
@@ -142,6 +177,22 @@ def questions_of(
     if not common.signals or "signal" in answered:
         yield ExportQuestion("signal", "Which column has the signal?", names[-1], names)
     yield from _signal_questions(common)
+
+
+def place_questions(look: Look, *more: str) -> Iterator[ExportQuestion]:
+    """Yield the questions of every table: its sheet, and where it was taken.
+
+    more: Answers beside the names of the sheets.
+    """
+    if look.sheets:
+        text = "Which sheet is the table?"
+        if more:
+            text = f"Which sheet is the table of a run ('{ALL_SHEETS}': each of them)?"
+        yield ExportQuestion("sheet", text, look.sheets[0], (*look.sheets, *more))
+    yield ExportQuestion(
+        "gravity", "What is gravity there?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
+    )
+    yield ExportQuestion("latitude", "At which latitude?", "45.75 deg", quantity="rad")
 
 
 def _size_seen(common: FileGuess) -> str:

@@ -11,13 +11,19 @@ import { labelled, make, say, warning } from "./dom.js";
  * @typedef {{key: string, text: string, example: string, choices: string[], guess: string|null}} Question
  */
 
-/** What a column may be, beside the time and the angle. */
-const PARTS = ["time", "angle"];
+/** Kind of test -> what only one column may be, and what else a column may be. */
+const ROLES = {
+  "double-turntable": { parts: ["time", "angle"], others: ["displacement", "velocity", "specific_force", "unused"] },
+  "tumble": { parts: ["position"], others: ["reading", "uncertainty", "temperature", "time", "unused"] },
+};
 const NONE = "none";
 
 /** What begins a campaign from files. */
 export function exportsPart() {
   const folder = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
+  const test = make("select", {},
+    make("option", { value: "double-turntable" }, "Records of a double turntable"),
+    make("option", { value: "tumble" }, "Table of a tumble's readings"));
   const files = make("input", { type: "file", multiple: true, id: "exports" });
   const place = make("div");
 
@@ -36,15 +42,16 @@ export function exportsPart() {
         names.push((await bring(`${folder.value.trim()}/${file.name}`, file)).name);
       }
       place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
-      await new Preview(place, names, () => folder.value).update();
+      const kind = /** @type {keyof typeof ROLES} */ (test.value);
+      await new Preview(place, names, () => folder.value, kind).update();
     } catch (error) {
       place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   };
   files.addEventListener("change", () => take([...files.files ?? []]));
   const zone = make("div", { class: "drop" },
-    make("div", { class: "row" }, labelled("Folder of the new campaign", folder),
-      labelled("The recorder's files, one for each run; or drag them here", files)), place);
+    make("div", { class: "row" }, labelled("Folder of the new campaign", folder), labelled("What the files are", test),
+      labelled("The recorder's files, one for each run, or the table; or drag them here", files)), place);
   zone.addEventListener("dragover", (event) => {
     event.preventDefault();
     zone.classList.add("over");
@@ -64,8 +71,10 @@ class Preview {
    * @param {HTMLElement} place
    * @param {string[]} names of the files
    * @param {() => string} folder of the new campaign
+   * @param {keyof typeof ROLES} test its kind
    */
-  constructor(place, names, folder) {
+  constructor(place, names, folder, test) {
+    this.test = test;
     this.place = place;
     this.names = names;
     this.folder = folder;
@@ -76,10 +85,15 @@ class Preview {
     this.asked = 0;
   }
 
+  /** What is said of the files so far. */
+  said() {
+    return { names: this.names, answers: this.answers, test: this.test };
+  }
+
   /** Ask what the files show with the answers so far, and show it. */
   async update() {
     const asked = ++this.asked;
-    const told = await send("POST", "draft", { names: this.names, answers: this.answers });
+    const told = await send("POST", "draft", this.said());
     if (asked === this.asked) this.show(told, told.problems);
   }
 
@@ -118,11 +132,12 @@ class Preview {
    * @param {Map<string, string>} wrong
    */
   table(told, questions, wrong) {
-    const keys = new Set(PARTS);
+    const { parts } = ROLES[this.test];
+    const keys = new Set(parts);
     /** @type {Record<string, (Node|null)[]>} */
     const rows = { is: [], unit: [], axis: [], picture: [] };
     for (const { name, extent } of told.columns) {
-      const part = PARTS.find((one) => (this.answers[one] ?? questions.get(one)?.guess) === name);
+      const part = parts.find((one) => (this.answers[one] ?? questions.get(one)?.guess) === name);
       const own = part ? [null, `${part} unit`, null] : ["is", "unit", "axis"].map((one) => `${name} ${one}`);
       const [unit, axis] = own.slice(1).map((key) => {
         const question = key && questions.get(key);
@@ -130,7 +145,7 @@ class Preview {
         keys.add(question.key);
         return this.field(question, wrong, true);
       });
-      rows.is.push(this.kind(name, part, questions.get(`${name} is`), wrong));
+      rows.is.push(this.kind(name, part, questions, wrong));
       rows.unit.push(unit);
       rows.axis.push(axis);
       rows.picture.push(picture(name, extent));
@@ -151,21 +166,25 @@ class Preview {
    * What a column is, as a choice.
    * @param {string} name
    * @param {string|undefined} part
-   * @param {Question|undefined} question
+   * @param {Map<string, Question>} questions
    * @param {Map<string, string>} wrong
    */
-  kind(name, part, question, wrong) {
-    const value = part ?? this.answers[`${name} is`] ?? question?.guess ?? "";
-    const choices = [...PARTS, "displacement", "velocity", "specific_force", "unused"];
+  kind(name, part, questions, wrong) {
+    const value = part ?? this.answers[`${name} is`] ?? questions.get(`${name} is`)?.guess ?? "";
+    const { parts, others } = ROLES[this.test];
+    const choices = [...parts, ...others];
     const control = make("select", {
       "aria-label": `What is column ${name}?`,
       onchange: () => {
-        for (const one of PARTS) {
+        for (const one of parts) {
           if (control.value === one) this.answers[one] = name;
-          else if (one === part) this.answers[one] = NONE;
+          else if (one === part) {
+            if (questions.get(one)?.choices.includes(NONE)) this.answers[one] = NONE;
+            else delete this.answers[one];
+          }
         }
         delete this.answers[`${name} is`];
-        if (control.value && !PARTS.includes(control.value)) this.answers[`${name} is`] = control.value;
+        if (control.value && !parts.includes(control.value)) this.answers[`${name} is`] = control.value;
         this.changed();
       },
     }, ...(value ? [] : [""]).concat(choices).map((one) =>
@@ -221,8 +240,7 @@ class Preview {
       if (field.isConnected && field.value.trim() && field.value !== guess) this.answers[key] = field.value;
     }
     try {
-      const said = { folder: this.folder(), names: this.names, answers: this.answers };
-      const made = await send("POST", "drafted", said);
+      const made = await send("POST", "drafted", { folder: this.folder(), ...this.said() });
       say(`Wrote ${made.name}/campaign.toml.`);
       location.hash = campaignAddress(made.name);
     } catch (error) {

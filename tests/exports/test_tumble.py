@@ -1,0 +1,80 @@
+"""From a table of readings of a tumble to a description."""
+
+import numpy as np
+import pytest
+from workbooks import write_workbook
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.errors import CampaignError
+from counterspin.exports.description import drafted, write_description
+from counterspin.exports.looking import look_at
+from counterspin.exports.tumble import tumble_draft
+
+ANGLES = np.arange(0.0, 360.0, 30.0)
+ANSWERS = {"gravity": "9,8066", "latitude": "45.75"}
+
+
+def table(start=0.0):
+    """Return rows of name, deg, mA and u of an accelerometer that points `start` deg from up."""
+    force = 0.002 + np.cos(np.radians(ANGLES - start))
+    rows = zip(ANGLES.tolist(), (1.25 * force).round(7).tolist(), strict=True)
+    return [[f"no {n}", angle, value, 2.5e-6] for n, (angle, value) in enumerate(rows)]
+
+
+def write_table(path, rows, head=("Name", "Winkel", "Signal", "u"), units=("", "deg", "mA", "mA")):
+    lines = ["Tumble 7", ";".join(head), ";".join(units)]
+    lines += [";".join(str(cell).replace(".", ",") for cell in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("start", "axis"), [(0.0, "up"), (90.0, "west"), (180.0, "down"), (-90.0, "east")]
+)
+def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
+    path = write_table(tmp_path / "t.csv", table(start))
+    found = tumble_draft(look_at([path]), ANSWERS | {"Signal sensitivity": "1,25"})
+    assert found.open_questions == []
+    document = found.document(tmp_path / "camp")
+    assert document["accelerometers"]["A"]["input_axis"] == axis
+    assert document["readings"]["file"] == "../t.csv"
+    write_description(found, tmp_path / "camp")
+    values = calibrate(tmp_path / "camp").accelerometers["A"].coefficients
+    # The Earth's rate is not in these numbers, nor is anything but bias and scale factor.
+    assert values["K_F"].value == pytest.approx(0.002, abs=1e-6)
+    assert values["K_I"].value == pytest.approx(1.0, abs=1e-6)
+    assert abs(values["delta_O"].value) < 1e-5
+
+
+def test_a_workbook_with_title_and_units(tmp_path):
+    rows = [["Tumble", None], [None, "deg", "V", "V"], *table()]
+    rows.insert(1, ["Name", "Position", "Output 1", "Output 2"])
+    path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Readings": rows})
+    more = {"Output 1 sensitivity": "1.25 V/g", "Output 2 is": "uncertainty"}
+    found = tumble_draft(look_at([path]), ANSWERS | more)
+    assert found.roles == {"Position": "position", "Output 1": "reading", "Output 2": "uncertainty"}
+    write_description(found, tmp_path)
+    assert calibrate(tmp_path).accelerometers["A"].coefficients["K_I"].estimated
+
+
+def test_what_a_table_does_not_say_is_asked(tmp_path):
+    rows = [row[1:3] for row in table()]
+    path = write_table(tmp_path / "t.csv", rows, ("a", "b"), ("", ""))
+    found = drafted(look_at([path]), {}, "tumble")
+    asked = [question.key for question in found.open_questions]
+    assert asked == ["gravity", "latitude", "position", "axis at 0", "a unit", "b unit"]
+    answers = ANSWERS | {"position": "a", "b unit": "mA"}
+    found = drafted(look_at([path]), answers, "tumble")
+    (last,) = found.open_questions
+    assert last.key == "b sensitivity"
+    assert "They swing by 1.25 mA." in last.text
+    with pytest.raises(CampaignError, match="b sensitivity: What is the nominal sensitivity"):
+        found.document(tmp_path)
+
+
+def test_one_table_and_no_arm(tmp_path):
+    path = write_table(tmp_path / "t.csv", table())
+    with pytest.raises(CampaignError, match="one table of readings: name one file"):
+        drafted(look_at([path, path]), {}, "tumble")
+    with pytest.raises(CampaignError, match="init --test arm writes an example"):
+        drafted(look_at([path]), {}, "arm")
