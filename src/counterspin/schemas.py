@@ -72,6 +72,33 @@ Json = dict[str, Any]
 
 _TEXT: Final[Json] = {"type": "string"}
 
+#: Section of ``campaign.toml`` -> the class of its table, or of each of its tables.
+SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
+    "campaign": CampaignSettings,
+    "site": SiteSettings,
+    "centrifuge": CentrifugeSettings,
+    "fixture": FixtureSettings,
+    "records": RecordsSettings,
+    "accelerometers": AccelerometerSettings,
+    "noise": StatedNoise,
+    "model": ModelSettings,
+    "readings": ReadingsSettings,
+    "runs": RunSettings,
+    "specification": SpecificationSettings,
+    "simulation": SimulationSettings,
+    "truth": AccelerometerTruthSettings,
+    "study": StudySettings,
+}
+
+#: Tables of [truth] that are no accelerometer's -> their classes.
+TRUE_TABLES: Final[Mapping[str, type[BaseModel]]] = {
+    "spindle": SpindleTruthSettings,
+    "platform": PlatformTruthSettings,
+    "centrifuge": CentrifugeTruthSettings,
+    "encoder": EncoderTruthSettings,
+    "noise": StatedNoise,
+}
+
 
 def schema_of(name: SchemaName) -> Json:
     """Return the JSON Schema (draft 2020-12) of a document or result."""
@@ -131,23 +158,15 @@ def _document(
 def _sections(to: _Definitions) -> dict[str, Json]:
     """Return section of a campaign -> what may stand in it."""
     limits = {"anyOf": [_TEXT, {"type": "object", "additionalProperties": _TEXT}]}
-    in_runs = [_run(to), to(ReadingRunSettings)]
-    return {
-        "campaign": to(CampaignSettings),
-        "site": to(SiteSettings),
-        "centrifuge": to(CentrifugeSettings),
-        "fixture": to(FixtureSettings),
-        "records": to(RecordsSettings),
-        "readings": to(ReadingsSettings),
+    runs = {"type": "array", "items": {"anyOf": [_run(to), to(ReadingRunSettings)]}}
+    of_own_kind = {
         "accelerometers": to.named(AccelerometerSettings) | {"minProperties": 1},
-        "noise": to(StatedNoise),
-        "model": to(ModelSettings),
         "specification": to.open(SpecificationSettings, additionalProperties=limits),
-        "runs": {"type": "array", "items": {"anyOf": in_runs}},
-        "simulation": to(SimulationSettings),
+        "runs": runs,
         "truth": _truth(to),
         "study": _study_section(to),
     }
+    return {key: of_own_kind.get(key) or to(model) for key, model in SECTIONS.items()}
 
 
 def _run(to: _Definitions) -> Json:
@@ -159,11 +178,7 @@ def _run(to: _Definitions) -> Json:
 
 def _truth(to: _Definitions) -> Json:
     """Return what [truth] may have: tables of its own, and one for each accelerometer."""
-    own = {
-        "spindle": to(SpindleTruthSettings),
-        "platform": to(PlatformTruthSettings),
-        "centrifuge": to(CentrifugeTruthSettings),
-        "encoder": to(EncoderTruthSettings),
+    own = {name: to(model) for name, model in TRUE_TABLES.items()} | {
         "noise": {
             "type": "object",
             "description": "of records, with the keys of [noise]; `reading` is that of readings",

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
-from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.kinds import (
     OUTPUTS,
     STAMPS,
@@ -22,60 +21,12 @@ from counterspin.campaign.kinds import (
     force_or_output,
     time_unit,
 )
-from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
-from counterspin.campaign.readings_table import ReadingsSettings
-from counterspin.campaign.settings import (
-    AccelerometerSettings,
-    CampaignSettings,
-    CentrifugeSettings,
-    ModelSettings,
-    RunSettings,
-    SimulationSettings,
-    SiteSettings,
-    StatedNoise,
-)
-from counterspin.campaign.specification import SpecificationSettings
 from counterspin.campaign.terms import BARE_NAMES
-from counterspin.campaign.truth import (
-    AccelerometerTruthSettings,
-    CentrifugeTruthSettings,
-    EncoderTruthSettings,
-    PlatformTruthSettings,
-    SpindleTruthSettings,
-)
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
-from counterspin.schemas import unlinked
-from counterspin.studies.description import StudySettings
+from counterspin.schemas import SECTIONS, TRUE_TABLES, unlinked
 from counterspin.units import advice, check_unit
-
-#: Section of ``campaign.toml`` -> its model.
-SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
-    "campaign": CampaignSettings,
-    "site": SiteSettings,
-    "centrifuge": CentrifugeSettings,
-    "fixture": FixtureSettings,
-    "records": RecordsSettings,
-    "accelerometers": AccelerometerSettings,
-    "noise": StatedNoise,
-    "model": ModelSettings,
-    "readings": ReadingsSettings,
-    "runs": RunSettings,
-    "specification": SpecificationSettings,
-    "simulation": SimulationSettings,
-    "truth": AccelerometerTruthSettings,
-    "study": StudySettings,
-}
-
-#: Tables of [truth] that are no accelerometer's -> their models.
-_TRUTH: Final[Mapping[str, type[BaseModel]]] = {
-    "spindle": SpindleTruthSettings,
-    "platform": PlatformTruthSettings,
-    "centrifuge": CentrifugeTruthSettings,
-    "encoder": EncoderTruthSettings,
-    "noise": StatedNoise,
-}
 
 #: Sections that hold a table for each name, and those that are a list of tables.
 _REPEATED: Final = {
@@ -119,7 +70,7 @@ def campaign_form() -> tuple[Field, ...]:
             section["of_names"] = _limits()
             section["fields"] = section["of_names"] + section["fields"]
         if key == "truth":
-            section["of_tables"] = {name: _fields(model) for name, model in _TRUTH.items()}
+            section["of_tables"] = {name: _fields(model) for name, model in TRUE_TABLES.items()}
         sections.append(section)
     return tuple(sections)
 
