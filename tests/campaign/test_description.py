@@ -341,6 +341,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
     text = edited(
         ('"9.8 ± 1e-5 m/s^2"', '"9.8 s"'),
         ('"2.5 ± 1e-5 m"', '"-1 m"'),
+        ('"angle", ', '"time_s", '),
         ('"down"', '"west"'),
         ('"0.005 ± 2e-6 g"', "0.005"),
         ('"K_III"]', '"K_IV"]'),
@@ -354,6 +355,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         [
             "site.gravity",
             "centrifuge.radius",
+            "records.angle",
             "accelerometers.Qx",
             "accelerometers.Qx.bias",
             "model.terms[3]",

@@ -15,7 +15,6 @@ from counterspin.campaign.settings import (
     OBSERVABLES,
     AccelerometerSettings,
     AxesSettings,
-    Output,
     StatedNoise,
 )
 from counterspin.campaign.terms import about_nominal
@@ -62,23 +61,22 @@ class AccelerometersReader:
         mountings: Mapping[str, Mounting],
         observables: Mapping[str, str],
         priors: Mapping[str, Mapping[str, Quantity]],
-        outputs: Mapping[str, Output | None],
     ) -> dict[str, Accelerometer]:
-        """Return the accelerometers of tables that are all in order; their columns are checked."""
+        """Return the accelerometers whose tables are in order; their columns are checked."""
         return {
             name: Accelerometer(
                 name,
                 mountings[name],
                 observables[name],
-                self._recorded(name, table, observables[name], outputs[name]),
+                self._recorded(name, table, observables[name]),
                 priors[name],
                 table.serial_number,
-                outputs[name],
-                self._force(name, table, outputs[name]),
+                table.output,
+                self._force(name, table),
                 table.grade,
             )
             for name, table in tables.items()
-            if table is not None
+            if table is not None and name in mountings and name in observables
         }
 
     def mountings(self) -> dict[str, Mounting]:
@@ -161,13 +159,9 @@ class AccelerometersReader:
             priors[symbol] = priors[symbol] if value is None else value
         return {symbol: prior for symbol, prior in priors.items() if prior is not None}
 
-    def outputs(self, tables: Mapping[str, Any]) -> dict[str, Output | None]:
-        """Return what each accelerometer's readings are in."""
-        return {name: None if table is None else table.output for name, table in tables.items()}
-
-    def _recorded(self, name: str, table: Any, observable: str, output: Output | None) -> Channel:
+    def _recorded(self, name: str, table: Any, observable: str) -> Channel:
         """Return the column of an accelerometer; an output such as a current as m/s^2."""
-        settings = getattr(table, observable)
+        settings, output = getattr(table, observable), table.output
         path = ("accelerometers", name, observable, "unit")
         if settings is None or observable != "specific_force":
             return self._channel(settings, OBSERVABLES[observable])
@@ -180,7 +174,7 @@ class AccelerometersReader:
         factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
         return Channel(settings.column, factor / output.sensitivity * self.gravity, settings.unit)
 
-    def _force(self, name: str, table: Any, output: Output | None) -> Channel | None:
+    def _force(self, name: str, table: Any) -> Channel | None:
         """Return the column that records on an arm or at rest are read from, if there are any."""
         if not self.carried:
             return None
@@ -190,7 +184,7 @@ class AccelerometersReader:
                 "has no specific_force: the column of its records on an arm or at rest",
             )
             return None
-        return self._recorded(name, table, "specific_force", output)
+        return self._recorded(name, table, "specific_force")
 
     def _channel(self, settings: Any, si_unit: str) -> Channel:
         if settings is None:

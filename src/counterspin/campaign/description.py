@@ -377,7 +377,7 @@ class _DescriptionReader:
         observables = self.accelerometers.observables(noise)
         settings = problems.check(ModelSettings, self._table("model"), ("model",))
         runs = self._runs()
-        outputs = self.accelerometers.outputs(tables)
+        outputs = {name: table and table.output for name, table in tables.items()}
         readings = positioned(self._readings(mountings, outputs), fixture.position)
         self._check_sections(readings)
         if not self.raw_runs and "readings" not in self.raw:
@@ -417,19 +417,15 @@ class _DescriptionReader:
         if self.simulated:
             simulation = self._simulation(noise, readings, outputs, centrifuge)
         specifications = self._specifications()
+        accelerometers = self.accelerometers.accelerometers(tables, mountings, observables, priors)
+        if records is not None:
+            self.accelerometers.check_columns(records, accelerometers)
         if problems.lines:
             return None
         # No problem noted: every section is there.
         assert info is not None
         assert self.site is not None
         assert model is not None
-        accelerometers = self.accelerometers.accelerometers(
-            tables, mountings, observables, priors, outputs
-        )
-        if records is not None:
-            self.accelerometers.check_columns(records, accelerometers)
-        if problems.lines:
-            return None
         site, recording = self.site, records.recording if records else NOT_RECORDED
         return Campaign(
             title=info.title or self.file.parent.name,
