@@ -76,5 +76,5 @@ def test_one_table_and_no_arm(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     with pytest.raises(CampaignError, match="one table of readings: name one file"):
         drafted(look_at([path, path]), {}, "tumble")
-    with pytest.raises(CampaignError, match="init --test arm writes an example"):
+    with pytest.raises(CampaignError, match="begin with the example of this kind of test"):
         drafted(look_at([path]), {}, "arm")

@@ -21,7 +21,7 @@ from counterspin.exports.guessing import FileGuess, agreed, guess_file
 from counterspin.exports.looking import Look
 from counterspin.exports.questions import (
     SENSES,
-    Answered,
+    AnsweredExport,
     judged_answers,
     questions_of,
     relative_name,
@@ -40,7 +40,7 @@ _ROUND_RATE_PART: Final = 2e-4
 
 
 @frozen
-class Draft(Answered):
+class Draft(AnsweredExport):
     """What records show, and what a person has answered."""
 
     guesses: tuple[FileGuess, ...]  #: Of each file, or sheet.
@@ -116,8 +116,8 @@ def drafted(
         raise CampaignError(
             "init",
             [
-                "a table of readings on an arm is described by hand: init --test arm writes an "
-                "example; put your table in the place of its readings.csv"
+                "a table of readings on an arm is described by hand: begin with the example of this "
+                "kind of test, and put your table in the place of its readings.csv"
             ],
         )
     return tumble_draft(looks, answers) if test == "tumble" else draft(looks, answers)

@@ -112,7 +112,7 @@ class ExportQuestion:
 
 
 @frozen
-class Answered:
+class AnsweredExport:
     """What was guessed of files, and what a person has answered."""
 
     statements: tuple[str, ...]  #: What was guessed, in whole sentences.

@@ -20,7 +20,7 @@ from counterspin.errors import CampaignError
 from counterspin.exports.guessing import STANDARD_GRAVITY
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import (
-    Answered,
+    AnsweredExport,
     ExportQuestion,
     judged_answers,
     place_questions,
@@ -49,7 +49,7 @@ _POINTING: Final = 20.0
 
 
 @frozen
-class TumbleDraft(Answered):
+class TumbleDraft(AnsweredExport):
     """What a table of readings shows, and what a person has answered."""
 
     look: Look  #: The table.
