@@ -116,8 +116,8 @@ def drafted(
         raise CampaignError(
             "init",
             [
-                "a table of readings on an arm is described by hand: begin with the example of this "
-                "kind of test, and put your table in the place of its readings.csv"
+                "a table of readings on an arm is described by hand: begin with the example of "
+                "this kind of test, and put your table in the place of its readings.csv"
             ],
         )
     return tumble_draft(looks, answers) if test == "tumble" else draft(looks, answers)
