@@ -11,6 +11,7 @@ from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
+from counterspin.histories.history import history
 
 SIGMA = 2e-6
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
@@ -126,3 +127,15 @@ def test_both_methods_say_it(tmp_path, method):
     result = calibrate(simulate(read_campaign(write(tmp_path, larger))), method=method)
     assert only(result).subject == "Qx.K_II"
     assert "the rates, the radius" in only(result).text
+
+
+def test_no_history_has_such_a_value(tmp_path):
+    known = {"accelerometer": 'serial_number = "A1"\n', "more": "[campaign]\ndate = 2026-01-05\n"}
+    (good := tmp_path / "good").mkdir()
+    (wrong := tmp_path / "wrong").mkdir()
+    results = [tumbled(good, float, **known), tumbled(wrong, lambda g: -g, **known)]
+    found = history(results, term="K_I")
+    (instrument,) = found.instruments
+    assert [round(point.value, 4) for point in instrument.points] == [1.0005]
+    (left_out,) = found.left_out
+    assert "K_I = -1.0005 g/g is not credible" in left_out.reason

@@ -7,6 +7,7 @@ import pytest
 from campaigns import PLACE, campaign_of, changed, runs, write
 
 from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.diagnosis.mountings import OtherMounting, better
 from counterspin.campaign.simulation import simulate
 
 UNITS = {"displacement": ("m", "0.01 m"), "specific_force": ("m/s^2", "1e-4 m/s^2")}
@@ -119,3 +120,29 @@ def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
     assert wrong.findings == [first]
     explained = {finding.code for finding in first.explains}
     assert {"lack-of-fit", "run-disagrees"} <= explained
+
+
+def other(gain, dof):
+    """Return a mounting that is better by a gain, with a noise of so many degrees of freedom."""
+    return OtherMounting(view=None, quarters=2, fit=None, gain=gain, dof=dof)
+
+
+@pytest.mark.parametrize(
+    ("gain", "dof", "blamed"),
+    [
+        # One in 1200 for each of three: 3.14 standard deviations of the normal distribution, and
+        # 11 of Student's with 3 degrees of freedom.
+        (3.1**2, None, False),
+        (3.2**2, None, True),
+        (10.0**2, 3.0, False),
+        (12.0**2, 3.0, True),
+        (-5.0, None, False),
+    ],
+)
+def test_a_better_mounting_is_one_beyond_chance(gain, dof, blamed):
+    others = [other(gain, dof), other(-40.0, dof), other(-50.0, dof)]
+    assert (better(others) is others[0]) == blamed
+
+
+def test_without_other_mountings_none_is_better():
+    assert better([]) is None

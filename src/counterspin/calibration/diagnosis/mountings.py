@@ -19,7 +19,7 @@ from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.readings import AccelerometerReadings, with_groups
 from counterspin.calibration.result_parts import Finding
 from counterspin.frozen import frozen
-from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
 from counterspin.inference.distributions import normal_quantile
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
@@ -46,6 +46,7 @@ class OtherMounting:
     fit: JointFit  #: Of the turned one, relaxed.
     #: By how much its chi-square is less than that of the stated one, over the residuals' scale.
     gain: float
+    dof: float | None  #: Degrees of freedom of that scale; None where the noise was stated.
     readings: tuple[AccelerometerReadings, ...] = ()  #: All readings, and how they fit then.
 
     @property
@@ -90,7 +91,8 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
             scale = fit.solution.chi2 / max(fit.solution.dof, 1.0)
             scale = max(scale, 1.0) if given else scale
             gain = (stated.solution.chi2 - fit.solution.chi2) / scale
-            found.append(OtherMounting(view, quarters, fit, gain, readings))
+            dof = None if given else max(fit.solution.dof, 1.0)
+            found.append(OtherMounting(view, quarters, fit, gain, dof, readings))
     return tuple(found)
 
 
@@ -128,13 +130,15 @@ def better(others: Sequence[OtherMounting]) -> OtherMounting | None:
     """Return the mounting that fits best, if it is better than the stated one by more than chance.
 
     All or nothing: if the stated one is right, another one is better by c in chi-square with the
-    probability that a normal number exceeds sqrt(c), at most.
+    probability that a normal number, or Student's where the noise was estimated, exceeds sqrt(c),
+    at most.
     """
     best = max(others, key=lambda other: other.gain, default=None)
-    chance = 0.5 * SIGNIFICANCE / max(len(others), 1)
-    if best is None or best.gain < normal_quantile(1.0 - chance) ** 2:
+    if best is None or best.gain <= 0.0:
         return None
-    return best
+    chance = 0.5 * SIGNIFICANCE / len(others)
+    size = normal_equivalent(math.sqrt(best.gain), best.dof)
+    return best if size > normal_quantile(1.0 - chance) else None
 
 
 def wrong_mounting(other: OtherMounting) -> Finding:
