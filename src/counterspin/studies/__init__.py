@@ -6,6 +6,7 @@
 - `analyses`: what competes; `bound`: the least uncertainty that the records allow
 - `strobed_effects`, `surrogate`: what errors add to a strobed run, by quadrature and as a
   polynomial
+- `trials`: what every engine gives
 - `two_stage_engine`, `joint_engine`: trials by sufficient statistics
 - `full_engine`, `readings_engine`: trials by whole records, and of readings
 - `validity`, `choice`: where the fast engines hold; which engine an analysis gets

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, Literal
 
@@ -13,13 +13,13 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
-from counterspin.studies.bound import cramer_rao, fit_of_truth
+from counterspin.studies.bound import bounds
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import DRIFT, RIPPLE_AMPLITUDE, RIPPLE_RATIO, StudyTruth
 from counterspin.studies.engine import EnginePart, Reported, StudyEngine
 from counterspin.studies.full_engine import FullEngine
 from counterspin.studies.joint_engine import JointEngine
-from counterspin.studies.readings_engine import readings_bounds, readings_engine
+from counterspin.studies.readings_engine import readings_engine
 from counterspin.studies.surrogate import Surrogate, box_of
 from counterspin.studies.tally import Driver, Tally
 from counterspin.studies.two_stage_engine import TwoStageEngine
@@ -104,24 +104,27 @@ def _readings(
         made = readings_engine(campaign, request, records)
     except ValueError as error:
         raise NotIdentifiableError(f"{analysis.name}: {error}") from error
-    of_records = None if world is None else fit_of_truth(world, truth, request.model)
-    bounds = readings_bounds(made, truth, of_records.blocks if of_records else ())
-    unknowns = request.model.unknowns
-    kept = tuple(place for place in request.reported if unknowns[place].name in bounds)
-    lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
-    reported = tuple(
-        Reported(analysis.name, unknown.owner, unknown.symbol, bounds[unknown.name])
-        for unknown in (unknowns[place] for place in kept)
-    )
+    least = bounds(truth, request.model, world, made.with_true_noise)
+    kept, lost = _determined(request, least)
     return EnginePart(
         engine=replace(made, rows=kept),
         kind="readings" if records is None else "full",
         noise=0,
         words="readings" if records is None else "full records and readings",
         rows=tuple(range(len(kept))),
-        reported=reported,
+        reported=_reported(analysis, [request.model.unknowns[place] for place in kept], least),
         lost=lost,
     )
+
+
+def _determined(
+    request: JointRequest, least: Mapping[str, float]
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Return the places of what is reported and has a bound, and the names of what has none."""
+    unknowns = request.model.unknowns
+    kept = tuple(place for place in request.reported if unknowns[place].name in least)
+    lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
+    return kept, lost
 
 
 def _two_stage(
@@ -163,7 +166,7 @@ def _two_stage(
                 kind = "exact" if outside > 0.05 else kind
                 words += f", exact quadrature for the {100.0 * outside:.2g} % outside its box"
     made = TwoStageEngine(request, analysis.owner, motions, symbols, true, surrogates, world.radius)
-    rows, reported = _reported(world, truth, analysis)
+    rows, reported = _of_two_stage(world, truth, analysis, request)
     return EnginePart(made, kind, _stream(world, analysis), words, rows, reported)
 
 
@@ -191,7 +194,8 @@ def _joint(
         for name in world.mountings
     ]
     made, lost = JointEngine.prepare(series, request, truth)
-    _, reported = _reported(world, truth, analysis, made.rows)
+    least = bounds(truth, request.model, world)
+    reported = _reported(analysis, [request.model.unknowns[place] for place in made.rows], least)
     rows, noise = tuple(range(len(reported))), _stream(world, analysis)
     return EnginePart(made, "constant", noise, "sufficient statistics", rows, reported, lost)
 
@@ -199,40 +203,33 @@ def _joint(
 def _full(world: World, truth: StudyTruth, analysis: Analysis, words: str) -> EnginePart:
     request, noise = analysis.request, _stream(world, analysis)
     if isinstance(request, TwoStageRequest):
-        rows, reported = _reported(world, truth, analysis)
+        rows, reported = _of_two_stage(world, truth, analysis, request)
         made = FullEngine(world, request, analysis.joint, analysis.owner)
         return EnginePart(made, "full", noise, words, rows, reported)
-    unknowns = request.model.unknowns
-    bounds = cramer_rao(world, truth, request.model)
-    kept = tuple(place for place in request.reported if unknowns[place].name in bounds)
-    lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
-    _, reported = _reported(world, truth, analysis, kept)
+    least = bounds(truth, request.model, world)
+    kept, lost = _determined(request, least)
+    reported = _reported(analysis, [request.model.unknowns[place] for place in kept], least)
     made, rows = FullEngine(world, request, request, rows=kept), tuple(range(len(kept)))
     return EnginePart(made, "full", noise, words, rows, reported, lost)
 
 
-def _reported(
-    world: World, truth: StudyTruth, analysis: Analysis, places: Sequence[int] | None = None
+def _of_two_stage(
+    world: World, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
 ) -> tuple[tuple[int, ...], tuple[Reported, ...]]:
-    """Return which of a method's unknowns are reported, and what they are with their bounds.
+    """Return which of a two-stage analysis' unknowns are reported: all but the printed ripple."""
+    symbols = list(request.unknowns)
+    rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
+    unknowns = [
+        Unknown(analysis.owner, symbol, request.unknowns[symbol], request.limit_of(symbol))
+        for symbol in (symbols[row] for row in rows)
+    ]
+    return rows, _reported(analysis, unknowns, bounds(truth, Unknowns(tuple(unknowns)), world))
 
-    Those of a joint fit are chosen by their `places`; of a two-stage analysis all but the printed
-    ripple are reported.
-    """
-    request = analysis.request
-    if isinstance(request, JointRequest):
-        model, rows = request.model, tuple(places or ())
-        unknowns = [model.unknowns[place] for place in rows]
-    else:
-        symbols = list(request.unknowns)
-        rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
-        unknowns = [
-            Unknown(analysis.owner, symbol, request.unknowns[symbol], request.limit_of(symbol))
-            for symbol in (symbols[row] for row in rows)
-        ]
-        model = Unknowns(tuple(unknowns))
-    bounds = cramer_rao(world, truth, model)
-    return rows, tuple(
-        Reported(analysis.name, unknown.owner, unknown.symbol, bounds.get(unknown.name))
+
+def _reported(
+    analysis: Analysis, unknowns: Sequence[Unknown], least: Mapping[str, float]
+) -> tuple[Reported, ...]:
+    return tuple(
+        Reported(analysis.name, unknown.owner, unknown.symbol, least.get(unknown.name))
         for unknown in unknowns
     )

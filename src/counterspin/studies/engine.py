@@ -9,12 +9,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.studies.draws import DRIFT, Draws, StudyTruth
-from counterspin.studies.full_engine import FullEngine
-from counterspin.studies.joint_engine import JointEngine
 from counterspin.studies.noise import NOISE_STREAM, TRUTH_STREAM, stream
-from counterspin.studies.readings_engine import ReadingsEngine
 from counterspin.studies.tally import Driver, Tally
-from counterspin.studies.two_stage_engine import TwoStageEngine
+from counterspin.studies.trials import Engine
 
 #: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
 _BATCH: Final = {
@@ -48,7 +45,7 @@ class Reported:
 class EnginePart:
     """An engine and what it reports, in the order of its rows."""
 
-    engine: TwoStageEngine | JointEngine | FullEngine | ReadingsEngine  #: The engine.
+    engine: Engine  #: The engine.
     #: What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with it
     #: the second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
     kind: str

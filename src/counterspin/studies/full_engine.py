@@ -6,7 +6,7 @@ rotation that the joint fit has to find, and for terms with a kink.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws, of_run
 from counterspin.studies.noise import NOISE_LEVELS
-from counterspin.studies.two_stage_engine import Trials
+from counterspin.studies.trials import Trials, one_by_one
 from counterspin.studies.world import World
 
 
@@ -40,14 +40,10 @@ class FullEngine:
     rows: tuple[int, ...] = ()  #: Places of the joint model's unknowns that are reported.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
-        trials = [self._trial(draws.take(trial), generator) for trial in range(draws.trials)]
-        estimate_, u, dof = (np.array(part).T for part in zip(*trials, strict=True))
-        return Trials(estimate_, u, dof)
+        """Return what the analysis says of n trials; see `Engine`."""
+        return one_by_one(self._trial, draws, generator)
 
-    def _trial(
-        self, draws: Draws, generator: np.random.Generator
-    ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+    def _trial(self, draws: Draws, generator: np.random.Generator) -> tuple[Array, Array, Array]:
         levels = {NOISE_LEVELS[symbol][1]: float(level[0]) for symbol, level in draws.noise.items()}
         noise = replace(self.world.noise, white=float(draws.white[0]), **levels)
         engine = replace(self, world=replace(self.world, noise=noise))
@@ -77,20 +73,16 @@ class FullEngine:
 
     def _joint(
         self, request: JointRequest, draws: Draws, generator: np.random.Generator
-    ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+    ) -> tuple[Array, Array, Array]:
         estimated = estimate(self.series(draws, generator), request.model, request.noise)
         solution, unknowns = estimated.fit.solution, estimated.fit.model.unknowns
         rows = list(self.rows)
         nominal = np.array([unknowns[i].nominal for i in rows])
-        return (
-            list(solution.estimate[rows] + nominal),
-            list(solution.u[rows]),
-            list(estimated.dof[rows]),
-        )
+        return solution.estimate[rows] + nominal, solution.u[rows], estimated.dof[rows]
 
     def _two_stage(
         self, request: TwoStageRequest, draws: Draws, generator: np.random.Generator
-    ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+    ) -> tuple[Array, Array, Array]:
         components = None
         if request.random_walk is None:
             series = self.series(draws, generator)
@@ -108,7 +100,7 @@ class FullEngine:
         if components is not None:
             second = with_found_noise(second, components)
         solution = second.fit.solution
-        return list(solution.estimate), list(solution.u), list(second.dof)
+        return solution.estimate, solution.u, np.asarray(second.dof)
 
     def _strobed_alone(
         self, run: int, request: TwoStageRequest, draws: Draws, generator: np.random.Generator

@@ -29,7 +29,7 @@ from counterspin.inference.noise.model import Noise
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal, of_run
 from counterspin.studies.noise import estimate_noise
-from counterspin.studies.two_stage_engine import Trials
+from counterspin.studies.trials import Trials
 
 #: Nodes in the radius: no product of the table has more than three factors.
 _RADIUS_POWERS: Final = 4
@@ -95,7 +95,7 @@ class JointEngine:
         return engine, lost
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
+        """Return what the analysis says of n trials; see `Engine`."""
         n = draws.trials
         scale = draws.white / self.white if self.white > 0.0 else 1.0
         estimate = estimate_noise(generator, self.spread, scale, n)

@@ -6,7 +6,7 @@ Records of a double turntable, if there are any, are simulated and analysed besi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field, replace
 from typing import Final
 
@@ -23,17 +23,14 @@ from counterspin.campaign.reading_simulation import (
 )
 from counterspin.campaign.readings import Reading
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
-from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.linear_readings import Readings, blocks_at
+from counterspin.inference.linear_readings import Readings
 from counterspin.physics.terms import shown_by_readings
 from counterspin.records.mean import stretches
 from counterspin.studies.analyses import JointRequest
-from counterspin.studies.draws import Draws, StudyTruth
+from counterspin.studies.draws import Draws
 from counterspin.studies.full_engine import FullEngine
-from counterspin.studies.two_stage_engine import Trials
+from counterspin.studies.trials import Trials, one_by_one
 
 _NO_NOISE: Final = "the readings have no noise, so that nothing scatters"
 
@@ -56,10 +53,8 @@ class ReadingsEngine:
     records: FullEngine | None = None  #: Trials of the records beside them; None: there are none.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
-        trials = [self._trial(draws.take(trial), generator) for trial in range(draws.trials)]
-        estimate_, u, dof = (np.array(part).T for part in zip(*trials, strict=True))
-        return Trials(estimate_, u, dof)
+        """Return what the analysis says of n trials; see `Engine`."""
+        return one_by_one(self._trial, draws, generator)
 
     def _trial(self, draws: Draws, generator: np.random.Generator) -> tuple[Array, Array, Array]:
         model = self.request.model
@@ -71,6 +66,14 @@ class ReadingsEngine:
         nominal = np.array([unknowns[place].nominal for place in rows])
         solution = estimated.fit.solution
         return solution.estimate[rows] + nominal, solution.u[rows], estimated.dof[rows]
+
+    @property
+    def with_true_noise(self) -> list[Readings]:
+        """The readings, each with its true standard deviation as its uncertainty."""
+        return [
+            replace(group, u=np.maximum(self.noise[list(places)], 1e-15))
+            for group, places in self.groups
+        ]
 
     def _read(self, draws: Draws, generator: np.random.Generator) -> list[Readings]:
         """Return the readings of one trial."""
@@ -157,27 +160,3 @@ def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
     walk = float(noise.acceleration) / math.sqrt(max(duration, 1.0 / rate))
     freedom = max(stretches(math.floor(duration * rate)) - 1.0, 1.0)
     return math.hypot(white, walk) / campaign.gravity.value, freedom
-
-
-def readings_bounds(
-    engine: ReadingsEngine, truth: StudyTruth, beside: Sequence[Block] = ()
-) -> dict[str, float]:
-    """Return the least standard uncertainty that readings and records allow, by unknown.
-
-    The bound is that of the true noise, of the unknowns with what is known of them beforehand,
-    everything else being known. An unknown that the data do not determine has none.
-    """
-    model = engine.request.model
-    groups = [
-        replace(group, u=np.maximum(engine.noise[list(places)], 1e-15))
-        for group, places in engine.groups
-    ]
-    at = np.array([truth.mean(u.owner, u.symbol) - u.nominal for u in model.unknowns])
-    solution = solve_blocks([*beside, *blocks_at(groups, model, at)], model)
-    determined = assess(solution, [u.name for u in model.unknowns]).determined
-    variance = np.diag(solution.covariance_noise + solution.covariance_prior)
-    return {
-        u.name: float(np.sqrt(v))
-        for u, v in zip(model.unknowns, variance, strict=True)
-        if determined[u.name]
-    }

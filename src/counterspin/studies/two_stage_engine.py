@@ -24,16 +24,7 @@ from counterspin.studies.draws import Draws, of_run
 from counterspin.studies.noise import curvature_noise, residual_variances
 from counterspin.studies.strobed_effects import StrobedMotion, effects
 from counterspin.studies.surrogate import Surrogate
-
-
-@frozen
-class Trials:
-    """What an analysis says in n trials."""
-
-    #: Of each coefficient, shape (c, n); u is the combined standard uncertainty.
-    estimate: Array
-    u: Array
-    dof: Array  #: Its effective degrees of freedom, shape (c, n); infinite where noise is given.
+from counterspin.studies.trials import Trials
 
 
 @frozen
@@ -50,7 +41,7 @@ class TwoStageEngine:
     radius: float  #: As the analysis assumes it, m.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says."""
+        """Return what the analysis says; see `Engine`."""
         n, runs = draws.trials, len(self.motions)
         seen = [self._effects(draws, run) for run in range(runs)]
         assumed = _stacked([part for _, part, _ in seen], 1)  # (q, runs, n or 1)
