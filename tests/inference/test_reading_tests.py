@@ -44,6 +44,7 @@ def held(test, values, u, terms=LEVEL):
         fit.dof[0] if estimated else fit.squares[0],
         fit.dof[0] if estimated else fit.freedom[0],
         estimated,
+        0.0,
     )
     columns = tuple(candidates(group, terms, ()))
     return joint, group, columns

@@ -62,6 +62,8 @@ class Group:
     squares: float  #: Sum of the squares of their residuals over the uncertainties.
     freedom: float  #: Of the residuals; where the noise was estimated, of that, repeats counted.
     estimated: bool  #: Whether the noise was estimated.
+    #: Of the squares, those of repeats at one setting about their mean, which follow no column.
+    of_repeats: float
     #: Places of readings that stand out by themselves, which the tests must not follow.
     left_out: tuple[int, ...] = ()
 
@@ -233,8 +235,8 @@ def most_followed(
         for places in tried:
             gains.append(_own_gain(np.linalg.qr(unit[:, places])[0], alone, rows))
             share = max(_share(group, kept[k], unit[rows, k]) for k in places)
-            shape = squares, freedom, share, group.estimated
-            chances.append(_chance(gains[-1], len(places), *shape))
+            left_over = replace(group, squares=squares, freedom=freedom)
+            chances.append(_chance(left_over, gains[-1], len(places), share))
         best = min(range(len(tried)), key=lambda k: chances[k][0])
         p, scale = chances[best]
         as_good = [
@@ -293,23 +295,25 @@ def _share(group: Group, other: Alternative, own: Array) -> float:
     return min(by_noise * float(own @ own), 1.0)
 
 
-def _chance(
-    gain: float, columns: int, squares: float, freedom: float, share: float, estimated: bool
-) -> tuple[float, float]:
+def _chance(group: Group, gain: float, columns: int, share: float) -> tuple[float, float]:
     """Return the probability of a gain in chi-square, and the scale of the residuals without it.
 
     columns: How many of them gain it, as of `_tail`.
+    share: As of `_share`.
     """
-    rest, others = max(squares - gain, 0.0), max(freedom - columns, 0.5)
-    scale = max(rest / others, 1e-12)
+    others = max(group.freedom - columns, 0.5)
     by_noise = _tail(columns, math.inf, gain)
-    if not estimated:
+    if not group.estimated:
+        rest = max(group.squares - gain, 0.0)
+        scale = max(rest / others, 1e-12)
         # Where more is wrong than these columns, they must be more than the others.
         if chi_square_tail(others, rest) > SIGNIFICANCE:
             return by_noise, 1.0
         return max(by_noise, _tail(columns, others, gain / scale)), scale
-    # The head's part of the variance is known, so that only the noise's has a scale to find.
-    scale = (1.0 - share) + share * scale
+    # The head's part of the variance is known, so that only the noise's has a scale to find. What
+    # the head made has not gone into it, nor do the repeats at one setting follow a column.
+    rest = max(group.squares - share * gain, group.of_repeats)
+    scale = (1.0 - share) + share * max(rest / others, 1e-12)
     return _tail(columns, others / max(share, 1e-6) ** 2, gain / scale), scale
 
 

@@ -145,6 +145,7 @@ def _group(part: AccelerometerReadings) -> Group:
         part.dof if estimated else part.squares,
         part.dof if estimated else part.freedom,
         estimated,
+        float(readings.scatter.sum()) / part.noise**2 if estimated else 0.0,
         lone if len(lone) <= _most_lone(part) else (),
     )
 

@@ -115,10 +115,12 @@ def causes_of(
     now = replace(estimated, fit=relax(estimated.fit), core=None)
     priors = of_priors(now.fit)
     turned = better(mountings)
+    # Beside readings alone, what nothing states is held to them at no cost too.
+    known = priors if now.fit.prepared else (*priors, *of_unstated(now.fit))
     if (
         not _is_suspicious(views, results)
         and turned is None
-        and (not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICION_P)
+        and (not known or _least(scores(now.fit, known, noise_given=given)) > _SUSPICION_P)
     ):
         return ()
     others = tuple(_others(views, now)) if now.fit.prepared else of_unstated(now.fit)
