@@ -18,11 +18,11 @@ from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.planning.design import Design
-from counterspin.planning.figures import FIGURES, save_figures
+from counterspin.planning.figures import FIGURES, plan_plots, save_figures
 from counterspin.planning.forecast import forecast, planned_series
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.plan_file import read_plan
-from counterspin.planning.result import PlanResult
+from counterspin.planning.result import Curve, Curves, PlanResult
 from counterspin.planning.search import Search
 from counterspin.reports.text import report_console
 from counterspin.toml_text import write_document
@@ -370,6 +370,20 @@ def test_gain_of_a_limit_is_that_of_planning_anew(starter):
         described.write_text(text.replace(old, new), encoding="utf-8")
         after = plan(described).result.accelerometers["Qx"].coefficients["K_II"].u
         assert lines[key].gain == pytest.approx(1.0 - after / before, abs=0.004), key
+
+
+def test_a_figure_of_what_hardly_changes_begins_at_zero(plan_of):
+    result = plan_of(SMALL).result
+    u = result.accelerometers["Qx"].coefficients["K_II"].u
+    curves = {
+        name: Curve(x=[1.0, 2.0, 4.0], u=[u, part * u, part * u])
+        for name, part in (("time", 1.0 - 8e-7), ("rate", 0.5))
+    }
+    curves |= {"sources": {"noise": Curve(x=[1.0, 2.0], u=[u, 0.1 * u])}}
+    shown = Curves(coefficient="Qx.K_II", unit="g/g^2", **curves)
+    time, rate, _ = plan_plots(result.model_copy(update={"curves": shown}))
+    assert (time.log_y, time.y_range) == (False, (0.0, pytest.approx(1.2e6 * u)))
+    assert (rate.log_y, rate.y_range) == (True, None)
 
 
 def test_figures(starter, tmp_path):

@@ -18,6 +18,9 @@ FIGURES: Final = ("plan-time.svg", "plan-rate.svg", "plan-sources.svg")
 #: What each of them says that it is.
 FIGURE: Final = "a figure of a plan"
 
+#: Largest over least value up to which a figure is flat, and is drawn from zero.
+_FLAT: Final = 1.1
+
 
 def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
     """Return the least u against the total time and against the highest rate, and its sources."""
@@ -42,13 +45,18 @@ def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
             here = PlotSeries("this plan", (at,), (factor * u,), kind="points", stands_out=True)
             series.append(here)
         y_label = f"u({symbol})" if at is not None else "contribution"
+        values = [factor * value for curve in lines.values() for value in curve.u]
+        values += [factor * u] if at is not None and u is not None else []
+        # On a logarithmic axis a flat line would have ticks that differ in the last digit.
+        flat = max(values) < _FLAT * min(values)
         return Plot(
             title,
             x_label,
             f"{y_label}, {unit}",
             tuple(series),
             log_x=True,
-            log_y=True,
+            log_y=not flat,
+            y_range=(0.0, 1.2 * max(values)) if flat else None,
             height=1.4,
         )
 

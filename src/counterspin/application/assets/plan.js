@@ -59,9 +59,9 @@ export async function planView(name) {
     first ??= told;
     answer.replaceChildren(...told.u.map(/** @type {(line: any, i: number) => Node} */ (line, i) =>
       make("p", { class: "answer" },
-        make("strong", {}, `u of ${line.name}: ${line.text}`), " ",
-        make("span", {}, `as the plan is written: ${first.u[i].text}`
-          + ` (${short(line.u / first.u[i].u)} times)`))),
+        make("strong", {}, `Uncertainty of ${line.name}: ${line.text}`), " ",
+        make("span", {}, line.text === first.u[i].text ? "as with the limits of the file"
+          : `${short(line.u / first.u[i].u)} times that with the limits of the file`))),
     make("p", {}, `${told.runs.length} runs in ${duration(told.time)}`));
     runs.replaceChildren(make("table", {},
       make("thead", {}, make("tr", {}, ...["Run", "Rate, rad/s", "Duration", "Attitude"].map((words) =>
