@@ -42,7 +42,6 @@ from counterspin.campaign.truth import (
     SpindleTruthSettings,
 )
 from counterspin.certificates.lab import Lab
-from counterspin.physics.terms import COMMON_NAMES
 from counterspin.planning.plan_sections import (
     GoalSettings,
     LimitsSettings,
@@ -191,8 +190,6 @@ def _truth(to: _Definitions) -> Json:
         },
     }
     each = to(AccelerometerTruthSettings)
-    properties = to.found["AccelerometerTruthSettings"]["properties"]
-    properties |= {name: properties[symbol] for name, symbol in COMMON_NAMES.items()}
     return {"type": "object", "properties": own, "additionalProperties": each}
 
 

@@ -68,7 +68,13 @@ class Problems:
             self.lines.append(line)
 
     def check(
-        self, model: type[M], raw: Any, path: Path, *, gravity: float | None = None
+        self,
+        model: type[M],
+        raw: Any,
+        path: Path,
+        *,
+        gravity: float | None = None,
+        output: object = None,
     ) -> M | None:
         """Return the section as its model, or None with its mistakes noted.
 
@@ -82,9 +88,11 @@ class Problems:
             Where the section is.
         gravity
             The site's gravity in m/s^2, for quantities that may be given in m/s^2 or in g.
+        output
+            What an accelerometer's readings are in, for coefficients that may be given in its unit.
         """
         try:
-            return model.model_validate(raw, context={"gravity": gravity})
+            return model.model_validate(raw, context={"gravity": gravity, "output": output})
         except ValidationError as error:
             for mistake in error.errors(include_url=False):
                 loc = mistake["loc"]

@@ -526,7 +526,7 @@ class _DescriptionReader:
         return self.problems.check(StatedNoise, self.raw["noise"], ("noise",), gravity=self.gravity)
 
     def _runs(self) -> list[Run]:
-        simulated = of_records(self._table("truth"), {}, self.problems)
+        simulated = of_records(self._table("truth"), self.problems)
         defaults = RunDefaults(
             self.file.parent,
             self._table("records"),
@@ -559,8 +559,8 @@ class _DescriptionReader:
     ) -> Simulation:
         simulation = resolve_simulation(
             self._sampling(),
-            of_records(self._table("truth"), outputs, self.problems),
-            self.accelerometers.raw,
+            of_records(self._table("truth"), self.problems),
+            outputs,
             noise,
             problems=self.problems,
             gravity=self.gravity,

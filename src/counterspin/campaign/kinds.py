@@ -84,6 +84,15 @@ def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
     return size
 
 
+def _parsed_truth(unit: str, text: object, info: ValidationInfo) -> float:
+    """Read a coefficient, of an accelerometer with an output in its unit too, such as mA/g."""
+    output = (info.context or {}).get("output")
+    if output is not None and unit.startswith("g"):
+        with suppress(ValueError):
+            return exact(text, output.unit + unit.removeprefix("g")) / float(output.sensitivity)
+    return exact(text, unit, gravity=_gravity(info))
+
+
 def _written(unit: str, *, uncertain: bool = False) -> Any:
     """Return how a quantity in a unit is written, for schemas."""
     spread = rf"({PLUS_MINUS}{NUMBER})?" if uncertain else ""
@@ -113,6 +122,11 @@ def a_part(text: object, info: ValidationInfo) -> Quantity:
 def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
     return PlainValidator(partial(_parsed_exactly, unit, usual=usual), _written(unit))
+
+
+def coefficient(unit: str) -> PlainValidator:
+    """Return the validator of a true coefficient, in g-units or those of the `output`."""
+    return PlainValidator(partial(_parsed_truth, unit), _written(unit))
 
 
 def positive(value: Any) -> Any:

@@ -6,7 +6,7 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, create_model
@@ -15,6 +15,7 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.kinds import (
     Ratio,
     SettingsSection,
+    coefficient,
     described,
     exact,
     positive,
@@ -153,13 +154,17 @@ class _AccelerometerTruthKeys(SettingsSection):
     start_velocity: Annotated[float, read_exactly("m/s")] = described(
         "error of the velocity there", "-1e-4 m/s", 0.0
     )
+    bias: Annotated[float, coefficient("g")] | None = described("the same as K_F", "5 mg", None)
+    scale_factor: Annotated[float, coefficient("g/g")] | None = described(
+        "the same as K_I", "1.002 g/g", None
+    )
 
 
 #: [truth.NAME]: the true coefficients of one accelerometer.
 AccelerometerTruthSettings = create_model(
     "AccelerometerTruthSettings",
     __base__=_AccelerometerTruthKeys,
-    **term_keys(OWN_TERMS, read_exactly),
+    **term_keys(OWN_TERMS, coefficient),
 )
 
 
@@ -174,7 +179,7 @@ _SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
 def resolve_simulation(
     settings: SimulationSettings,
     raw_truth: Mapping[str, Any],
-    accelerometers: Iterable[str],
+    outputs: Mapping[str, Output | None],
     noise: StatedNoise | None,
     *,
     problems: Problems,
@@ -182,10 +187,11 @@ def resolve_simulation(
 ) -> Simulation:
     """Resolve [simulation] and the accelerometers' tables of [truth].
 
-    accelerometers: Names of the campaign's accelerometers.
+    outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
+        ``mA/g``.
     gravity: The site's gravity, m/s^2.
     """
-    names = list(accelerometers)
+    names = list(outputs)
     for name in raw_truth:
         if name not in names and name not in TRUTH_TABLES:
             problems.add(
@@ -195,12 +201,21 @@ def resolve_simulation(
             )
     coefficients, offsets, velocities = {}, {}, {}
     for name in names:
+        path = ("truth", name)
         table: Any = problems.check(
-            AccelerometerTruthSettings, raw_truth.get(name, {}), ("truth", name), gravity=gravity
+            AccelerometerTruthSettings,
+            raw_truth.get(name, {}),
+            path,
+            gravity=gravity,
+            output=outputs[name],
         )
         if table is None:
             continue
         values = {symbol: getattr(table, symbol) for symbol in OWN_TERMS}
+        for key, symbol in COMMON_NAMES.items():
+            if None not in (getattr(table, key), values[symbol]):
+                problems.add((*path, key), f"is {symbol}, given too; keep one")
+            values[symbol] = getattr(table, key) if values[symbol] is None else values[symbol]
         coefficients[name] = {s: value for s, value in values.items() if value is not None}
         offsets[name], velocities[name] = table.start_offset, table.start_velocity
     true_noise = _true_noise(raw_truth, noise, problems, gravity)
@@ -284,14 +299,8 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
 # Of readings
 
 
-def of_records(
-    raw: Mapping[str, Any], outputs: Mapping[str, Output | None], problems: Problems
-) -> dict[str, Any]:
-    """Return [truth] with coefficients in g-units and without what readings alone have.
-
-    outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
-        ``mA/g``.
-    """
+def of_records(raw: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
+    """Return [truth] without what readings alone have."""
     if not isinstance(raw.get(_MACHINE, {}), Mapping):
         problems.add(("truth", _MACHINE), "must be a table")
     truth = {key: value for key, value in raw.items() if key != _MACHINE}
@@ -304,41 +313,12 @@ def of_records(
         problems.add(("truth", _MACHINE, _STRETCH), "is in [truth.centrifuge] too; keep one")
     elif stretch is not None:
         truth["centrifuge"] = {**centrifuge, "stretch": stretch}
-    for name, output in outputs.items():
-        if isinstance(truth.get(name), Mapping):
-            truth[name] = _in_g_units(truth[name], output, ("truth", name), problems)
     return truth
 
 
 def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     value = raw.get(key)
     return value if isinstance(value, Mapping) else {}
-
-
-def _in_g_units(
-    table: Mapping[str, Any], output: Output | None, path: Path, problems: Problems
-) -> dict[str, Any]:
-    """Return an accelerometer's truth with the terms' own names and units."""
-    own: dict[str, Any] = {}
-    for key, text in table.items():
-        symbol = COMMON_NAMES.get(key, key)
-        if symbol in own or (symbol != key and symbol in table):
-            problems.add((*path, key), f"is {symbol}, given too; keep one")
-        own[symbol] = text
-        if symbol in OWN_TERMS and output is not None and isinstance(text, str):
-            own[symbol] = _text_in_g(text, OWN_TERMS[symbol].unit, output)
-    return own
-
-
-def _text_in_g(text: str, unit: str, output: Output) -> str:
-    """Return a coefficient in g-units where it is in the output's; else as it is."""
-    if not unit.startswith("g"):
-        return text
-    try:
-        in_output = exact(text, output.unit + unit.removeprefix("g"))
-    except ValueError:
-        return text
-    return f"{in_output / output.sensitivity!r} {unit}"
 
 
 def resolve_reading_truth(
