@@ -3,8 +3,8 @@
     python benchmarks/plan.py
 
 Eight runs in one attitude and either sense; K_F, K_I, K_II, K_III, tilts, drift and g-sensitivity
-with their priors. The predictions are made in batches of 100 designs at random, rates and lengths
-all different, on one core, by `plan_predictions.py`.
+with their priors; whatever is not stated is perfect. The predictions are made in batches of 100
+designs at random, rates and lengths all different, on one core, by `plan_predictions.py`.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         init = [*COUNTERSPIN, "plan", "--init", str(file)]
         subprocess.run(init, check=True, stdout=subprocess.DEVNULL)
         text = file.read_text(encoding="utf-8").replace("runs = 14", f"runs = {RUNS}")
+        for line in ('assume = "all"', "fewest_rates = 1"):
+            text = text.replace(f"# {line}", line)
         file.write_text(text.replace('senses = "one"', 'senses = "both"'), encoding="utf-8")
         command = [*COUNTERSPIN, "plan", str(file)]
         found = interleaved({"counterspin plan": command}, repeats or 5)["counterspin plan"]
