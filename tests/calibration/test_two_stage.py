@@ -566,3 +566,24 @@ def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, m
     assert seen == [options]
     assert command_words("two-stage", TwoStageOptions()) == ["--method=two-stage"]
     assert command_words("joint", TwoStageOptions()) == []
+
+
+# --- the scale factor, which strobes do not see ---------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scale", "told"), [("1.002", False), ("1.09", False), ("1.11", True), ("0.89", True)]
+)
+def test_the_waves_tell_a_scale_factor_that_no_instrument_has(tmp_path, scale, told):
+    """Beyond 0.1 of nominal, whatever is stated; the waves have it to 1e-3."""
+    limits = modelled('limits = { K_I = "1 g/g" }')
+    folder = made(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    write(folder, changed(text, (limits[1], MODEL)))
+    found = qx(calibrate(folder, method="two-stage"))
+    of_k_i = [f for f in found.findings if (f.code, f.subject) == ("incredible", "Qx.K_I")]
+    assert len(of_k_i) == told
+    for finding in of_k_i:
+        (value,) = re.findall(r"K_I = (\S+) g/g", finding.text)
+        assert float(value) == pytest.approx(float(scale), abs=1e-3)
+        assert finding.contradicts

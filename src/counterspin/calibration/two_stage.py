@@ -53,9 +53,6 @@ from counterspin.physics.terms import OWN_TERMS, TERMS
 #: What the second stage estimates of an accelerometer.
 _ESTIMATED: Final = ("K_II", "K_F")
 
-#: Part of a column's square that rounding leaves where there is no wave.
-_NO_WAVE: Final = 1e-12
-
 
 @frozen
 class TwoStageOutcome:
@@ -217,20 +214,17 @@ def _shown_by_waves(records: Iterable[Series]) -> Coefficient:
 
     Other terms add some 1e-5 to a wave: it is near enough to tell whether it is credible.
     """
-    columns, whole = [], 0.0
+    columns = []
     for record in records:
         slow = np.vander(record.time / record.time[-1], 4)
         both = np.column_stack([record.columns(["K_I"], 1.0)[:, 0], record.error])
         columns.append(both - slow @ np.linalg.lstsq(slow, both, rcond=None)[0])
-        whole += float(both[:, 0] @ both[:, 0])
     wave, error = np.concatenate(columns).T
     strength = float(wave @ wave)
-    unit = unit_of("K_I")
-    if strength <= _NO_WAVE * whole:  # the input axis lies along the spindle
-        return Coefficient(value=None, u=None, unit=unit, estimated=False)
     step = float(wave @ error) / strength
     u = float(np.std(error - step * wave)) / math.sqrt(strength)
-    return Coefficient(value=TERMS["K_I"].nominal + step, u=u, unit=unit, estimated=True)
+    value = TERMS["K_I"].nominal + step
+    return Coefficient(value=value, u=u, unit=unit_of("K_I"), estimated=True)
 
 
 def _residual(parabolas: Sequence[Parabola], components: FoundNoise | None) -> Residual:
