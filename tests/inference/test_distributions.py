@@ -16,6 +16,7 @@ from counterspin.inference.distributions import (
     normal_quantile,
     student_cdf,
     student_quantile,
+    tail_beside,
 )
 
 SMALL = np.logspace(-12, -0.31, 30).tolist()
@@ -90,6 +91,23 @@ def test_an_interval_of_something_estimated_beside_something_known(share, dof):
     # Satterthwaite's formula is taken where it has fewer degrees of freedom.
     assert tail == pytest.approx(0.025, rel=2e-3) or tail < 0.025
     assert dof * 0.999 < dof_beside(share, dof) <= dof / share**2
+
+
+@pytest.mark.parametrize("dof", [2.0, 5.0, 20.0, 100.0])
+@pytest.mark.parametrize("share", [0.1, 0.6, 1.0])
+@pytest.mark.parametrize("q", [0.0, 2.0, 5.0, 8.0])
+def test_tails_of_something_estimated_beside_something_known(share, dof, q):
+    """By quadrature over Student's density; Satterthwaite has an eighth at 5, 5 and 0.6."""
+    if share == 1.0:
+        tail = stats.t.sf(q, dof)
+    else:
+        x = np.tan(np.linspace(-0.5, 0.5, 200001)[1:-1] * np.pi)
+        known = stats.norm.sf((q - math.sqrt(share) * x) / math.sqrt(1.0 - share))
+        tail = np.trapezoid(known * stats.t.pdf(x, dof), x)
+    if dof > 50.0:
+        assert tail_beside(share, dof, q) == pytest.approx(stats.t.sf(q, dof / share**2), rel=1e-9)
+    else:
+        assert tail_beside(share, dof, q) == pytest.approx(tail, rel=1e-3)
 
 
 def test_what_is_known_or_estimated_alone_has_its_own_freedom():

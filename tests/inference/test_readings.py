@@ -16,6 +16,7 @@ from reading_campaigns import (
     tumble,
     unknown,
 )
+from scipy import stats
 from scipy.special import stdtrit
 
 from counterspin.errors import NotIdentifiableError
@@ -175,7 +176,7 @@ def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
         variance = squares / 8.0 * (1.0 + x[k] @ np.linalg.solve(others.T @ others, x[k]))
         t = (values[k] - x[k] @ found) / math.sqrt(variance)
         assert one.beside_others == pytest.approx(t, rel=1e-4)
-        assert one.dof == pytest.approx(8.0, rel=1e-6)
+        assert one.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
 
 
 def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():

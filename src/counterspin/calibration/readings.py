@@ -23,7 +23,7 @@ from counterspin.campaign.readings import Reading
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.distributions import chi_square_tail, dof_beside, student_cdf
+from counterspin.inference.distributions import chi_square_tail, dof_beside
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
@@ -166,7 +166,7 @@ class AccelerometerReadings:
             return []
         every = [*self.positions, *self.single]
         z = [each.beside_others for each in every]
-        p = [2.0 * student_cdf(each.dof, -abs(each.beside_others)) for each in every]
+        p = [each.p for each in every]
         far_off: list[tuple[str, float, float]] = []
         said: dict[int, float] = {}
         for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):

@@ -103,35 +103,42 @@ def student_quantile(dof: float, p: float) -> float:
     return -t if p < 0.5 else t
 
 
-def dof_beside(share: float, dof: float) -> float:
-    """Return the degrees of freedom of a sum of something estimated and something known.
+def tail_beside(share: float, dof: float, q: float) -> float:
+    """Return the probability that a sum of something estimated and something known exceeds q.
 
-    Its Student's interval of 95 % is that of sqrt(1 - share) z + sqrt(share) t, z being normal and
-    t Student's. Satterthwaite's formula, dof / share^2, gives as many where `dof` are many; few
-    of them leave tails that it does not see.
+    The sum, sqrt(1 - share) z + sqrt(share) t, z being normal and t Student's, is over its standard
+    uncertainty. Satterthwaite's formula for its degrees of freedom, dof / share^2, gives as much
+    where `dof` are many; few of them leave tails that it does not see.
 
     share: Part that what is estimated has in the variance, from 0 to 1.
+    q: Not below 0.
     """
-    satterthwaite = dof / share**2 if share > 0.0 else math.inf
     if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
-        return satterthwaite
+        return student_cdf(dof / share**2 if share > 0.0 else math.inf, -q)
     # The true variance is dof / chi-square times the estimated one: over u, the logarithm of
     # chi-square / dof, whose density is exp(-dof/2 (e^u - 1 - u)) but for a factor.
     reach = 40.0 / dof
     low, high = -reach - 1.0, math.log1p(reach + math.sqrt(2.0 * reach))
     nodes = [low + (high - low) * k / _NODES for k in range(_NODES + 1)]
     weights = [math.exp(-0.5 * dof * (math.expm1(u) - u)) for u in nodes]
-    total = sum(weights)
-    scales = [1.0 / math.sqrt(1.0 - share + share * math.exp(-u)) for u in nodes]
+    tails = (normal_cdf(-q / math.sqrt(1.0 - share + share * math.exp(-u))) for u in nodes)
+    return sum(w * tail for w, tail in zip(weights, tails, strict=True)) / sum(weights)
 
-    def tail(q: float) -> float:
-        each = zip(weights, scales, strict=True)
-        return sum(weight * normal_cdf(-q * scale) for weight, scale in each) / total
 
+def dof_beside(share: float, dof: float) -> float:
+    """Return the degrees of freedom whose Student's interval of 95 % is that of `tail_beside`."""
+    satterthwaite = dof / share**2 if share > 0.0 else math.inf
+    if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
+        return satterthwaite
     # Between the normal quantile and Student's own, both over the logarithm.
     low, high = -normal_quantile(_TAIL), -student_quantile(dof, _TAIL)
-    q = _where(lambda log_q: tail(math.exp(log_q)) > _TAIL, math.log(low), math.log(high))
-    q = math.exp(q)
+    q = math.exp(
+        _where(
+            lambda log_q: tail_beside(share, dof, math.exp(log_q)) > _TAIL,
+            math.log(low),
+            math.log(high),
+        )
+    )
     matched = math.exp(
         _where(lambda log_dof: _student_tail(math.exp(log_dof), q) > _TAIL, math.log(dof), 30.0)
     )

@@ -18,6 +18,7 @@ from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
+from counterspin.inference.distributions import tail_beside
 from counterspin.inference.joint.fit import solve_blocks, solve_relaxed
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
@@ -76,9 +77,9 @@ class Position:
     #: counted; NaN where the fit follows these readings wholly.
     standardised: float
     #: The same with an estimated noise as the others tell it (externally studentised), and the
-    #: degrees of freedom of that; infinite where noise is stated.
+    #: probability of as much by chance, to either side.
     beside_others: float
-    dof: float
+    p: float
 
 
 def solve_readings(
@@ -224,16 +225,17 @@ def _position(
     variance = left + float(shifted @ shifted)
     residual = float(weights @ part.left(solution, model))
     if variance <= 1e-9 * float(own @ own):
-        return Position(tuple(places), residual, math.nan, math.nan, math.inf)
-    z = residual / math.sqrt(variance)
-    if noise is None:
-        return Position(tuple(places), residual, z, z, math.inf)
-    # The head, priors and what is considered have their parts of the variance too.
-    by_noise = min(float(part.noise_share @ column**2) / variance, 1.0)
-    scale, dof = noise.beside(own)
-    shrunk = 1.0 - by_noise + by_noise * scale
-    dof *= (shrunk / (by_noise * scale)) ** 2 if by_noise * scale > 0.0 else math.inf
-    return Position(tuple(places), residual, z, z / math.sqrt(shrunk), dof)
+        return Position(tuple(places), residual, math.nan, math.nan, math.nan)
+    z, share, dof = residual / math.sqrt(variance), 0.0, math.inf
+    beside_others = z
+    if noise is not None:
+        # The head, priors and what is considered have their parts of the variance too.
+        by_noise = min(float(part.noise_share @ column**2) / variance, 1.0)
+        scale, dof = noise.beside(own)
+        shrunk = 1.0 - by_noise + by_noise * scale
+        beside_others, share = z / math.sqrt(shrunk), by_noise * scale / shrunk
+    p = 2.0 * tail_beside(share, dof, abs(beside_others))
+    return Position(tuple(places), residual, z, beside_others, p)
 
 
 class _NoiseWithout:
