@@ -1,5 +1,6 @@
 """How Sphinx reads our docstrings and signatures, and fills in what `from_code` says."""
 
+import inspect
 import re
 from typing import Any
 
@@ -11,6 +12,9 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.ext.intersphinx import resolve_reference_any_inventory
 
+from counterspin.campaign.kinds import SettingsSection
+from counterspin.schemas import unlinked
+
 #: What NumPy's ArrayLike is made of: it stands in its place where None is allowed too.
 _ARRAY_LIKE = re.compile(
     r"~?numpy\._typing\._array_like\._Buffer .*?_NestedSequence\[complex \| bytes \| str\]"
@@ -19,7 +23,9 @@ _ARRAY_LIKE = re.compile(
 
 def _on_signature(*given: Any) -> tuple[str | None, str | None]:
     """Return a signature that can be read: arrays by their name, made defaults as dots."""
-    *_, signature, returns = given
+    *_, value, _, signature, returns = given
+    if inspect.isclass(value) and issubclass(value, SettingsSection):
+        return "", returns  # it is read from files, with the checks that its types hold
 
     def plain(text: str | None) -> str | None:
         if text is None:
@@ -29,6 +35,16 @@ def _on_signature(*given: Any) -> tuple[str | None, str | None]:
         return text.replace("<factory>", "...").replace("PydanticUndefined", "...")
 
     return plain(signature), plain(returns)
+
+
+def _on_docstring(*given: Any) -> None:
+    """Add what the fields of a table of a document say of themselves."""
+    *_, value, _, lines = given
+    if inspect.isclass(value) and issubclass(value, SettingsSection):
+        lines += ["", "Attributes", "----------"]
+        for key, field in value.model_fields.items():
+            words = unlinked(field.description or "").replace("`", "``")
+            lines += [key, f"    {words[:1].upper()}{words[1:]}."]
 
 
 def _on_read(app: Sphinx, name: str, content: list[str]) -> None:  # noqa: ARG001 -- Sphinx's
@@ -71,6 +87,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Have pages filled as they are read."""
     app.connect("source-read", _on_read)
     app.connect("autodoc-process-signature", _on_signature)
+    app.connect("autodoc-process-docstring", _on_docstring, priority=400)  # before numpydoc
     app.add_lexer("csv", TextLexer)
     app.connect("missing-reference", _on_missing, priority=600)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

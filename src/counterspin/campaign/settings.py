@@ -191,7 +191,7 @@ class Output(SettingsSection):
     """``output``: what an accelerometer's readings are in, and its nominal sensitivity."""
 
     unit: Annotated[Text, AfterValidator(check_unit)] = described("of the readings", "mA")
-    #: In that unit per g.
+    # A number in that unit per g.
     sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = described(
         "nominal: K_I is the true one over it; any other unit needs it",
         "1.25 mA/g",
