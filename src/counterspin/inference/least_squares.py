@@ -164,8 +164,8 @@ class Solution:
         """Return what no value of the unknowns explains of columns beside those of the problem.
 
         data: In the blocks' stacked rows, shape (n, c).
-        priors: In the rows of the unknowns' priors, each divided by its sd, shape (p, c); what
-            stands in rows of unknowns without a prior, or exactly known, is left out.
+        priors: In the rows of the priors, each over its sd, shape (p, c); only rows that have one
+        count, and none that is known exactly.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
         rows = self._rows
