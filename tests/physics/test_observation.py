@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from counterspin.physics import motion, observation
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting, indicated
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
@@ -457,3 +458,43 @@ def test_the_revolutions_that_any_record_may_have_take_less_than_a_gigabyte():
     finally:
         tracemalloc.stop()
     assert peak < 1e9
+
+
+# --- integrals that are kept --------------------------------------------------------------------
+
+
+def test_what_is_kept_of_a_trajectory_is_told_apart():
+    """By axes, attitude, observable, terms, and whatever moves the platform."""
+    site = Site(9.8, 0.8)
+    level, turned = np.eye(3), np.eye(3)[[1, 2, 0]]
+    spindles = [Spindle(2.0), Spindle(2.0, start_angle=0.1), Spindle(2.0, 1e-5)]
+    asked = [
+        (Trajectory(spindle, radius, site), axes, symbols, observable, attitude)
+        for spindle in spindles
+        for radius in (2.5, 2.6)
+        for axes in (QX, QY)
+        for attitude in (level, turned)
+        for observable in ("displacement", "velocity")
+        for symbols in (["K_II", "K_OO"], ["K_III", "K_II", "platform.drift.east"])
+    ]
+    times = np.linspace(0.0, 20.0, 60)
+    together = [columns(t, a, s, times, o, attitude=c) for t, a, s, o, c in asked]
+    for found, (trajectory, axes, symbols, observable, attitude) in zip(
+        together, asked, strict=True
+    ):
+        kept, turning = observation._along_short, motion._kept
+        kept.cache_clear(), turning.cache_clear()
+        alone = columns(trajectory, axes, symbols, times, observable, attitude=attitude)
+        np.testing.assert_array_equal(found, alone)
+    assert len({one.tobytes() for one in together}) == len(together)
+
+
+def test_long_runs_are_not_kept_and_say_the_same(monkeypatch):
+    trajectory = Trajectory(Spindle(3.0, 1e-6), 2.5, Site(9.8, 0.8))
+    times = np.linspace(0.0, 40.0, 500)
+    short = columns(trajectory, QX, ["K_I", "K_II", "platform.tilt.north"], times)
+    monkeypatch.setattr(observation, "_MOST_NODES", 0)
+    monkeypatch.setattr(motion, "_MOST_KEPT", 0)
+    observation._along_long.cache_clear()
+    long = columns(trajectory, QX, ["K_I", "K_II", "platform.tilt.north"], times)
+    np.testing.assert_array_equal(long, short)

@@ -58,10 +58,11 @@ def test_times_crowded_in_one_panel_and_scattered_over_others(order):
 def test_single_and_double_integrals_together_are_those_apart():
     panels = Panels(EDGES)
     cos, exp = np.cos(3 * panels.nodes), np.exp(panels.nodes)
-    got = panels.integrals(TIMES, once=cos[None], twice=np.stack([exp, cos]))
+    once, twice = panels.series(cos[None], 1), panels.series(np.stack([exp, cos]), 2)
+    got = panels.at(TIMES, np.concatenate([once, twice]))
     expected = [np.sin(3 * TIMES) / 3, np.exp(TIMES) - 1 - TIMES, (1 - np.cos(3 * TIMES)) / 9]
     np.testing.assert_allclose(got, expected, rtol=0, atol=3e-14)
-    assert panels.integrals(TIMES).shape == (0, TIMES.size)
+    assert panels.at(TIMES, once[:0]).shape == (0, TIMES.size)
 
 
 def test_no_times_give_no_rows():

@@ -8,7 +8,7 @@ same circle and the lever arm inside the case cancels. Vectors are east-north-up
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,9 @@ from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.spindle import Spindle
 
 _TINY: Final = float(np.finfo(float).tiny)
+
+#: Times up to which the spindle's angle, rate and acceleration at them are kept for a while.
+_MOST_KEPT: Final = 16384
 
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
 
@@ -134,6 +137,53 @@ class Trajectory:
         return self.at(t).velocity_of_specific_force
 
 
+class Turning:
+    """The spindle at some times, shape (n,) each; what rests on the angle is worked out once.
+
+    t: s, shape (n,).
+    """
+
+    def __init__(self, spindle: Spindle, t: Array) -> None:
+        self.spindle = spindle
+        self.t = t
+
+    @cached_property
+    def angle(self) -> Array:
+        """The angle, rad."""
+        return self.spindle.angle(self.t)
+
+    @cached_property
+    def rate(self) -> Array:
+        """Its rate, rad/s."""
+        return self.spindle.angular_rate(self.t)
+
+    @cached_property
+    def angular_acceleration(self) -> Array:
+        """Its angular acceleration, rad/s^2."""
+        return self.spindle.angular_acceleration(self.t)
+
+    @cached_property
+    def outward(self) -> tuple[Array, Array]:
+        """Cosine and sine of the angle."""
+        return np.cos(self.angle), np.sin(self.angle)
+
+
+def turning(spindle: Spindle, t: Array) -> Turning:
+    """Return the spindle at some times: the same object for the same times, if they are few.
+
+    The accelerometers of a run share it, and so do all paths along which the spindle may carry
+    them: what an error of the radius does, or of gravity, is the difference of two of them.
+    """
+    if t.size > _MOST_KEPT:
+        return Turning(spindle, t)
+    return _kept(spindle, t.tobytes(), t.shape)
+
+
+@lru_cache(maxsize=64)
+def _kept(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> Turning:
+    return Turning(spindle, np.frombuffer(times).reshape(shape))
+
+
 class Motion:
     """The motion at some times; what several quantities rest on is worked out once.
 
@@ -144,27 +194,31 @@ class Motion:
 
     def __init__(self, trajectory: Trajectory, t: Array) -> None:
         self.trajectory = trajectory
-        self.t = np.asarray(t)
+        self.t = np.asarray(t, dtype=float)
 
     @cached_property
+    def turning(self) -> Turning:
+        """The spindle at these times."""
+        return turning(self.trajectory.spindle, self.t)
+
+    @property
     def angle(self) -> Array:
         """The spindle's angle, rad, shape (n,)."""
-        return self.trajectory.spindle.angle(self.t)
+        return self.turning.angle
 
-    @cached_property
+    @property
     def rate(self) -> Array:
         """Its rate, rad/s, shape (n,)."""
-        return self.trajectory.spindle.angular_rate(self.t)
+        return self.turning.rate
 
-    @cached_property
+    @property
     def angular_acceleration(self) -> Array:
         """Its angular acceleration, rad/s^2, shape (n,)."""
-        return self.trajectory.spindle.angular_acceleration(self.t)
+        return self.turning.angular_acceleration
 
-    @cached_property
+    @property
     def _outward(self) -> tuple[Array, Array]:
-        """Cosine and sine of the angle."""
-        return np.cos(self.angle), np.sin(self.angle)
+        return self.turning.outward
 
     @cached_property
     def _growth(self) -> tuple[Array, Array, Array] | None:

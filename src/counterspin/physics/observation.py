@@ -23,6 +23,9 @@ from counterspin.physics.path_errors import path_change
 from counterspin.physics.quadrature import Panels
 from counterspin.physics.terms import term
 
+#: Nodes up to which integrals along a trajectory are kept: of some hundred revolutions.
+_MOST_NODES: Final = 16384
+
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
 
@@ -188,15 +191,73 @@ def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array)
     return mean
 
 
-@lru_cache(maxsize=8)
-def _along(trajectory: Trajectory, duration: float) -> tuple[Panels, Motion]:
-    """Return the panels of a trajectory and the motion at their nodes.
+class _Integrals:
+    """Integrals along a trajectory, whatever the times are at which they are asked."""
 
-    Kept for a while: accelerometers of one run share them, and so do a fit and its checks.
+    def __init__(self, trajectory: Trajectory, panels: Panels) -> None:
+        self._panels = panels
+        self._motion = trajectory.at(panels.nodes)
+        self._kept: dict[tuple[object, ...], Array] = {}
+
+    def at(
+        self,
+        times: Array,
+        effects: Sequence[Product | Turn],
+        axes: Mounting,
+        attitude: Array,
+        order: int,
+        with_path: bool = False,
+    ) -> Array:
+        """Return the integrals of terms, before them if wanted those of the path, east and north.
+
+        All functions are integrated together: where the times lie in the panels is found once.
+        """
+        series = self._of(effects, axes, attitude, order)
+        if with_path:
+            series = np.concatenate([self._panels.series(self._motion.position.T[:2], 1), series])
+        return self._panels.at(times, series)
+
+    def _of(
+        self, effects: Sequence[Product | Turn], axes: Mounting, attitude: Array, order: int
+    ) -> Array:
+        if self._panels.nodes.size > _MOST_NODES:
+            return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
+        who = (axes.matrix.tobytes(), attitude.tobytes(), order)
+        new = [effect for effect in effects if (*who, effect) not in self._kept]
+        found = self._panels.series(_integrands(new, self._motion, axes, attitude), order)
+        self._kept |= {(*who, effect): one for effect, one in zip(new, found, strict=True)}
+        if len(new) == len(effects):
+            return found
+        return np.stack([self._kept[*who, effect] for effect in effects])
+
+
+def _along(trajectory: Trajectory, duration: float) -> _Integrals:
+    """Return the integrals along a trajectory, which are kept for a while.
+
+    Accelerometers of one run share the motion, and a fit and its checks the integrals.
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
-    panels = Panels(edges)
-    return panels, trajectory.at(panels.nodes)
+    few = edges.size * quadrature.NODES <= _MOST_NODES
+    return (_along_short if few else _along_long)(trajectory, duration)
+
+
+def _made(trajectory: Trajectory, duration: float) -> _Integrals:
+    edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
+    return _Integrals(trajectory, Panels(edges))
+
+
+_along_short, _along_long = lru_cache(maxsize=48)(_made), lru_cache(maxsize=8)(_made)
+
+
+def _integrands(
+    effects: Sequence[Product | Turn], motion: Motion, axes: Mounting, attitude: Array
+) -> Array:
+    """Return what terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
+    sensed = _Sensed(motion, axes, attitude)
+    values = np.empty((len(effects), motion.t.size))
+    for index, effect in enumerate(effects):
+        values[index] = sensed.integrand(effect)
+    return values
 
 
 class _Shown:
@@ -236,9 +297,10 @@ class _Shown:
     def smooth(self, effects: Sequence[Product | Turn], with_force: bool) -> tuple[Array, Array]:
         """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
         if self._order == 0:
-            return self._integrands(effects, self.motion), self.motion.specific_force.T
-        panels, motion = _along(self._trajectory, self._duration)
-        integrals = self._integrals(effects, panels, motion, with_force and self._order == 2)
+            return self._seen(effects), self.motion.specific_force.T
+        doubled = with_force and self._order == 2
+        along = _along(self._trajectory, self._duration)
+        integrals = along.at(self._times, effects, self._axes, self._attitude, self._order, doubled)
         if self._order == 1:
             return integrals, self.motion.velocity_of_specific_force.T
         if not with_force:
@@ -249,38 +311,17 @@ class _Shown:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
-            return self._integrands(effects, self.motion)
+            return self._seen(effects)
         of_panels = partial(
             quadrature.panel_edges, motion.spindle, self._duration, coarse=motion.coarse
         )
         breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, of_panels())
-        panels = Panels(of_panels(breaks))
-        return self._integrals(effects, panels, motion.at(panels.nodes))
+        kinked = _Integrals(motion, Panels(of_panels(breaks)))
+        return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
 
-    def _integrals(
-        self,
-        effects: Sequence[Product | Turn],
-        panels: Panels,
-        motion: Motion,
-        with_path: bool = False,
-    ) -> Array:
-        """Return the integrals of terms, before them if wanted those of the path, east and north.
-
-        All functions are integrated together: where the times lie in the panels is found once.
-        """
-        terms = self._integrands(effects, motion)
-        if self._order == 1:
-            return panels.integrals(self._times, once=terms)
-        path = motion.position.T[:2] if with_path else None
-        return panels.integrals(self._times, once=path, twice=terms)
-
-    def _integrands(self, effects: Sequence[Product | Turn], motion: Motion) -> Array:
-        """Return what the terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
-        sensed = _Sensed(motion, self._axes, self._attitude)
-        values = np.empty((len(effects), motion.t.size))
-        for index, effect in enumerate(effects):
-            values[index] = sensed.integrand(effect)
-        return values
+    def _seen(self, effects: Sequence[Product | Turn]) -> Array:
+        """Return what terms add to the specific force, m/s^2, (k, n)."""
+        return _integrands(effects, self.motion, self._axes, self._attitude)
 
     def _double_integral_of_force(self, path: Array) -> Array:
         """Double integral of the specific force, (3, n), by the exact identity of kinematics.

@@ -110,10 +110,7 @@ def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, o
     Returns: shape (n, k), the integrand's unit times s or s^2.
     """
     panels = Panels(edges)
-    values = integrand(panels.nodes)
-    if order == 1:
-        return panels.integrals(times, once=values).T
-    return panels.integrals(times, twice=values).T
+    return panels.at(times, panels.series(integrand(panels.nodes), order)).T
 
 
 class Panels:
@@ -127,35 +124,34 @@ class Panels:
         self._half = 0.5 * np.diff(edges)
         self.nodes: Array = (edges[:-1, None] + self._half[:, None] * (1.0 + _X)).ravel()
 
-    def integrals(
-        self, times: Array, *, once: Array | None = None, twice: Array | None = None
-    ) -> Array:
-        """Return integrals of some functions and double integrals of others.
+    def series(self, values: Array, order: int) -> Array:
+        """Return Chebyshev series of the integrals of functions, (k, panels, NODES + 2).
 
-        once, twice: Values at the nodes of the functions to be integrated once and twice, shapes
-            (j, m) and (k, m).
-        Returns: shape (j + k, n).
+        values: At the nodes, shape (k, m).
+        order: 1 for the integral from the first edge, 2 for the double integral.
         """
+        half, f = self._half, values.reshape(len(values), self._half.size, NODES)
+        series = np.empty((len(f), half.size, NODES + 2))
+        if order == 1:
+            np.matmul(f * half[:, None], _SINGLE_INTEGRAL.T, out=series)
+            series[..., 0] += _running_sum((f @ _WEIGHTS) * half)
+            return series
+        # The slope at the panel's start goes on through it, as slope x half x (1 + x).
+        gained = _running_sum((f @ _WEIGHTS) * half) * half
+        np.matmul(f * half[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=series)
+        start = _running_sum((f @ _WEIGHTS_TWICE) * half**2 + 2.0 * gained)
+        series[..., 0] += start + gained
+        series[..., 1] += gained
+        return series
+
+    def at(self, times: Array, series: Array) -> Array:
+        """Return the values of series of these panels at times between the edges, (k, n)."""
         edges, half = self._edges, self._half
         tolerance = 1e-12 * (edges[-1] - edges[0])
         if times.size and (
             times.min() < edges[0] - tolerance or times.max() > edges[-1] + tolerance
         ):
             raise ValueError("times lie outside the panels")
-        singly, doubly = (
-            np.empty((0, half.size, NODES)) if f is None else f.reshape(len(f), half.size, NODES)
-            for f in (once, twice)
-        )
-        series = np.empty((len(singly) + len(doubly), half.size, NODES + 2))
-        of_singly, of_doubly = series[: len(singly)], series[len(singly) :]
-        np.matmul(singly * half[:, None], _SINGLE_INTEGRAL.T, out=of_singly)
-        of_singly[..., 0] += _running_sum((singly @ _WEIGHTS) * half)
-        # The slope at the panel's start goes on through it, as slope x half x (1 + x).
-        gained = _running_sum((doubly @ _WEIGHTS) * half) * half
-        np.matmul(doubly * half[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=of_doubly)
-        start = _running_sum((doubly @ _WEIGHTS_TWICE) * half**2 + 2.0 * gained)
-        of_doubly[..., 0] += start + gained
-        of_doubly[..., 1] += gained
         result = np.empty((len(series), times.size))
         for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[begin : begin + _CHUNK_TIMES]

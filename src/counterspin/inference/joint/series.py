@@ -54,6 +54,8 @@ class Series:
     jitter: float = 0.0
     #: How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
     angle_error: AngleError | None = None
+    #: To which the run is integrated, s, if that is beyond its rows; 0: to the last.
+    until: float = 0.0
     #: Change of the error with the latitude for which it was worked out, in its unit and 1/rad,
     #: shape (n,); None where it does not depend on it.
     by_latitude: Array | None = None
@@ -77,19 +79,21 @@ class Series:
     ) -> Array:
         """Return observation columns averaged over the blocks, shape (n, m)."""
         motion = trajectory or self.trajectory
-        return observation.over_blocks(
-            lambda t: observation.columns(
+
+        def shown(t: Array) -> Array:
+            # A time more, at the run's end: integrals are then those along all of it.
+            times = np.append(t, self.until) if self.until else t
+            return observation.columns(
                 motion,
                 self.mounting,
                 symbols,
-                t,
+                times,
                 self.observable,
                 attitude=self.attitude,
                 scale_factor=scale_factor,
-            ),
-            self.time,
-            self.spread,
-        )
+            )[: t.size]
+
+        return observation.over_blocks(shown, self.time, self.spread)
 
     def reference(self, trajectory: Trajectory | None = None, later: float = 0.0) -> Array:
         """Return the reference averaged over the blocks, shape (n,), at times later by `later`."""
@@ -120,6 +124,7 @@ class Series:
             trajectory=replace(self.trajectory, spindle=faster),
             time=self.time * slow,
             spread=self.spread * slow,
+            until=self.until * slow,
         )
 
     def without(self, drop: npt.NDArray[np.bool_]) -> Series:

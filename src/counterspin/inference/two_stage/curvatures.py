@@ -49,6 +49,7 @@ def strobed(series: Series) -> tuple[Series, strobing.Strobes]:
         count=found.noise_factor**-2.0,
         error=found.error,
         by_latitude=by_latitude,
+        until=float(np.max(series.time + series.spread)),  # as all of it was
     )
     return record, found
 
