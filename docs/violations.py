@@ -120,6 +120,15 @@ def replaced(text: str, pieces: Mapping[str, str]) -> str:
     return text
 
 
+def _largest(shifts: Mapping[str, float]) -> float:
+    return max(map(abs, shifts.values()), default=0.0)
+
+
+def is_silent(shifts: Mapping[str, float], said: Sequence[str]) -> bool:
+    """Return whether coefficients move by so many of their u, and nothing is said."""
+    return not said and _largest(shifts) > SILENT_UP_TO
+
+
 @dataclass(frozen=True)
 class Row:
     """One line of the table.
@@ -157,12 +166,12 @@ class Row:
     @property
     def silent(self) -> bool:
         """Whether with nothing assumed a coefficient moves by more than 3 u and nothing is said."""
-        return not self.said_weighed and self.held > SILENT_UP_TO
+        return is_silent(self.weighed, self.said_weighed)
 
     @property
     def held(self) -> float:
         """By how many of its u the coefficient moves most that moves with nothing assumed."""
-        return max(map(abs, self.weighed.values()), default=0.0)
+        return _largest(self.weighed)
 
     @property
     def most_moved(self) -> str:
@@ -277,20 +286,25 @@ def of_inputs() -> list[Violation]:
     ]
 
 
-def calibrated(stated: str, world: str) -> tuple[Result, Result]:
-    """Return calibrations of a world's records: all assumed that is not stated, and nothing."""
+def calibrated(world: str, *stated: str) -> list[Result]:
+    """Return the calibrations of a world's records by these descriptions."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "world.toml"
         campaign.write_text(world, encoding="utf-8")
         simulate(campaign, folder, overwrite=True)
         results = []
-        for text in (replaced(stated, ASSUMING), stated):
+        for text in stated:
             (Path(folder) / "campaign.toml").write_text(text, encoding="utf-8")
             results.append(calibrate(folder))
-    return results[0], results[1]
+    return results
 
 
-def _shifts(violation: Violation, clean: Result, result: Result) -> dict[str, float]:
+def ways(stated: str) -> tuple[str, str]:
+    """Return the description that assumes all that it does not state, and that as it is."""
+    return replaced(stated, ASSUMING), stated
+
+
+def shifts_of(violation: Violation, clean: Result, result: Result) -> dict[str, float]:
     """Return by how many of its u each coefficient moves that is determined."""
     one, other = (r.accelerometers["Qx"].coefficients for r in (clean, result))
     return {
@@ -300,7 +314,7 @@ def _shifts(violation: Violation, clean: Result, result: Result) -> dict[str, fl
     }
 
 
-def row_of(violation: Violation, observable: str, clean: tuple[Result, Result], size: Size) -> Row:
+def row_of(violation: Violation, observable: str, clean: Sequence[Result], size: Size) -> Row:
     """Return what a violation does.
 
     Parameters
@@ -314,15 +328,16 @@ def row_of(violation: Violation, observable: str, clean: tuple[Result, Result], 
     size
         Of the campaign.
     """
-    assuming, weighing = calibrated(*violation.of(description(observable, size)))
+    stated, world = violation.of(description(observable, size))
+    assuming, weighing = calibrated(world, *ways(stated))
     return Row(
         name=violation.name,
         size=violation.size,
         observable=observable,
-        shifts=_shifts(violation, clean[0], assuming),
+        shifts=shifts_of(violation, clean[0], assuming),
         state=str(assuming.state),
         codes=sorted({finding.code for finding in assuming.findings}),
-        weighed=_shifts(violation, clean[1], weighing),
+        weighed=shifts_of(violation, clean[1], weighing),
         said_weighed=sorted({finding.code for finding in weighing.findings}),
         symbol=violation.symbol,
         named=[name for f in assuming.findings for name in (f.subject, *f.as_well)][:2],
@@ -332,7 +347,7 @@ def row_of(violation: Violation, observable: str, clean: tuple[Result, Result], 
 def rows(violations: Sequence[Violation], observable: str, size: Size) -> Iterator[Row]:
     """Yield the rows of some violations with one observable."""
     stated = description(observable, size)
-    clean = calibrated(stated, stated)
+    clean = calibrated(stated, *ways(stated))
     for violation in violations:
         yield row_of(violation, observable, clean, size)
 

@@ -4,6 +4,7 @@
 and writes it anew.
 """
 
+import gc
 import ipaddress
 import os
 import socket
@@ -50,6 +51,11 @@ def pytest_configure(config):
         config.pluginmanager.register(Timing())
     elif config.getoption("--quick") is not None:
         config.pluginmanager.register(Quick(config.getoption("--quick")))
+
+
+def pytest_collection_finish():
+    # All that is loaded by now stays: no collection of garbage need go through it again.
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

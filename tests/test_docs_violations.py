@@ -55,7 +55,8 @@ def test_the_worst_one_is_what_the_theory_says():
 @cache
 def clean(observable):
     stated = STUDY["description"](observable, SMALL)
-    return STUDY["calibrated"](stated, stated)
+    (found,) = STUDY["calibrated"](stated, stated)
+    return found
 
 
 @pytest.mark.parametrize(
@@ -70,8 +71,21 @@ def clean(observable):
     ids=lambda part: getattr(part, "name", part),
 )
 def test_none_is_silent(observable, violation):
-    row = STUDY["row_of"](violation, observable, clean(observable), SMALL)
-    assert not row.silent, f"{row.weighed}, in u"
+    """With nothing assumed; what is said where all is assumed stands in the table."""
+    stated, world = violation.of(STUDY["description"](observable, SMALL))
+    (found,) = STUDY["calibrated"](world, stated)
+    shifts = STUDY["shifts_of"](violation, clean(observable), found)
+    assert not STUDY["is_silent"](shifts, found.findings), f"{shifts}, in u"
+
+
+def test_a_row_says_what_happens_with_all_assumed_and_with_nothing():
+    (violation,) = (v for v in VIOLATIONS if v.name == "platform.compliance.zy")
+    stated = STUDY["description"]("displacement", SMALL)
+    both = STUDY["calibrated"](stated, *STUDY["ways"](stated))
+    row = STUDY["row_of"](violation, "displacement", both, SMALL)
+    # What is assumed to be perfect is in no u, and K_II is off by many; weighed, it is in u.
+    assert abs(row.shifts["K_II"]) > 10.0 * abs(row.weighed["K_II"]) > 0.0
+    assert row.held < 3.0
 
 
 def test_a_silent_one_would_be_found():
