@@ -180,6 +180,11 @@ def test_the_day_of_the_issue(plan_of):
     assert paper.ratio["Qx.K_II"] == pytest.approx(ratio, abs=0.005)
     assert ratio <= 0.45
     assert u / paper.u["Qx.K_II"] == pytest.approx(paper.ratio["Qx.K_II"])
+    # In half of the time there are ten runs in place of fourteen, each with a tilt of its own.
+    half = result.others[-1]
+    assert half.words.startswith("the best plan in half of the time")
+    assert half.total_time <= 0.5 * result.total_time + 1e-9
+    assert 0.7 < half.ratio["Qx.K_II"] < 0.95
     gains = {line.key: line.gain for line in result.limits}
     assert gains["senses"] == pytest.approx(1.0 - both / best, abs=2e-3)
     assert max(gains, key=gains.get) in ("senses", "rate")

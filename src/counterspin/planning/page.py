@@ -332,7 +332,7 @@ def _limits(result: PlanResult) -> Iterator[Block]:
 def _others(result: PlanResult) -> Iterator[Block]:
     if not result.others:
         return
-    yield Heading("Other plans of the same length")
+    yield Heading("Other plans")
     rows = []
     for other in result.others:
         for name, u in other.u.items():
@@ -352,7 +352,9 @@ def _others(result: PlanResult) -> Iterator[Block]:
         ),
         tuple(rows),
     )
-    yield Paragraph("Ratio: uncertainty of this plan over that of the other.", "quiet")
+    same = " All take the same time unless stated otherwise." if result.runs else ""
+    words = f"Ratio: uncertainty of this plan over that of the other.{same}"
+    yield Paragraph(words, "quiet")
 
 
 def _requirements(result: PlanResult) -> Iterator[Block]:

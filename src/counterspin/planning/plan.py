@@ -267,9 +267,17 @@ def _requirements(
 
 
 def _others(search: Search, design: Design, prediction: Forecast, total: float) -> list[OtherPlan]:
-    """Return the paper's three rates and equally spaced rates in the same time."""
+    """Return three rates as in the paper and equally spaced rates in the same time, and half of it.
+
+    Half of the time is for plans that minimise: what takes least time has none to spare.
+    """
     names = list(search.plan.goal.sizes)
     here = prediction.u
+    half = replace(search.limits, total_time=0.5 * total)
+    shorter = None
+    if search.plan.goal.kind == "minimise" and half.possible:
+        start = search.smallest(half).design
+        shorter = search.rounded(search.in_order(start), half)
     others = []
     for words, other in (
         (
@@ -277,6 +285,7 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
             search.three_rates(design, total),
         ),
         ("equally spaced rates, equal durations", search.even_rates(design, total)),
+        ("the best plan in half of the time", shorter),
     ):
         if other is None:
             continue

@@ -103,7 +103,7 @@ class GoalResult(ResultPart):
 
 
 class OtherPlan(ResultPart):
-    """Another plan in the same time; `ratio` is this plan's u over the other's."""
+    """Another plan, in the same time or in half; `ratio` is this plan's u over the other's."""
 
     words: str
     total_time: float

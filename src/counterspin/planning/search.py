@@ -189,16 +189,19 @@ class Search:
         """Return the runs in the order in which to make them."""
         return design.taken(order_of(design.types))
 
-    def rounded(self, design: Design) -> Design:
+    def rounded(self, design: Design, limits: Limits | None = None) -> Design:
         """Return the design with durations and rates as they are written, still in the limits.
 
         Durations are rounded down. What that has left over of the total time is the longest run's.
+
+        limits: None: those of the plan.
         """
+        limits = limits or self.limits
         rounded = self._rounded_down(design)
         if self.plan.goal.kind == "minimise":
             longest = int(np.argmax(rounded.duration))
-            left = self.limits.total_time - self.limits.time(rounded)
-            room = min(left, self.limits.longest_run - float(rounded.duration[longest]))
+            left = limits.total_time - limits.time(rounded)
+            room = min(left, limits.longest_run - float(rounded.duration[longest]))
             steps = math.floor(room / _DURATION_STEP + 1e-6)
             if steps > 0:
                 rounded = _longer(rounded, longest, steps * _DURATION_STEP)
