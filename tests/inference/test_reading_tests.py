@@ -30,7 +30,8 @@ def held(test, values, u, terms=LEVEL):
     own = readings(test, values, u)
     problem = model(terms)
     fit = solve_readings([own], problem)
-    (part,) = fit.linear
+    (told,) = fit.groups
+    part = told.linear
     rows = np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
     joint = JointFit(
         problem, fit.solution, (), (), {}, beside={"all": fit.blocks[0]}, beside_rows={"all": rows}
@@ -39,10 +40,10 @@ def held(test, values, u, terms=LEVEL):
     group = Group(
         own,
         "all",
-        fit.sigma[0],
+        told.sigma,
         np.ones(own.size),
-        fit.dof[0] if estimated else fit.squares[0],
-        fit.dof[0] if estimated else fit.freedom[0],
+        told.dof if estimated else told.squares,
+        told.dof if estimated else told.freedom,
         estimated,
         0.0,
     )
@@ -87,11 +88,11 @@ def test_the_gain_is_that_of_a_fit_with_the_column():
     assert found.alternatives[0].symbol == "cos 2 phi"
     assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
     with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
-    gain = group.squares - with_term.squares[0]
+    gain = group.squares - with_term.groups[0].squares
     assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
     estimated, own, columns = held(test, values, None)
     (found,) = most_followed(estimated, [own], [columns])
-    f = gain / (with_term.squares[0] / (24 - 4))
+    f = gain / (with_term.groups[0].squares / (24 - 4))
     assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
 
 

@@ -99,7 +99,7 @@ def test_the_head_errs_on_a_double_turntable_as_at_rest():
     errors = np.random.default_rng(5).normal(0.0, 1e-4, 4)
     np.testing.assert_allclose(np.abs(values), np.abs(errors), rtol=1e-6)
     fit = solve_readings([readings(test, values, SIGMA, u_head=1e-4)], model(("K_F",)))
-    np.testing.assert_allclose(fit.sigma[0], math.hypot(SIGMA, 1e-4), rtol=1e-7)
+    np.testing.assert_allclose(fit.groups[0].sigma, math.hypot(SIGMA, 1e-4), rtol=1e-7)
 
 
 def test_what_one_g_cannot_tell_is_named():
@@ -117,7 +117,7 @@ def test_an_unseen_mistake_in_one_position_stands_out():
     values = simulated(tumble(), rng, SIGMA)
     values[5] += 160e-6
     fit = solve_readings([readings(tumble(), values, SIGMA)], model(("K_F", "K_I", "delta_O")))
-    sizes = [abs(each.standardised) for each in fit.single[0]]
+    sizes = [abs(each.standardised) for each in fit.groups[0].single]
     assert np.argmax(sizes) == 5
     assert sizes[5] > 50.0
 
@@ -141,8 +141,8 @@ def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():
     fit = solve_readings([together], asked)
     np.testing.assert_allclose(fit.solution.estimate, apart.solution.estimate, atol=1e-15)
     np.testing.assert_allclose(fit.solution.u, apart.solution.u, rtol=1e-5)
-    assert fit.dof[0] == pytest.approx(apart.dof[0], abs=1e-6)
-    assert fit.dof[0] == pytest.approx(57.0, abs=1e-6)
+    assert fit.groups[0].dof == pytest.approx(apart.groups[0].dof, abs=1e-6)
+    assert fit.groups[0].dof == pytest.approx(57.0, abs=1e-6)
 
 
 def test_readings_of_one_position_are_judged_together():
@@ -153,22 +153,24 @@ def test_readings_of_one_position_are_judged_together():
     values = simulated(every, rng, SIGMA)
     asked = model(("K_F", "K_I", "delta_O"))
     fit = solve_readings([readings(every, values, SIGMA)], asked)
-    assert [p.places for p in fit.positions[0]] == [(i, i + 12) for i in range(12)]
+    assert [p.places for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(24) * np.pi / 6])
     left_over = np.eye(24) - x @ np.linalg.solve(x.T @ x, x.T)
-    for p in fit.positions[0]:
+    for p in fit.groups[0].positions:
         v = np.zeros(24)
         v[list(p.places)] = 1.0
-        z = v @ fit.residuals[0] / (SIGMA * np.sqrt(v @ left_over @ v))
+        z = v @ fit.groups[0].residuals / (SIGMA * np.sqrt(v @ left_over @ v))
         assert p.standardised == pytest.approx(z, rel=1e-6)
-        assert p.residual == pytest.approx(fit.residuals[0][list(p.places)].mean(), abs=1e-18)
+        assert p.residual == pytest.approx(
+            fit.groups[0].residuals[list(p.places)].mean(), abs=1e-18
+        )
 
 
 def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
     """Its distance from that prediction, over u of prediction and reading by the others' noise."""
     values = simulated(tumble(), np.random.default_rng(13), SIGMA)
     asked = model(("K_F", "K_I", "delta_O"))
-    every = solve_readings([readings(tumble(), values, None)], asked).single[0]
+    every = solve_readings([readings(tumble(), values, None)], asked).groups[0].single
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
     for k, one in enumerate(every):
         others = np.delete(x, k, axis=0)
@@ -193,14 +195,14 @@ def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():
     fit = solve_readings([group], model(("K_F", "K_I", "delta_O")))
     # As the definition has it: the trace of (P V)^2 of the restricted likelihood.
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
-    of_noise = np.eye(12) * fit.noise[0] ** 2 / repeats
-    weight = np.linalg.inv(np.diag(fit.sigma[0] ** 2))
+    of_noise = np.eye(12) * fit.groups[0].noise ** 2 / repeats
+    weight = np.linalg.inv(np.diag(fit.groups[0].sigma ** 2))
     left = weight - weight @ x @ np.linalg.solve(x.T @ weight @ x, x.T @ weight)
     exactly = np.trace(left @ of_noise @ left @ of_noise) + 12 * (repeats - 1)
-    assert fit.dof[0] == pytest.approx(exactly, rel=1e-4)
-    assert 24.0 < fit.dof[0] < 28.0
+    assert fit.groups[0].dof == pytest.approx(exactly, rel=1e-4)
+    assert 24.0 < fit.groups[0].dof < 28.0
     # Four standard deviations of a noise of as many degrees of freedom.
-    assert abs(fit.noise[0] / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.dof[0])
+    assert abs(fit.groups[0].noise / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.groups[0].dof)
 
 
 def test_fewer_readings_than_unknowns_cannot_tell_their_noise():
@@ -355,6 +357,8 @@ def effective_dof(fit):
     for k, direction in enumerate(np.eye(total.size)):
         rows = fit.solution.combine(direction).noise_rows
         parts = [float(part @ part) for part in np.split(rows, ends[:-1])]
-        short = sum(part**2 / own for part, own in zip(parts, fit.dof, strict=True))
+        short = sum(
+            part**2 / own for part, own in zip(parts, (g.dof for g in fit.groups), strict=True)
+        )
         dof.append(total[k] ** 2 / short if short > 0.0 else np.inf)
     return dof

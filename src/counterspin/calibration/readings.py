@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -27,13 +27,11 @@ from counterspin.inference.distributions import chi_square_tail, dof_beside
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.least_squares import Solution
-from counterspin.inference.linear_readings import LinearReadings, Readings
+from counterspin.inference.linear_readings import Readings
 from counterspin.inference.readings import (
     FEWEST_FREEDOM,
-    Position,
+    FittedReadings,
     ReadingsFit,
-    judge,
     solve_readings,
 )
 from counterspin.records.mean import RecordMean, mean_of_record
@@ -57,21 +55,9 @@ def only_at_rest(campaign: Campaign) -> bool:
 
 
 @frozen
-class AccelerometerReadings:
+class AccelerometerReadings(FittedReadings):
     """The readings of one accelerometer in one motion, and how they fit."""
 
-    readings: Readings  #: What was read.
-    #: As of `ReadingsFit`.
-    sigma: np.ndarray
-    noise: float
-    residuals: np.ndarray
-    squares: float
-    single: tuple[Position, ...]
-    dof: float  #: Of an estimated noise; infinite where it was stated.
-    freedom: float  #: Readings less what the fit follows of them.
-    #: As of `ReadingsFit`.
-    positions: tuple[Position, ...]
-    linear: LinearReadings
     #: What was found in the records whose means are readings, by the reading's name.
     means: Mapping[str, RecordMean] = field(default_factory=dict)
 
@@ -83,18 +69,6 @@ class AccelerometerReadings:
         linear = self.linear.relaxed()
         added = np.zeros((self.readings.size, count - linear.design.shape[1]))
         return replace(self, linear=replace(linear, design=np.hstack([linear.design, added])))
-
-    def under(self, solution: Solution, model: Unknowns) -> AccelerometerReadings:
-        """Return how the same readings fit another solution that has followed them."""
-        judged = judge(self.readings, self.linear, solution, model)
-        return replace(
-            self,
-            residuals=judged.residuals,
-            squares=judged.squares,
-            single=judged.single,
-            freedom=judged.freedom,
-            positions=judged.positions,
-        )
 
     @property
     def block_name(self) -> str:
@@ -224,7 +198,7 @@ def with_groups(
     names = [block_name(group) for group in groups]
     rows = (
         np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
-        for part in fit.linear
+        for part in (group.linear for group in fit.groups)
     )
     joint = replace(
         estimated.fit,
@@ -234,20 +208,8 @@ def with_groups(
     )
     dof = _effective_dof(estimated.dof, fit, len(beside))
     parts = tuple(
-        AccelerometerReadings(*part)
-        for part in zip(
-            groups,
-            fit.sigma,
-            fit.noise,
-            fit.residuals,
-            fit.squares,
-            fit.single,
-            fit.dof,
-            fit.freedom,
-            fit.positions,
-            fit.linear,
-            strict=True,
-        )
+        AccelerometerReadings(**{each.name: getattr(group, each.name) for each in fields(group)})
+        for group in fit.groups
     )
     return replace(estimated, fit=joint, dof=dof, core=None, lost={}), parts
 
@@ -281,8 +243,8 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarra
         rows = solution.combine(weights).noise_rows
         sizes = [block.factor.shape[0] for block in fit.blocks]
         ends = np.cumsum([rows.size - sum(sizes), *sizes])
-        for part, freedom in zip(np.split(rows, ends[:-1])[1:], fit.dof, strict=True):
-            inverse[k] += 1.0 / dof_beside(_share(part, total[k]), freedom)
+        for part, group in zip(np.split(rows, ends[:-1])[1:], fit.groups, strict=True):
+            inverse[k] += 1.0 / dof_beside(_share(part, total[k]), group.dof)
         of_records = rows[: ends[0]]
         if records:
             inverse[k] += 1.0 / dof_beside(_share(of_records, total[k]), float(dof[k]))

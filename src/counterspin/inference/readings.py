@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Final
+from dataclasses import field, replace
+from typing import Final, Self
 
 import numpy as np
 
@@ -46,27 +46,6 @@ _TOLERANCE: Final = 1e-6
 
 
 @frozen
-class ReadingsFit:
-    """A solved problem with readings; lists are in the order of the `Readings`."""
-
-    solution: Solution  #: Estimates less nominal.
-    blocks: tuple[Block, ...]  #: The readings' square-root information.
-    #: Standard uncertainty of each reading, the head's part included, g, shape (n,).
-    sigma: tuple[Array, ...]
-    #: Of one repeat where it was estimated, g; elsewhere it means nothing.
-    noise: tuple[float, ...]
-    #: Degrees of freedom of an estimated noise; infinite where it was stated.
-    dof: tuple[float, ...]
-    freedom: tuple[float, ...]  #: Readings less what the fit follows of them.
-    residuals: tuple[Array, ...]  #: Reading less model at the estimate, g, shape (n,).
-    squares: tuple[float, ...]  #: Chi-square of the residuals, by noise and considered terms.
-    #: Each reading by itself, and for each position that was read more than once its readings.
-    single: tuple[tuple[Position, ...], ...]
-    positions: tuple[tuple[Position, ...], ...]
-    linear: tuple[LinearReadings, ...]  #: The readings linearised at the estimate, for `judge`.
-
-
-@frozen
 class Position:
     """Readings of one position, or one reading, beside the others."""
 
@@ -80,6 +59,62 @@ class Position:
     #: probability of as much by chance, to either side.
     beside_others: float
     p: float
+
+
+@frozen
+class FittedReadings:
+    """A group of readings, and how it fits a solution that has followed it."""
+
+    readings: Readings  #: What was read.
+    linear: LinearReadings  #: The same linearised at the estimate, each with its uncertainty.
+    noise: float  #: Of one repeat where it was estimated, g; elsewhere it means nothing.
+    dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
+    freedom: float = math.nan  #: Readings less what the fit follows of them.
+    #: Reading less model at the estimate, g, shape (n,).
+    residuals: Array = field(default_factory=lambda: np.empty(0))
+    squares: float = math.nan  #: Chi-square of the residuals, by noise and considered terms.
+    #: Each reading by itself, and for each position that was read more than once its readings.
+    single: tuple[Position, ...] = ()
+    positions: tuple[Position, ...] = ()
+
+    @property
+    def sigma(self) -> Array:
+        """Standard uncertainty of each reading, the head's part included, g, shape (n,)."""
+        return self.linear.sigma
+
+    def under(
+        self,
+        solution: Solution,
+        model: Unknowns,
+        relaxed: tuple[LinearReadings, Solution] | None = None,
+    ) -> Self:
+        """Return how the same readings fit a solution, perhaps with others beside.
+
+        relaxed: The same with what is considered among the unknowns, by which noise is estimated.
+        """
+        group, part = self.readings, self.linear
+        told = None if group.u is not None else _NoiseWithout(*(relaxed or (part, solution)), group)
+
+        def position(places: Sequence[int]) -> Position:
+            return _position(part, places, solution, model, told)
+
+        return replace(
+            self,
+            freedom=part.freedom(solution),
+            residuals=part.left(solution, model),
+            squares=part.squares(solution, model),
+            single=tuple(position((place,)) for place in range(group.size)),
+            positions=tuple(position(places) for places in group.read_again),
+        )
+
+
+@frozen
+class ReadingsFit:
+    """A solved problem with readings; lists are in the order of the `Readings`."""
+
+    solution: Solution  #: Estimates less nominal.
+    blocks: tuple[Block, ...]  #: The readings' square-root information.
+    groups: tuple[FittedReadings, ...]  #: The readings as they fit.
 
 
 def solve_readings(
@@ -110,7 +145,11 @@ def _solved(
     everything = [*model.unknowns, *model.considered]
     point = known = np.array([unknown.prior_mean for unknown in everything])
     limits = np.array([unknown.limit for unknown in everything])
-    noise = [_first_noise(group) for group in readings] if together is None else together.noise
+    noise = (
+        [_first_noise(group) for group in readings]
+        if together is None
+        else [g.noise for g in together.groups]
+    )
     # What is considered is in the residuals too. Noise and the point of the derivatives are found
     # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
     # looks like it would leave its prior so far that derivatives there are not the machine's.
@@ -147,63 +186,19 @@ def _solved(
             f"the fit of the readings did not settle in {_ROUNDS} rounds; give the terms of the "
             "machine priors, or state the standard uncertainties of the readings"
         )
-    judged = [
-        judge(group, part, solution, model, (other, found))
-        for group, part, other in zip(readings, weighted, followed, strict=True)
-    ]
-    dof = tuple(
+    dof = [
         part.freedom_of_noise(found) + _freedom_of_repeats(group) if group.u is None else math.inf
         for group, part in zip(readings, followed, strict=True)
+    ]
+    if together is not None:
+        dof = [group.dof for group in together.groups]
+    groups = (
+        FittedReadings(group, part, size, freedom).under(solution, model, (other, found))
+        for group, part, size, freedom, other in zip(
+            readings, weighted, noise, dof, followed, strict=True
+        )
     )
-    return ReadingsFit(
-        solution,
-        tuple(blocks),
-        tuple(part.sigma for part in weighted),
-        tuple(noise),
-        dof if together is None else together.dof,
-        tuple(each.freedom for each in judged),
-        tuple(each.residuals for each in judged),
-        tuple(each.squares for each in judged),
-        tuple(each.single for each in judged),
-        tuple(each.positions for each in judged),
-        tuple(weighted),
-    )
-
-
-@frozen
-class Judged:
-    """How readings fit a solution; as the attributes of `ReadingsFit`, of one group."""
-
-    freedom: float
-    residuals: Array
-    squares: float
-    single: tuple[Position, ...]
-    positions: tuple[Position, ...]
-
-
-def judge(
-    group: Readings,
-    part: LinearReadings,
-    solution: Solution,
-    model: Unknowns,
-    relaxed: tuple[LinearReadings, Solution] | None = None,
-) -> Judged:
-    """Return how readings fit a solution that has followed them, perhaps with others beside.
-
-    relaxed: The same with what is considered among the unknowns, by which noise is estimated.
-    """
-    noise = None if group.u is not None else _NoiseWithout(*(relaxed or (part, solution)), group)
-
-    def position(places: Sequence[int]) -> Position:
-        return _position(part, places, solution, model, noise)
-
-    return Judged(
-        part.freedom(solution),
-        part.left(solution, model),
-        part.squares(solution, model),
-        tuple(position((place,)) for place in range(group.size)),
-        tuple(position(places) for places in group.read_again),
-    )
+    return ReadingsFit(solution, tuple(blocks), tuple(groups))
 
 
 def _position(
