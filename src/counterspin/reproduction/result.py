@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -10,7 +10,14 @@ from pydantic.dataclasses import dataclass
 from counterspin.reports.shown import ShownResult
 
 
-@dataclass(frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True))
+def _key(name: str) -> str:
+    """Return a field's key in the JSON."""
+    return "counterspin" if name == "ours" else name
+
+
+@dataclass(
+    frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True, alias_generator=_key)
+)
 class Row:
     """One figure of the paper and ours."""
 
@@ -19,10 +26,10 @@ class Row:
     #: The paper's figure, or what its printed equation gives; None where it has none.
     printed: float | None
     #: The figure computed here; ``counterspin`` in the JSON.
-    ours: Annotated[float, Field(alias="counterspin")]
+    ours: float
     unit: str  #: Of both.
     why: str  #: Why they differ, or that they agree.
-    form: Annotated[str, Field(exclude=True)] = ".4e"  #: Format of both numbers; not in the JSON.
+    form: str = Field(default=".4e", exclude=True)  #: Format of both numbers; not in the JSON.
 
     @property
     def printed_text(self) -> str:
