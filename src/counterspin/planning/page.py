@@ -22,6 +22,8 @@ from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share
 
 _LINES: Final = 6  #: of a budget
+#: A bound that would allow more than these per cent less says nothing of a plan.
+_EMPTY_BOUND: Final = 90.0
 
 #: Deviations above which a fit that estimates a fault nearly always finds it (5 % each way).
 _DETECTION_DEVIATIONS: Final = 4.0
@@ -85,6 +87,11 @@ def _optimality(goal: GoalResult, timed: bool) -> str:
             "time stamps have noise."
         )
     less = 100.0 * (1.0 - goal.efficiency)
+    if less > _EMPTY_BOUND:
+        return (
+            "How much better another plan could be is not known: the bound that holds for every "
+            f"plan would allow {format_number(less, 2)} % less."
+        )
     if less < 0.05:
         return "No plan within these limits is better by more than 0.05 %."
     by = f"more than {format_number(less, 2)} %"

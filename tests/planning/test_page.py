@@ -1,0 +1,23 @@
+"""The page of a plan: what it says of other plans."""
+
+import pytest
+
+from counterspin.planning.page import _optimality
+from counterspin.planning.result import GoalResult
+
+
+@pytest.mark.parametrize(
+    ("kind", "efficiency", "timed", "told"),
+    [
+        ("minimise", 1.0, True, "No plan within these limits is better by more than 0.05 %."),
+        ("minimise", 0.9, True, "can reduce the uncertainty by more than 10 %"),
+        ("target", 0.98, True, "can be more than 2.0 % shorter"),
+        ("target", 0.8, False, "can do with more than 20 % fewer readings"),
+        # A bound that allows next to nothing says nothing of the plan.
+        ("target", 0.001, True, "is not known: the bound that holds for every plan"),
+        ("target", None, True, "is not known: no theorem"),
+    ],
+)
+def test_what_another_plan_could_gain(kind, efficiency, timed, told):
+    goal = GoalResult(kind=kind, criterion="sum", sizes={"Qx.K_II": 1.0}, efficiency=efficiency)
+    assert told in _optimality(goal, timed)
