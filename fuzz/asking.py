@@ -29,6 +29,7 @@ from counterspin.application import interface, server
 from counterspin.application.desk import Desk as ServedDesk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import SESSION, TICKETS, Door
+from counterspin.application.keeping import TRASH
 from counterspin.errors import CounterspinError
 
 #: Who is asked, and what opens it: the token once, the key always.
@@ -280,8 +281,12 @@ class Watched:
             f"{what}: has changed {sorted(changed)[:4]}"
         )
         lost = {name for name in changed if name in before and name not in after}
+        if request["target"].partition("?")[0] in _MOVING:
+            there = {after[name] for name in changed if name in after}
+            lost = {name for name in lost if before[name] not in there}
         assert not lost, f"{what}: has lost {sorted(lost)[:4]}"
         hidden = {name for name in changed if os.path.basename(name).startswith(".")}  # noqa: PTH119
+        hidden -= {TRASH}
         assert not hidden, f"{what}: has left {sorted(hidden)[:4]}"
         kept = [name for name in changed if name in before]
         assert len(kept) <= 1, f"{what}: has changed {sorted(kept)[:4]}"
@@ -307,6 +312,8 @@ class Watched:
             self.first = self.state()
 
 
+#: Requests after which a campaign's files have other names.
+_MOVING = ("/api/rename", "/api/put-away")
 _TEMPORARY = tuple({os.path.realpath(place) for place in ("/tmp", "/dev/shm", "/dev/null")})
 _LOOKING: list[Callable[[str, tuple[Any, ...]], None]] = []
 _HOOKED: list[bool] = []

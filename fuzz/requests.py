@@ -162,6 +162,9 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
     said: dict[str, list[Any]] = {
         "GET folder": [{}],
         "GET campaign": [{"name": "three"}, {"name": "tumble"}],
+        "POST copy": [{"name": "three", "to": "copied"}],
+        "POST rename": [{"name": "three", "to": "new/three"}],
+        "POST put-away": [{"name": "three"}],
         "POST campaign": [{"name": "new", "test": "tumble"}, {"name": "new"}],
         "GET description": [{"name": "three"}, {"name": "tumble"}],
         "GET lab": [{"file": "LAB.toml", "result": result}, {"file": "new.toml", "result": result}],

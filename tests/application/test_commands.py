@@ -16,7 +16,7 @@ SHOWN = {
     "certificate_command": commands.certificate_command(PLACE, PLACE, PLACE),
     "check_command": commands.check_command(PLACE, PLACE, "run 1"),
     "compare_command": commands.compare_command([PLACE, PLACE]),
-    "export_command": commands.export_command(PLACE, [PLACE], {"radius": "2.5 ± 1e-5 m"}),
+    "export_command": commands.export_command(PLACE, [PLACE], {"radius": "2.5 ± 1e-5 m"}, "tumble"),
     "forecast_command": commands.forecast_command(PLACE),
     "history_command": commands.history_command(PLACE, "K_I"),
     "init_command": commands.init_command(PLACE, "arm"),
