@@ -283,7 +283,8 @@ class Watched:
         lost = {name for name in changed if name in before and name not in after}
         if request["target"].partition("?")[0] in _MOVING:
             there = {after[name] for name in changed if name in after}
-            lost = {name for name in lost if before[name] not in there}
+            moved = {name for name in lost if before[name] in there}
+            changed, lost = changed - moved, lost - moved
         assert not lost, f"{what}: has lost {sorted(lost)[:4]}"
         hidden = {name for name in changed if os.path.basename(name).startswith(".")}  # noqa: PTH119
         hidden -= {TRASH}
