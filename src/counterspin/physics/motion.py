@@ -163,9 +163,14 @@ class Turning:
         return self.spindle.angular_acceleration(self.t)
 
     @cached_property
-    def outward(self) -> tuple[Array, Array]:
-        """Cosine and sine of the angle."""
-        return np.cos(self.angle), np.sin(self.angle)
+    def cosine(self) -> Array:
+        """That of the angle."""
+        return np.cos(self.angle)
+
+    @cached_property
+    def sine(self) -> Array:
+        """That of the angle."""
+        return np.sin(self.angle)
 
 
 def turning(spindle: Spindle, t: Array) -> Turning:
@@ -218,7 +223,7 @@ class Motion:
 
     @property
     def _outward(self) -> tuple[Array, Array]:
-        return self.turning.outward
+        return self.turning.cosine, self.turning.sine
 
     @cached_property
     def _growth(self) -> tuple[Array, Array, Array] | None:
