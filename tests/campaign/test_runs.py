@@ -79,6 +79,23 @@ def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
         simulate(read, tmp_path / "out")
 
 
+@pytest.mark.parametrize("key", ["sheet", "group"])
+def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
+    def tables(first, second):
+        return [
+            ('record = "slow.csv"', f'record = "all.xlsx"\nrecords = {{ {key} = "{first}" }}'),
+            ('record = "middle.csv"', f'record = "all.xlsx"\n{second}'),
+        ]
+
+    own = f'records = {{ {key} = "two" }}'
+    read = campaign(tmp_path, *tables("one", own))
+    assert [run.record.name for run in read.runs[:2]] == ["all.xlsx"] * 2
+    # The same table, or one that may be the same, is of one run.
+    for first, second in (("two", own), ("one", "")):
+        told = problems(tmp_path, *tables(first, second))
+        assert any("is used by runs[0] already" in line for line in told)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -4,7 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 from scipy.io import savemat
+from workbooks import write_workbook
 
+from counterspin.calibration.observed import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.description import draft, write_description
@@ -146,3 +148,29 @@ def test_nothing_is_written_over_or_of_a_wrong_answer(tmp_path):
     assert (tmp_path / "campaign.toml").read_text() == "mine"
     with pytest.raises(CampaignError, match="name the files"):
         draft([])
+
+
+def test_each_sheet_of_a_workbook_may_be_a_run(tmp_path):
+    def sheet(rate):
+        theta = rate * TIME
+        columns = [TIME, theta, 2.5 * np.cos(theta), 2.5 * np.sin(theta)]
+        return [["t_s", "angle_rad", "east_m", "north_m"], *np.column_stack(columns).tolist()]
+
+    book = {"slow": sheet(np.pi), "fast": sheet(2 * np.pi)}
+    path = write_workbook(tmp_path / "runs.xlsx", book)
+    answers = ANSWERS | {"sheet": "all"}
+    write_description(draft(look_at([path], answers), answers), tmp_path / "camp")
+    campaign = read_campaign(tmp_path / "camp")
+    assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 2 * np.pi])
+    assert {run.record for run in campaign.runs} == {tmp_path / "camp" / ".." / "runs.xlsx"}
+    rates = [run.rotation.spindle.rate for run in observe(campaign)]
+    assert rates == pytest.approx([np.pi, 2 * np.pi], rel=1e-6)
+
+
+def test_an_angle_that_is_not_to_be_used_is_no_signal(tmp_path):
+    def columns(theta):
+        return {"angle_deg": np.degrees(theta) % 360, **axes(theta)}
+
+    found = drafted([record(tmp_path / "a.csv", np.pi, columns)], angle="none", sense="ccw")
+    assert found.open_questions == []
+    assert found.common.unused == ("angle_deg",)

@@ -60,7 +60,7 @@ def resolve_runs(
         if isinstance(raw, dict):
             _once(raw.get("name"), names, (*path, "name"), problems)
             for key, file in _files(raw):
-                if not _is_elsewhere(raw, file, runs):
+                if not _is_elsewhere(raw, file, runs, defaults.records):
                     _once(file, records, (*path, key), problems)
         if is_reading(raw):
             continue
@@ -103,17 +103,37 @@ def _check_files(settings: RunSettings, path: KeyPath, problems: Problems) -> No
             problems.add((*path, "continued_in", place), words)
 
 
-def _is_elsewhere(raw: Mapping[str, Any], file: Any, runs: Sequence[tuple[int, Any]]) -> bool:
-    """Return whether a run uses another part of a file than every other run that names it."""
-    if "start" not in raw and "stop" not in raw:
-        return False
-    begin, end = _stated_part(raw)
-    others = [
-        _stated_part(other)
+def _is_elsewhere(
+    raw: Mapping[str, Any], file: Any, runs: Sequence[tuple[int, Any]], common: Mapping[str, Any]
+) -> bool:
+    """Return whether a run uses another part of a file than every other run that names it.
+
+    common: The section [records].
+    """
+    sharing = [
+        other
         for _, other in runs
         if other is not raw and isinstance(other, dict) and other.get("record") == file
     ]
-    return all(end <= start or stop <= begin for start, stop in others)
+    here = _table_in_file(raw, common)
+    same = [one for one in sharing if not _are_two_tables(here, _table_in_file(one, common))]
+    if not same:
+        return bool(sharing)
+    if "start" not in raw and "stop" not in raw:
+        return False
+    begin, end = _stated_part(raw)
+    return all(end <= start or stop <= begin for start, stop in map(_stated_part, same))
+
+
+def _table_in_file(raw: Mapping[str, Any], common: Mapping[str, Any]) -> list[Any]:
+    """Return the sheet and the group that are read of a run's record; None: the only one."""
+    own = raw.get("records")
+    stated = {**common, **own} if isinstance(own, Mapping) else common
+    return [stated.get("sheet"), stated.get("group")]
+
+
+def _are_two_tables(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    return any(a is not None and b is not None and a != b for a, b in zip(one, other, strict=True))
 
 
 def _stated_part(raw: Mapping[str, Any]) -> tuple[float, float]:
