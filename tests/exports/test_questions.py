@@ -38,7 +38,8 @@ def test_answers_as_people_write_them(question, answer, meaning):
         (AXIS, "noth", "did you mean 'north'"),
         (UNIT, "s", "is not a unit of length"),
         (COUNTS, "-4", "positive"),
-        (COUNTS, "many", "could not convert"),
+        (COUNTS, "many", "not a positive number, such as 65536"),
+        (COUNTS, "inf", "not a positive number"),
     ],
 )
 def test_answers_that_are_none(question, answer, told):

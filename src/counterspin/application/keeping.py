@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from counterspin.application.desk import Desk
@@ -20,14 +21,14 @@ TRASH: Final = ".counterspin-trash"
 def copy_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:
     """Copy a campaign's folder, with records and results; return the copy's name."""
     source, place = _source(desk, name), _new_place(desk, name, to)
-    part = place.parent / f".{place.name}.part"
     try:
-        shutil.copytree(source, part, ignore=shutil.ignore_patterns(".*"))
-        part.rename(place)
+        with TemporaryDirectory(dir=place.parent, prefix=".counterspin-") as part:
+            whole = shutil.copytree(
+                source, Path(part) / place.name, ignore=shutil.ignore_patterns(".*")
+            )
+            whole.rename(place)
     except OSError as error:
         raise CounterspinError(f"{to}: cannot be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return {"name": desk.folder.name(place)}
 
 

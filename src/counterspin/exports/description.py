@@ -22,9 +22,10 @@ from counterspin.exports.looking import Look
 from counterspin.exports.questions import (
     SENSES,
     AnsweredExport,
-    judged_answers,
+    ExportQuestion,
     questions_of,
     relative_name,
+    settled,
 )
 from counterspin.exports.tumble import TumbleDraft, tumble_draft
 from counterspin.frozen import frozen
@@ -93,19 +94,20 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
     """
     if not looks:
         raise CampaignError("init", ["name the files of the runs"])
-    taken: dict[str, str] = {}
-    while True:
+    guesses: tuple[FileGuess, ...] = ()
+    questions: tuple[ExportQuestion, ...] = ()
+
+    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
+        nonlocal guesses, questions
         guesses = tuple(guess_file(look, taken) for look in looks)
         common = agreed(guesses)
-        sense = taken.get("sense") or _sense(common)
-        questions = tuple(questions_of(common, sense, taken))
-        more, problems = judged_answers(questions, answers or {})
-        if set(more) <= set(taken):
-            break
-        # An answer may show more: with its unit, an angle shows the sense and the rates.
-        taken |= more
+        questions = tuple(questions_of(common, taken.get("sense") or _sense(common), taken))
+        return questions
+
+    taken, problems = settled(answers, asked)
+    common = agreed(guesses)
     statements = tuple(_statements(guesses, common, _sense(common)))
-    return Draft(statements, questions, more, tuple(problems), guesses, common)
+    return Draft(statements, questions, taken, problems, guesses, common)
 
 
 def drafted(

@@ -130,15 +130,13 @@ def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> Fi
     rest = [column for column in columns if column is not time_column and not column.stamps]
     long = [column for column in rest if len(column.values) == len(seconds)]
     swings = {column.name: frequency(seconds, column.values) for column in long}
-    angle_column = _chosen(
-        [column for column in long if _advance(column.values, seconds) is not None],
-        told.get("angle"),
-        _angle_column,
-    )
+    advancing = [column for column in long if _advance(column.values, seconds) is not None]
+    angle_column = _chosen(advancing, told.get("angle"), _angle_column)
     swinging = [
         column
         for column in long
-        if column is not angle_column and _is_signal(column, swings[column.name], told)
+        if column is not angle_column
+        and _is_signal(column, None if column in advancing else swings[column.name], told)
     ]
     usual = [swing for column in swinging if (swing := swings[column.name])]
     turning = float(np.median(usual)) if usual else None  # Hz
@@ -255,7 +253,7 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
         return stamps[0]
     rising = [column for column in columns if _is_even(column.values)]
     named = [column for column in rising if _TIME.match(re.split(r"[/.]", column.name)[-1])]
-    united = [column for column in rising if _is(column.unit, "s")]
+    united = [column for column in rising if converts(column.unit, "s")]
     # Without a word, the time stands first, and something else advances with it.
     rows = np.arange(max(len(column.values) for column in columns), dtype=float)
     advancing = [
@@ -279,7 +277,7 @@ def _is_even(values: Array) -> bool:
 def _angle_column(advancing: Sequence[FileColumn]) -> FileColumn | None:
     """Return the column of the angle among those that advance evenly, perhaps wrapped."""
     named = [column for column in advancing if _ANGLE.match(column.name)]
-    united = [c for c in advancing if _is(c.unit, "rad") or _is(c.unit, "count")]
+    united = [c for c in advancing if converts(c.unit, "rad") or converts(c.unit, "count")]
     return next(iter([*named, *united, *advancing]), None)
 
 
@@ -320,7 +318,7 @@ def _angle(
         if period is None or abs(slope / turning / period - 1.0) > _UNIT_TOLERANCE:
             period = slope / turning
     unit = told.get("angle unit") or _unit_of(column, "rad")
-    known = "angle unit" in told or _is(column.unit, "rad")
+    known = "angle unit" in told or converts(column.unit, "rad")
     if unit is not None and unit != "count":
         factor = unit_factor(unit, "rad")
         # A name may say what the numbers do not.
@@ -335,7 +333,7 @@ def _angle(
         if (
             abs(period / turn - 1.0) < _UNIT_TOLERANCE
             and unit != "count"
-            and not _is(column.unit, "count")
+            and not converts(column.unit, "count")
         ):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / turn
     counts = _whole_counts(period)
@@ -404,11 +402,12 @@ def _unit_of(column: FileColumn, wanted: str) -> str | None:
     ending = column.name.rpartition("_")[2] if "_" in column.name else ""
     for text in (column.unit, file_unit(ending) or ""):
         if text:
-            return text if _is(text, wanted) else None
+            return text if converts(text, wanted) else None
     return None
 
 
-def _is(unit: str, wanted: str) -> bool:
+def converts(unit: str, wanted: str) -> bool:
+    """Return whether a unit is one in which something is wanted; no unit is none."""
     try:
         return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) != 0.0
     except ValueError:

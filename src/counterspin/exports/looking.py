@@ -46,6 +46,7 @@ class Look:
     columns: tuple[FileColumn, ...]  #: Those that hold numbers or time stamps.
     others: tuple[str, ...]  #: Names of those that hold neither.
     found: str  #: How it is written, where that is not plain.
+    decimal: str = "."  #: What parts decimals in it.
     sheet: str | None = None  #: That of a workbook which has several tables.
     sheets: tuple[str, ...] = ()  #: All of these.
     interval: float | None = None  #: Time between rows by the file, s.
@@ -103,6 +104,7 @@ def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
             tuple(columns),
             tuple(others),
             file.found,
+            file.decimal,
             sheet,
             sheets,
             file.interval,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -97,8 +98,8 @@ class ExportQuestion:
             if len(errors) == len(tuple(wanted)):
                 raise ValueError(errors[0])
             return unit
-        if not float(clean) > 0.0:
-            raise ValueError(f"{answer!r} is not a positive number")
+        if not BARE.fullmatch(clean) or not 0.0 < float(clean) < math.inf:
+            raise ValueError(f"{answer!r} is not a positive number, such as {self.example}")
         return clean
 
     def _chosen(self, answer: str) -> str:
@@ -257,6 +258,23 @@ def _signal_questions(common: FileGuess) -> Iterator[ExportQuestion]:
         yield ExportQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
         text = f"Along which axis is column '{name}'?"
         yield ExportQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
+
+
+def settled(
+    answers: Mapping[str, str] | None,
+    asked: Callable[[Mapping[str, str]], Sequence[ExportQuestion]],
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the answers that count, in the words of a description, and what is wrong with others.
+
+    asked: Returns what may be answered once some answers are taken: with its unit, an angle shows
+        the sense and the rates.
+    """
+    taken: dict[str, str] = {}
+    while True:
+        counting, problems = judged_answers(asked(taken), answers or {})
+        if set(counting) <= set(taken):
+            return counting, tuple(problems)
+        taken |= counting
 
 
 def judged_answers(

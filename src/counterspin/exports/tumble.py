@@ -11,21 +11,23 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from string import ascii_uppercase
 from typing import Any, Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import CampaignError
-from counterspin.exports.guessing import STANDARD_GRAVITY
+from counterspin.exports.guessing import converts
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import (
     AnsweredExport,
     ExportQuestion,
-    judged_answers,
     place_questions,
     relative_name,
+    settled,
 )
+from counterspin.exports.waves import wave
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 
@@ -71,7 +73,12 @@ class TumbleDraft(AnsweredExport):
         """
         said = self.complete()
         readings = self.of("reading")
-        names = [chr(ord("A") + place) for place in range(len(readings))]
+        if not readings:
+            known = ", ".join(column.name for column in self.look.columns)
+            text = f'no column holds readings (known: {known}); say which: "COLUMN is=reading"'
+            raise CampaignError("init", [text])
+        few = len(readings) <= len(ascii_uppercase)
+        names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
         axis = said["axis at 0"]
         columns: dict[str, Any] = {"attitude": said["position"]}
         if label := _label(self.look):
@@ -101,7 +108,7 @@ class TumbleDraft(AnsweredExport):
             "readings": {
                 "file": relative_name(self.look.path, place),
                 **({"sheet": self.look.sheet} if self.look.sheet else {}),
-                **({"decimal": ","} if "decimal commas" in self.look.found else {}),
+                **({"decimal": ","} if self.look.decimal == "," else {}),
                 "columns": columns,
                 "about": "north",
                 "attitude_unit": said["position unit"],
@@ -117,16 +124,14 @@ def tumble_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None
     if len(looks) != 1:
         raise CampaignError("init", ["a tumble is one table of readings: name one file"])
     (look,) = looks
-    taken: dict[str, str] = {}
-    while True:
-        roles = _roles(look, taken)
-        questions = tuple(_questions(look, roles, taken))
-        more, problems = judged_answers(questions, answers or {})
-        if set(more) <= set(taken):
-            break
-        taken |= more
+
+    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
+        return tuple(_questions(look, _roles(look, taken), taken))
+
+    taken, problems = settled(answers, asked)
+    roles, questions = _roles(look, taken), asked(taken)
     statements = tuple(_statements(look, roles, questions))
-    return TumbleDraft(statements, questions, more, tuple(problems), look, roles)
+    return TumbleDraft(statements, questions, taken, problems, look, roles)
 
 
 # What is guessed
@@ -144,13 +149,13 @@ def _roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
 
 
 def _role(column: FileColumn) -> str:
-    if column.stamps or _TIME.match(column.name) or _converts(column.unit, "s"):
+    if column.stamps or _TIME.match(column.name) or converts(column.unit, "s"):
         return "time"
     if _TEMPERATURE.match(column.name) or column.unit in ("degC", "K"):
         return "temperature"
     if _UNCERTAINTY.match(column.name):
         return "uncertainty"
-    if _POSITION.match(column.name) or _converts(column.unit, "rad"):
+    if _POSITION.match(column.name) or converts(column.unit, "rad"):
         return "position"
     return "reading"
 
@@ -158,7 +163,7 @@ def _role(column: FileColumn) -> str:
 def _position(columns: Sequence[FileColumn], roles: Mapping[str, str]) -> str | None:
     """Return the column of the positions: of those that may be it, one whose unit is an angle."""
     found = [column for column in columns if roles[column.name] == "position"]
-    found.sort(key=lambda column: not _converts(column.unit, "rad"))
+    found.sort(key=lambda column: not converts(column.unit, "rad"))
     return found[0].name if found else None
 
 
@@ -167,36 +172,19 @@ def _label(look: Look) -> str | None:
     return next((name for name in look.others if _NAME.match(name)), None)
 
 
-def _converts(unit: str, wanted: str) -> bool:
-    try:
-        return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) > 0.0
-    except ValueError:
-        return False
-
-
 def _angle_unit(column: FileColumn) -> str:
-    if _converts(column.unit, "rad"):
+    if converts(column.unit, "rad"):
         return column.unit
     return "deg" if np.nanmax(np.abs(column.values)) > 7.0 else "rad"
 
 
 def _axis(angles: Array, values: Array) -> str | None:
     """Return how the input axis points at 0, for readings at angles in rad; None if unclear."""
-    cosine, sine = _wave(angles, values)
-    up_at = math.degrees(math.atan2(sine, cosine))
+    up_at = -math.degrees(wave(angles, values, degree=0)[1])
     for axis, angle in _UP_AT.items():
         if abs(math.remainder(up_at - angle, 360.0)) < _POINTING:
             return axis
     return None
-
-
-def _wave(angles: Array, values: Array) -> tuple[float, float]:
-    """Return a and b of values = a cos + b sin + c, at angles in rad; NaN are left out."""
-    good = np.isfinite(angles) & np.isfinite(values)
-    at = angles[good]
-    design = np.column_stack([np.cos(at), np.sin(at), np.ones_like(at)])
-    a, b, _ = np.linalg.lstsq(design, values[good], rcond=None)[0]
-    return float(a), float(b)
 
 
 # What is asked, and said
@@ -239,9 +227,9 @@ def _output_questions(
     known = column.unit if column.unit in _OUTPUTS else _ending(name)
     yield ExportQuestion(f"{name} unit", text, "mA", _OUTPUTS, known)
     unit = told.get(f"{name} unit") or known
-    if unit is None or _converts(unit, "m/s^2"):
+    if unit is None or converts(unit, "m/s^2"):
         return
-    size = math.nan if angles is None else math.hypot(*_wave(angles, column.values))
+    size = math.nan if angles is None else wave(angles, column.values, degree=0)[0]
     swing = f" They swing by {size:.4g} {unit}." if math.isfinite(size) else ""
     text = f"What is the nominal sensitivity of column '{name}'?{swing}"
     yield ExportQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -44,14 +45,17 @@ def frequency(time: Array, values: Array) -> float | None:
     return float(at) if amplitude**2 / 2.0 * y.size > _WAVE_SHARE * total else None
 
 
-def wave(angle: Array, values: Array) -> tuple[float, float]:
-    """Return amplitude and phase of values = A cos(angle + phase), beside a parabola.
+def wave(angle: Array, values: Array, degree: int = 2) -> tuple[float, float]:
+    """Return amplitude and phase of values = A cos(angle + phase), beside a polynomial.
 
     angle, values: rad, unwrapped, and what follows it; shape (n,), NaN where there is none.
+    degree: Of the polynomial in the angle.
     """
     good = np.isfinite(angle) & np.isfinite(values)
     th, y = angle[good], values[good]
+    if not th.size:
+        return math.nan, math.nan
     x = (th - th.mean()) / (np.ptp(th) or 1.0)
-    design = np.column_stack([np.cos(th), np.sin(th), np.ones_like(th), x, x**2])
+    design = np.column_stack([np.cos(th), np.sin(th), np.vander(x, degree + 1, increasing=True)])
     a, b, *_ = np.linalg.lstsq(design, y, rcond=None)[0]
     return float(np.hypot(a, b)), float(np.arctan2(-b, a))

@@ -29,6 +29,10 @@ _UNPACKED_BYTES: Final = 100_000_000
 _UNPACKED_PER_BYTE: Final = 50
 
 
+class NoRowsError(RecordError):
+    """No rows of numbers stand below names in a sheet."""
+
+
 def excel_table(
     path: Path, dialect: Dialect = TO_BE_FOUND, content: bytes | None = None
 ) -> pl.DataFrame:
@@ -94,13 +98,6 @@ def table_sheets(path: Path) -> list[str]:
         return _tables_of(book, book.sheet_names)
 
 
-def has_numbers(path: Path, dialect: Dialect) -> bool:
-    """Return whether rows of numbers stand below names in the sheet that is asked for."""
-    with record_errors(path):
-        book, sheet = _sheet_of(path, dialect.sheet, read_file(path))
-        return _rows_of(book, sheet, dialect) is not None
-
-
 def _tables_of(book: Any, sheets: Sequence[str]) -> list[str]:
     """Return the sheets that hold rows with more numbers than texts."""
     return [sheet for sheet in sheets if (found := _rows_of(book, sheet)) and found[0] > 0]
@@ -131,7 +128,7 @@ class ExcelFile(ColumnFile):
         self._book, self._sheet = _sheet_of(path, dialect.sheet, self.content())
         found = _rows_of(self._book, self._sheet, dialect)
         if found is None:
-            raise RecordError(
+            raise NoRowsError(
                 f"{path}: in the sheet '{self._sheet}' no rows of numbers stand below names."
             )
         self._layout = found[1]

@@ -14,7 +14,7 @@ from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.excel_file import excel_table, has_numbers
+from counterspin.records.excel_file import NoRowsError, excel_table
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
 from counterspin.records.memory import MemoryTable
@@ -94,16 +94,17 @@ def _filed(file: ColumnFile) -> FiledTable:
 
 
 def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
-    if is_workbook(path) and not has_numbers(path, dialect):
+    try:
+        with open_columns(path, dialect) as file:
+            # On leaving, the file must still be what it was when it was opened.
+            table = _filed(file)
+            return table, file.places(table.frame.height), _checksum(file.content())
+    except NoRowsError:  # of words, such as attitudes: names stand in the first row then
         with record_errors(path):
             content = read_file(path)
         frame = excel_table(path, dialect, content)
         plain = FiledTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
         return plain, _sheet_places(frame.height), _checksum(content)
-    with open_columns(path, dialect) as file:
-        # On leaving, the file must still be what it was when it was opened.
-        table = _filed(file)
-        return table, file.places(table.frame.height), _checksum(file.content())
 
 
 def _checksum(content: bytes) -> str:

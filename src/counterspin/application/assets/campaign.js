@@ -2,8 +2,7 @@
 // One campaign: calibrate, and what came of it.
 
 import { campaignAddress, resultAddress } from "./addresses.js";
-import { get, send } from "./api.js";
-import { bring } from "./api.js";
+import { bring, get, send } from "./api.js";
 import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { follow } from "./job.js";
