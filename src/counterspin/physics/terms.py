@@ -76,11 +76,6 @@ class Term(Generic[Does_co]):
         return self.scope == "mounting"
 
     @property
-    def per_accelerometer(self) -> bool:
-        """Whether every accelerometer has a value of its own."""
-        return self.scope == "accelerometer"
-
-    @property
     def family(self) -> str:
         """The symbol without the quadrature of a harmonic."""
         wave = self.effect.quadrature if isinstance(self.effect, PathError) else ""
