@@ -6,12 +6,13 @@
   the files, by format
 - `dialect`, `labview`: how files of text are written, and what LabVIEW states above them
 - `run_file`: the files of one run as one, with the time and the angle that no file has
-- `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
-  the order in which a record passes them
+- `pieces`, `clock`, `spikes`, `reduction`, `amplitude`: the steps of reading, in the order in
+  which a record passes them
 - `removed`: whether a recorder took a mean, a line or a parabola off
 - `memory`: columns that a program holds, in the place of a file
 - `mean`: the mean of a record over whole revolutions; `mean_scatter`: how uncertain its noise
   leaves it
+- `poses`: where a sensor with three axes lay still, in one long record
 - `report`: what was found on the way
 - `tables`: a file as a table, for those who add columns to it
 - `isolation`: the process of its own in which native code reads

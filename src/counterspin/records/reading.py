@@ -200,7 +200,12 @@ class _RecordReader:
                 piece = self._piece(taken)
                 if reducer is None:
                     self._clock.start(piece.time, piece.angle)
-                    reducer = Reducer(self._block, self._clock.step, self._clock.rate)
+                    reducer = Reducer(
+                        self._block,
+                        self._clock.step,
+                        self._clock.rate,
+                        judges=not self._motion.posed,
+                    )
                 blocks = self._take(self._rows + first, piece, reducer)
                 if blocks is not None:
                     parts.append(blocks)

@@ -134,6 +134,8 @@ class StatedMotion:
     swings: Mapping[str, Swing] = field(default_factory=dict)
     #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
     steady: bool = False
+    #: Whether it is moved from rest to rest, by no known course: no sample is an outlier of one.
+    posed: bool = False
 
 
 @frozen

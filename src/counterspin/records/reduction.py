@@ -99,19 +99,23 @@ class Reducer:
     block: Samples in a block; 1 keeps point samples.
     step: The usual spacing of the samples, s.
     rate: Spindle rate, rad/s.
+    judges: Whether outlying samples are looked for.
     """
 
-    def __init__(self, block: int, step: float, rate: float) -> None:
+    def __init__(self, block: int, step: float, rate: float, *, judges: bool = True) -> None:
         self._block = block
         self._step = step
         self._rate = rate
+        self._judges = judges
         # A product with a constant vector is the fastest sum along short rows.
         self._mean = np.full(block, 1 / block)
 
     def reduce(self, piece: Piece, unevenness: float) -> Reduced:
         """Reduce one piece."""
         time, signals = piece.time, piece.signals
-        outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
+        outliers = [np.empty(0, dtype=int) for _ in signals]
+        if self._judges:
+            outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
         by_rows = unevenness < _ROW_UNEVENNESS
         if self._block == 1:
             return Reduced(_points(piece, outliers), outliers, False)

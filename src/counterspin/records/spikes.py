@@ -105,7 +105,7 @@ def find_spikes(
         # Where outliers are many they inflate the plain scale: take it from robust fits.
         _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
         scale = float(np.median(scales))
-    scale = max(scale, _resolution(signal) / 2)
+    scale = max(scale, resolution(signal) / 2)
     suspect |= peak > _SCREEN_SDS * scale
     marked = np.zeros(len(signal), dtype=bool)
     suspects = np.flatnonzero(suspect)
@@ -196,7 +196,7 @@ def _screen(
     return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), broken, scale
 
 
-def _resolution(signal: np.ndarray) -> float:
+def resolution(signal: np.ndarray) -> float:
     """Return the step of a quantised signal: noise below it shows as rare whole steps."""
     part = np.unique(signal[:4096])
     rounding = 64 * np.finfo(float).eps * float(np.abs(part).max())

@@ -1,0 +1,358 @@
+"""Poses in one long record: where a sensor with three axes lay still between motions.
+
+At rest the values scatter by the sensor's noise alone, in motion by far more. What is compared is
+their standard deviation over about a second, of all three axes together (the root of the sum of
+their variances): the level. A threshold parts the two, and what stays below it for long enough is
+a pose. This is the detector of Tedaldi, Pretto and Menegatti (ICRA 2014, section IV), with a
+threshold that follows from the record.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import SIGMA_OF_MAD, Array
+from counterspin.errors import RecordError
+from counterspin.frozen import frozen
+from counterspin.records.memory import MemoryTable
+from counterspin.records.reading import read_record
+from counterspin.records.record import Record, RecordColumns, StatedMotion
+from counterspin.records.spikes import resolution
+
+#: Shortest pose, s, where nothing else is stated.
+SHORTEST_REST: Final = 1.5
+
+#: Span over which the level is taken, s, and the fewest rows in it; no longer than a pose.
+_WINDOW: Final = 1.0
+_FEWEST_ROWS: Final = 8
+
+#: The threshold over the usual level at rest: twice, or four times in the variance.
+_THRESHOLD_RATIO: Final = 2.0
+
+#: Levels in motion over those at rest, in the median, below which the threshold is in doubt.
+_CLEAR_RATIO: Final = 5.0
+
+#: Scatter within a pose over the threshold beyond which it is hardly at rest.
+_WANDER_RATIO: Final = 3.0
+
+#: Standard deviations beyond which one or two rows among their neighbours are spikes.
+_SPIKE_SDS: Final = 10.0
+#: Fewest rows whose scatter tells how far that is.
+_SPIKE_ROWS: Final = 64
+
+#: Part of a pose's rows at the largest or smallest value of an axis from which it is saturated.
+_SATURATED_PART: Final = 0.25
+
+#: Bins of the logarithm of the level in which rest and motion are told apart.
+_BINS: Final = 256
+
+
+@frozen(eq=False)
+class Poses:
+    """The poses of a record; values in the unit of its columns, k poses of n rows."""
+
+    #: First and last time of each, s, shape (k,).
+    start: Array
+    end: Array
+    #: Mean and standard deviation of the rows within each, shape (k, 3).
+    mean: Array
+    scatter: Array
+    count: Array  #: Rows of each, shape (k,).
+    threshold: float  #: Highest level at rest.
+    #: Standard deviation of all three axes together over a window about each row, shape (n,); NaN
+    #: of rows that are left out, as empty cells and spikes are.
+    level: Array
+    #: Level in motion over that at rest, in the median; infinite where nothing moves.
+    contrast: float
+    #: Of each axis, the values within poses that stand far off their neighbours, shape (3,).
+    spikes: Array
+    left_out: tuple[str, ...] = ()  #: Rests that are no poses, each with the reason.
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What makes the threshold doubtful, a sentence each; none of a clear record."""
+        found = []
+        if math.isinf(self.contrast):
+            found.append("Nothing moves in the record: all of it is taken as rest.")
+        elif self.contrast < _CLEAR_RATIO:
+            found.append(
+                f"Rest and motion are not clearly apart: motion has {self.contrast:.2g} times the "
+                f"level of rest. Compare the plot of the level with the threshold of "
+                f"{self.threshold:.3g}, and state another where it parts them better."
+            )
+        wander = np.sqrt((self.scatter**2).sum(axis=1))
+        for place in np.flatnonzero(wander > _WANDER_RATIO * self.threshold)[:1]:
+            found.append(
+                f"The pose from {self.start[place]:.6g} s to {self.end[place]:.6g} s scatters by "
+                f"{wander[place]:.3g} over its whole length, more than its noise explains: the "
+                "sensor may have turned slowly."
+            )
+        return tuple(found)
+
+
+def read_poses(
+    path: str | Path | MemoryTable,
+    columns: RecordColumns,
+    rest: float = SHORTEST_REST,
+    threshold: float | None = None,
+) -> tuple[Poses, Record]:
+    """Return the poses of a record of three signals, and the record itself, all its rows.
+
+    rest, threshold: As of `find_poses`; the threshold in the unit that the columns come in.
+    """
+    record = read_record(path, columns, StatedMotion(0.0, steady=True, posed=True), block=None)
+    values = np.column_stack(list(record.signals.values()))
+    try:
+        poses = find_poses(record.time + record.start_time, values, rest, threshold)
+    except RecordError as error:
+        raise RecordError(f"{path}: {error}") from None
+    names = [spec.name for spec in columns.signals.values()]
+    outliers = dict(zip(names, map(int, poses.spikes), strict=True))
+    return poses, replace(record, report=replace(record.report, outliers=outliers))
+
+
+def find_poses(
+    time: Array, values: Array, rest: float = SHORTEST_REST, threshold: float | None = None
+) -> Poses:
+    """Find where a sensor lies still.
+
+    A missing stretch of half a window ends a pose. Rows without all three values, and single spikes
+    in one of them, are left out.
+
+    time: s, rising, shape (n,).
+    values: Of the three axes, in any one unit, NaN where there is none, shape (n, 3).
+    rest: Shortest pose, s.
+    threshold: Highest level at rest, in the values' unit; found if None.
+    """
+    there = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
+    _check(time[there], rest)
+    step = float(np.median(np.diff(time[there])))
+    window = min(max(_WINDOW, _FEWEST_ROWS * step), rest)
+    resolutions = np.array([resolution(axis) for axis in values[there].T])
+    spikes = _spikes(values[there], max(_SPIKE_ROWS, round(window / step)), resolutions)
+    good = ~spikes.any(axis=1)
+    spike_times, there = time[there[~good]], there[good]
+    t, x = time[there], values[there]
+    level = _levels(t, x, window)
+    found = _usual_threshold(level, resolutions) if threshold is None else threshold
+    starts, ends = _rests(t, level, found, rest, window, step)
+    if not len(starts):
+        raise RecordError(_no_rest_words(t, level, found, rest, window, step))
+    contrast = _contrast(level, found, starts, ends)
+    faults = _faults(x, starts, ends, resolutions)
+    left_out = tuple(
+        f"The rest from {t[starts[place]]:.6g} s to {t[ends[place] - 1]:.6g} s is left out: {words}"
+        for place, words in faults.items()
+    )
+    if len(faults) == len(starts):
+        raise RecordError("every rest is left out. " + " ".join(left_out))
+    starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
+    rows = [x[a:b] for a, b in zip(starts, ends, strict=True)]
+    pose = np.searchsorted(t[starts], spike_times) - 1
+    within = (pose >= 0) & (spike_times < t[ends - 1][np.maximum(pose, 0)])
+    levels = np.full(len(time), np.nan)
+    levels[there] = level
+    return Poses(
+        start=t[starts],
+        end=t[ends - 1],
+        mean=np.array([part.mean(axis=0) for part in rows]),
+        scatter=np.array([part.std(axis=0) for part in rows]),
+        count=(ends - starts).astype(float),
+        threshold=float(found),
+        level=levels,
+        contrast=contrast,
+        spikes=spikes[~good][within].sum(axis=0).astype(float),
+        left_out=left_out,
+    )
+
+
+def _check(time: Array, rest: float) -> None:
+    if not rest > 0.0:
+        raise RecordError(f"a rest of {rest:g} s is none: state a positive time.")
+    if len(time) < _FEWEST_ROWS:
+        raise RecordError(
+            f"{len(time)} rows have all three values; no pose can be found in so few."
+        )
+    steps = np.diff(time)
+    if (steps < 0.0).any():
+        raise RecordError(f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.")
+    length, step = float(time[-1] - time[0]), float(np.median(steps))
+    if length + step < rest * (1.0 - 1e-9):
+        raise RecordError(
+            f"the record lasts {length:.4g} s, less than one rest of {rest:g} s. Check the unit "
+            "of the time or the sampling rate, or state a shorter rest."
+        )
+    if not _FEWEST_ROWS * step <= rest * (1.0 + 1e-9):
+        raise RecordError(
+            f"the rows are {step:.4g} s apart, so that a rest of {rest:g} s has less than "
+            f"{_FEWEST_ROWS} of them. Check the unit of the time or the sampling rate, or state a "
+            "longer rest."
+        )
+
+
+def _spikes(values: Array, rows: int, resolutions: Array) -> np.ndarray:
+    """Return which values, one or two in a row, stand far off their neighbours, shape (n, 3).
+
+    A median of five does not see them. The motions of a hand are no smooth waves, so that
+    `counterspin.records.spikes` would take their ends for outliers.
+
+    rows: In a stretch whose scatter is one.
+    """
+    padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
+    a, b, c, d, e = (padded[place : place + len(values)] for place in range(5))
+    # The median of five is that of the fifth and of the two middle ones of the others.
+    low = np.maximum(np.minimum(a, b), np.minimum(d, e))
+    high = np.minimum(np.maximum(a, b), np.maximum(d, e))
+    off = np.abs(c - np.clip(c, np.minimum(low, high), np.maximum(low, high)))
+    rows = min(rows, len(off))
+    blocks = off[: len(off) // rows * rows].reshape(-1, rows, 3)
+    # From the upper quartile: every fifth value is the median itself, and so not off at all.
+    place = 3 * rows // 4
+    scale = np.partition(blocks, place, axis=1)[:, place] * SIGMA_OF_MAD / 2.0
+    # A smooth motion is its own median: where one fills most of a stretch, the next one tells.
+    scale = np.maximum(scale, np.maximum(np.roll(scale, 1, axis=0), np.roll(scale, -1, axis=0)))
+    limits = _SPIKE_SDS * scale + 1.5 * resolutions
+    limits = limits[np.minimum(np.arange(len(off)) // rows, len(limits) - 1)]
+    return np.asarray(off > limits)
+
+
+def _levels(time: Array, values: Array, window: float) -> Array:
+    """Return the standard deviation of three axes together in a window about each row, (n,).
+
+    The rows are cut into parts, of which a window meets at most two. Sums run within a part and
+    count from its own mean: sums over a whole long record would lose the noise in rounding.
+    """
+    # Rows half a window off are in, whatever rounding does to their times.
+    half = 0.5 * window * (1.0 + 1e-9)
+    low = np.searchsorted(time, time - half, side="left")
+    high = np.searchsorted(time, time + half, side="right")
+    size = int((high - low).max())
+    parts = -(-len(time) // size)
+    edges = np.minimum(np.arange(parts + 1) * size, len(time))
+    means = np.add.reduceat(values, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    part = np.arange(len(time)) // size
+    apart = values - means[part]
+    padded = np.zeros((parts * size, 4))
+    padded[: len(time), :3] = apart
+    padded[: len(time), 3] = (apart**2).sum(axis=1)
+    sums = np.zeros((parts, size + 1, 4))
+    np.cumsum(padded.reshape(parts, size, 4), axis=1, out=sums[:, 1:])
+    first = low // size
+    middle = np.minimum(high, (first + 1) * size)
+    one = sums[first, middle - first * size] - sums[first, low - first * size]
+    second = np.minimum(first + 1, parts - 1)
+    two = sums[second, np.maximum(high - second * size, 0)]
+    two[high == middle] = 0.0
+    # Two groups as one: the squares about each mean, and those of the means about each other.
+    here, there = middle - low, high - middle
+    squares = one[:, 3] - (one[:, :3] ** 2).sum(axis=1) / here
+    squares += two[:, 3] - (two[:, :3] ** 2).sum(axis=1) / np.maximum(there, 1)
+    between = means[first] + one[:, :3] / here[:, None]
+    between = between - means[second] - two[:, :3] / np.maximum(there, 1)[:, None]
+    squares += (between**2).sum(axis=1) * here * there / (here + there)
+    rows = high - low
+    level = np.sqrt(np.maximum(squares, 0.0) / np.maximum(rows - 1, 1))
+    # So few rows may be alike by chance.
+    level[rows < _FEWEST_ROWS // 2] = np.inf
+    return np.asarray(level)
+
+
+def _usual_threshold(level: Array, resolutions: Array) -> float:
+    """Return twice the usual level at rest.
+
+    Rest and motion are the two groups of the level's logarithm that lie apart most (Otsu, IEEE
+    Trans. Syst. Man Cybern. 9 (1979) 62), however much of the record either takes.
+    """
+    finite = level[np.isfinite(level)]
+    # A step of the last digit to and fro in every axis is no motion.
+    least = float(np.sqrt((resolutions**2).sum()))
+    positive = finite[finite > 0.0]
+    if not len(positive):
+        return least
+    # Values that stand still for once are no group of their own.
+    logs = np.log(np.maximum(finite, 0.1 * np.quantile(positive, 0.05)))
+    counts, edges = np.histogram(logs, bins=_BINS)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * centres)[:-1]
+    above, rest = len(logs) - below, (counts * centres).sum() - sums
+    with np.errstate(invalid="ignore", divide="ignore"):
+        apart = below * above * (sums / below - rest / above) ** 2
+    split = edges[1 + int(np.nanargmax(apart))] if np.isfinite(apart).any() else edges[-1]
+    usual = math.exp(float(np.median(logs[logs <= split])))
+    return max(_THRESHOLD_RATIO * usual, least)
+
+
+def _rests(
+    time: Array, level: Array, threshold: float, rest: float, window: float, step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first row of each rest, and the one after its last."""
+    quiet = level <= threshold
+    ends_here = np.append(np.diff(time) > 0.5 * window, True)
+    first = quiet & np.append(True, ends_here[:-1] | ~quiet[:-1])
+    last = quiet & (ends_here | ~np.append(quiet[1:], False))
+    starts, ends = np.flatnonzero(first), np.flatnonzero(last) + 1
+    long = time[ends - 1] - time[starts] + step >= rest * (1.0 - 1e-9)
+    return starts[long], ends[long]
+
+
+def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarray) -> float:
+    """Return the level in motion over that at rest, in the median; infinite where nothing moves."""
+    moving = level[(level > threshold) & np.isfinite(level)]
+    inside = np.zeros(len(level) + 1)
+    np.add.at(inside, starts, 1.0)
+    np.add.at(inside, ends, -1.0)
+    usual = float(np.median(level[np.cumsum(inside)[:-1] > 0.0]))
+    return float(np.median(moving)) / usual if len(moving) and usual else math.inf
+
+
+def _no_rest_words(
+    time: Array, level: Array, threshold: float, rest: float, window: float, step: float
+) -> str:
+    """Say that no rest was found, and which threshold would take the quietest stretch."""
+    words = f"no rest of {rest:g} s was found below the threshold of {threshold:.3g}."
+    candidates = np.unique(level[np.isfinite(level)])
+    low, high = 0, len(candidates)
+    while low < high:
+        middle = (low + high) // 2
+        if len(_rests(time, level, float(candidates[middle]), rest, window, step)[0]):
+            high = middle
+        else:
+            low = middle + 1
+    if low == len(candidates):
+        return f"{words} No stretch of the record is as long without a gap."
+    starts, ends = _rests(time, level, float(candidates[low]), rest, window, step)
+    return (
+        f"{words} The quietest stretch, from {time[starts[0]]:.6g} s to "
+        f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}: a higher threshold would "
+        "take it, or a shorter rest a quieter part."
+    )
+
+
+def _faults(
+    values: Array, starts: np.ndarray, ends: np.ndarray, resolutions: Array
+) -> dict[int, str]:
+    """Return why rests are no poses, by their place: values that are held, or cut off."""
+    scatter = [values[a:b].std(axis=0) for a, b in zip(starts, ends, strict=True)]
+    usual = np.median(scatter, axis=0)
+    # Where an axis scatters by less than its digits, equal values tell nothing.
+    telling = usual > 2.0 * resolutions
+    extremes = np.stack([values.min(axis=0), values.max(axis=0)])
+    faults = {}
+    for place, (a, b) in enumerate(zip(starts, ends, strict=True)):
+        if usual.any() and (values[a:b] == values[a]).all():
+            faults[place] = "its values do not change at all, as where a recorder stands still."
+            continue
+        at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
+        saturated = np.flatnonzero(telling & (at_ends > _SATURATED_PART))
+        if len(saturated):
+            axis = saturated[0]
+            faults[place] = (
+                f"{at_ends[axis]:.0%} of its values along axis {axis + 1} are the largest or "
+                "smallest of the record, as where the range ends."
+            )
+    return faults
