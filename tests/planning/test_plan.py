@@ -350,7 +350,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         "u(K_II of Qx) =",
         "Starts at, s",
         "Expected uncertainty budget of K_II of Qx",
-        "platform.tilt.north, all runs",
+        "platform.tilt.north,",
         "relaxed by 10 %",
         "both senses instead",
         "the paper's plan",

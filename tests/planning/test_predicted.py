@@ -52,10 +52,10 @@ def test_the_first_lines_say_what_decides_u_and_what_is_assumed(tmp_path):
     assert u[0] == pytest.approx(2e-6, rel=0.1)
     _, answer, decides = sentences(honest)[:3]
     assert answer.startswith("u(K_II of Qx) = 2.")
-    assert "of u^2 of K_II is K_OO, which nothing states (typical 2 ug/g^2)" in decides
+    assert "coefficient, K_OO, which is not stated (typical 2 ug/g^2)" in decides
     assert any("Nothing is taken as perfect" in text for text in sentences(honest))
     assert sentences(taken)[2].startswith("Taken as perfect, and so no part of u: ")
-    assert not any("which nothing states" in text for text in sentences(taken))
+    assert not any("which is not stated" in text for text in sentences(taken))
 
 
 READ = """schema = 1

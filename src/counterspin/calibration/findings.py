@@ -355,15 +355,15 @@ def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
     return abs(comparison.z) / excess <= AGREEMENT
 
 
-def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
-    """Yield what speaks for a result, in clauses without a full stop."""
+def supports(accelerometer: AccelerometerResult) -> Iterator[tuple[str, str]]:
+    """Yield what speaks for a result: what was checked, and a clause without a full stop."""
     residual = accelerometer.residual
     p = residual.lack_of_fit_p
     if p is not None and _fits(residual):
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
-        yield f"the residuals look like {noise} (p = {format_number(p, 2)})"
+        yield "fit", f"the residuals look like {noise} (p = {format_number(p, 2)})"
     worst = _worst(accelerometer.jackknife)
     if worst is not None and _rarity(worst) <= AGREEMENT:
-        yield "no run drives the result"
+        yield "each run left out", "no run drives the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
-        yield "the two-stage method agrees"
+        yield "another method", "the two-stage method agrees"

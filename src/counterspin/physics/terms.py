@@ -389,3 +389,12 @@ def term(symbol: str) -> Term[Any]:
 def symbol_of(name: str) -> str:
     """Return the term in the name of an unknown: ``K_II`` of ``Qx.K_II``."""
     return name if is_term(name) else name.partition(".")[2] or name
+
+
+def words_of(name: str) -> str:
+    """Return what the term in the name of an unknown is called, with its mounting or position.
+
+    Empty where the name is of no term.
+    """
+    row, mounting = _find(symbol_of(name))
+    return f"{row.words} {mounting}".rstrip() if row else ""

@@ -10,7 +10,7 @@ from counterspin.calibration.pages.accelerometer import not_apart
 from counterspin.calibration.pages.uncertainty import assumption, dominance
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
+from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, words_of
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
@@ -244,12 +244,14 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
         size = sizes.pop() if len(sizes) == 1 else None
         its_unit, its_factor = field_unit(together[0].unit)
         known = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
-        rows.append((share, (source, known, format_number(contribution * factor, 2))))
+        words = words_of(source.removesuffix(", all runs"))
+        rows.append((share, (source, words, known, format_number(contribution * factor, 2))))
     rows.sort(key=lambda row: -row[0])
     yield Table(
         (
             Column("Source", wraps=True),
-            Column("Std. uncertainty", "right", wraps=True),
+            Column("Meaning", wraps=True),
+            Column("Std. uncertainty", "right"),
             Column(f"Contribution, {unit}", "right", wraps=True),
             Column("Share of u^2", "right", wraps=True),
         ),

@@ -60,22 +60,43 @@ def test_chapters_in_order():
     assert headings[-1] == "Inputs and reproduction"
 
 
+def checked(blocks):
+    """Return the sentence that says whether a result is good, and the table below it."""
+    place = blocks.index(Heading("Is it good?"))
+    sentence, table = blocks[place + 1 : place + 3]
+    assert isinstance(table, Table)
+    assert [column.title for column in table.columns] == ["Check", "Outcome"]
+    return sentence, table.rows
+
+
+def test_a_good_result_says_what_was_checked():
+    sentence, rows = checked(document(result()))
+    assert sentence == Paragraph("Qx is good: no check found a fault.")
+    assert rows == (
+        ("Fit", "The residuals look like the stated noise (p = 0.5)."),
+        ("Each run left out", "No run drives the result."),
+        ("Another method", "The two-stage method agrees."),
+    )
+
+
 def test_warnings_stand_once_and_before_everything_else():
     blocks = document(result(warnings=["Qx: something is odd"]))
-    places = [i for i, b in enumerate(blocks) if "something is odd" in getattr(b, "text", "")]
-    assert len(places) == 1
-    assert blocks[places[0]].style == "warning"
-    assert places[0] < next(i for i, b in enumerate(blocks) if isinstance(b, Table | Picture))
+    sentence, rows = checked(blocks)
+    assert sentence == Paragraph("Qx is to be used with reservations: 1 finding.", "warning")
+    assert rows[0] == ("Warning", "something is odd")
+    assert "something is odd" not in " ".join(texts(blocks))
 
 
 def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
     lost = {"code": "strobes-lost", "subject": "Qx", "text": "3 strobes were left out."}
     drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
     blocks = document(result(findings=[lost], jackknife=drives))
+    sentence, rows = checked(blocks)
+    assert sentence.style == "warning"
+    assert sentence.text.endswith("reservations: 2 findings, the gravest first.")
+    assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
     for words in ("3 strobes were", "Without slow K_II moves"):
-        (place,) = (i for i, b in enumerate(blocks) if words in getattr(b, "text", ""))
-        assert blocks[place].style == "warning"
-        assert place < next(i for i, b in enumerate(blocks) if isinstance(b, Table | Picture))
+        assert sum(words in row[1] for row in rows) == 1
 
 
 def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour():

@@ -4,6 +4,7 @@ import math
 
 from results import coefficient, result
 
+from counterspin.calibration.pages.sections import answer_blocks
 from counterspin.calibration.pages.uncertainty import (
     assumption,
     dominance,
@@ -42,9 +43,18 @@ def test_the_largest_unstated_source_is_named_with_what_would_be_left():
     told = dominance(resting(2e-6).accelerometers["Qx"])
     # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
     assert told == (
-        "100 % of u^2 of K_II is K_OO, which nothing states (typical 2 ug/g^2): stated or measured "
-        "to 0.2 ug/g^2, it would leave u = 0.22 ug/g^2."
+        "100 % of u^2 of K_II comes from the second-order output-axis coefficient, K_OO, which is "
+        "not stated (typical 2 ug/g^2); stating or measuring it to 0.2 ug/g^2 would leave "
+        "u = 0.22 ug/g^2."
     )
+
+
+def test_the_answer_has_one_sentence_about_its_uncertainty_whatever_decides_it():
+    stated = resting(5e-8)
+    _, _, told, *_ = answer_blocks(stated)
+    assert told.text == "80 % of u^2 of K_II comes from noise of Qx."
+    _, _, told, *_ = answer_blocks(resting(2e-6))
+    assert told.text == dominance(resting(2e-6).accelerometers["Qx"])
 
 
 def test_where_noise_or_what_is_stated_decides_there_is_nothing_to_say():

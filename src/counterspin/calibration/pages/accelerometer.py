@@ -22,7 +22,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.runs_left_out import Jackknife
-from counterspin.physics.terms import is_term, mounting_of, term
+from counterspin.physics.terms import is_term, term, words_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
@@ -154,8 +154,7 @@ def _names(symbol: str) -> tuple[str, str]:
     bare, bracket, run = symbol.partition(" (")
     if not is_term(bare):
         return _SPINDLE.get(bare, (symbol, ""))
-    mounting = f" {mounting_of(bare)}" if mounting_of(bare) else ""
-    return symbol, term(bare).words + mounting + bracket + run
+    return symbol, words_of(bare) + bracket + run
 
 
 def _cells(coefficient: Coefficient) -> tuple[str, str, str]:
@@ -330,13 +329,15 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
             size = math.hypot(*(line.contribution for line in rest))
             share = sum(line.share for line in rest)
             more = f"{len(rest)} more"
-            rows.append((more, "", "", "", format_uncertainty(size * factor), format_share(share)))
-        rows.append(("combined", "", "", "", format_uncertainty(total * factor), ""))
+            found = format_uncertainty(size * factor), format_share(share)
+            rows.append((more, "", "", "", "", *found))
+        rows.append(("combined", "", "", "", "", format_uncertainty(total * factor), ""))
         yield Table(
             columns=(
                 Column("Source", wraps=True),
+                Column("Meaning", wraps=True),
                 Column("Kind"),
-                Column("Its u", "right"),
+                Column("Std. uncertainty", "right"),
                 Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
                 Column(f"Contribution, {unit}", "right", wraps=True),
                 Column("Share of u^2", "right", wraps=True),
@@ -349,6 +350,7 @@ def _budget_row(line: BudgetLine, factor: float) -> tuple[str, ...]:
     unit, source = field_unit(line.unit)
     return (
         line.source,
+        words_of(line.source),
         line.kind,
         "" if line.u is None else f"{format_number(line.u * source, 2)} {unit}",
         "" if line.sensitivity is None else format_number(line.sensitivity * factor / source),

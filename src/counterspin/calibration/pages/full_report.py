@@ -17,7 +17,7 @@ from counterspin.calibration.pages.pictures import (
 )
 from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
 from counterspin.calibration.pages.uncertainty import knowledge_blocks
-from counterspin.calibration.pages.verdict import verdict_blocks
+from counterspin.calibration.pages.verdict import verdict_tables
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.reports.blocks import Block, Heading, Picture
@@ -30,7 +30,7 @@ def document(result: Result) -> list[Block]:
     blocks = (
         *answer_blocks(result, in_g=True),
         Heading("Is it good?"),
-        *verdict_blocks(result),
+        *verdict_tables(result),
         *conformity_blocks(result),
         *_chapters(result),
         *platform_blocks(result),

@@ -15,7 +15,12 @@ from counterspin.calibration.pages.accelerometer import (
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
 from counterspin.calibration.pages.records import count_blocks, note_blocks
-from counterspin.calibration.pages.uncertainty import assumption, dominance, knowledge_blocks
+from counterspin.calibration.pages.uncertainty import (
+    assumption,
+    dominance,
+    knowledge_blocks,
+    largest_part,
+)
 from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, RunResult, State
@@ -95,7 +100,7 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
             state = accelerometer.state
             yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
-            if sentence := dominance(accelerometer):
+            if sentence := dominance(accelerometer) or largest_part(accelerometer):
                 yield Paragraph(sentence)
     if sentence := assumption(result):
         yield Paragraph(sentence)

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.budget import BudgetLine
-from counterspin.physics.terms import is_term, symbol_of, term
+from counterspin.physics.terms import words_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     field_unit,
@@ -89,9 +89,26 @@ def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     left = format_uncertainty(math.sqrt(max(square, 0.0)) * factor)
     size, known = _size(largest, 1.0), _size(largest, _KNOWN_BETTER)
     return (
-        f"{format_share(largest.share)} of u^2 of {symbol} is {largest.source}, which nothing "
-        f"states (typical {size}): stated or measured to {known}, it would leave u = {left} {unit}."
+        f"{format_share(largest.share)} of u^2 of {symbol} comes from {in_words(largest.source)}, "
+        f"which is not stated (typical {size}); stating or measuring it to {known} would leave "
+        f"u = {left} {unit}."
     )
+
+
+def in_words(source: str) -> str:
+    """Return a source of uncertainty as a sentence names it: words and symbol."""
+    words = words_of(source)
+    return f"the {words}, {source}" if words else source
+
+
+def largest_part(accelerometer: Answered, symbol: str = "K_II") -> str:
+    """Return what most of the u of a coefficient comes from, in a sentence; empty if not known."""
+    lines = accelerometer.budget.get(symbol, [])
+    if not lines:
+        return ""
+    largest = max(lines, key=lambda line: line.share)
+    words = in_words(largest.source)
+    return f"{format_share(largest.share)} of u^2 of {symbol} comes from {words}."
 
 
 def _size(line: BudgetLine, part: float) -> str:
@@ -152,13 +169,12 @@ def _shares(result: Result) -> dict[str, float]:
 
 def _row(row: Knowledge, share: float) -> tuple[str, ...]:
     unit, factor = field_unit(row.unit)
-    symbol = symbol_of(row.name)
     after = "held"
     if row.found is not None and row.u_found is not None:
         after = format_estimate(row.found * factor, row.u_found * factor, unit)
     return (
         row.name,
-        term(symbol).words if is_term(symbol) else "",
+        words_of(row.name),
         row.kind,
         format_estimate(row.value * factor, row.u * factor, unit),
         after,

@@ -8,7 +8,7 @@ from typing import Final
 from counterspin.calibration.findings import supports
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
-from counterspin.reports.blocks import Block, Paragraph
+from counterspin.reports.blocks import Block, Column, Paragraph, Table
 
 _OPENINGS: Final = {
     "good": "is good",
@@ -21,7 +21,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return in words whether an accelerometer's result is good, and why."""
     assert accelerometer.state is not None
     opening = f"{name} {_OPENINGS[accelerometer.state]}"
-    speaks_for = "; ".join(supports(accelerometer))
+    speaks_for = "; ".join(clause for _, clause in supports(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
         if more := len(accelerometer.findings) - 1:
@@ -53,6 +53,37 @@ def verdict_blocks(result: Result) -> Iterator[Block]:
         # The first of them stands in the sentence.
         for finding in accelerometer.findings[1:]:
             yield Paragraph(f"Warning: {name}: {finding_text(finding)}", "warning")
+
+
+def verdict_tables(result: Result) -> Iterator[Block]:
+    """Yield the same as `verdict_blocks` as a sentence and a table of what was checked."""
+    for name, accelerometer in result.accelerometers.items():
+        assert accelerometer.state is not None
+        found, count = accelerometer.findings, len(accelerometer.findings)
+        why = f"{count} findings, the gravest first" if found else "no check found a fault"
+        why = "1 finding" if count == 1 else why
+        yield Paragraph(
+            f"{name} {_OPENINGS[accelerometer.state]}: {why}.",
+            "plain" if accelerometer.state == "good" else "warning",
+        )
+        rows = [(_check(name, finding), finding_text(finding)) for finding in found]
+        if accelerometer.state != "contradicted":
+            rows += [
+                (_capital(check), f"{_capital(clause)}.")
+                for check, clause in supports(accelerometer)
+            ]
+        if rows:
+            yield Table((Column("Check", wraps=True), Column("Outcome", wraps=True)), tuple(rows))
+
+
+def _check(name: str, finding: Finding) -> str:
+    """Return what a finding is about, in a word or two, and of what it is."""
+    words, about = finding.code.replace("-", " "), finding.subject.removeprefix(f"{name}.")
+    return _capital(words) if about in ("", name) else f"{_capital(words)}: {about}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def misfit_blocks(result: Result) -> Iterator[Block]:
