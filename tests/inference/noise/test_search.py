@@ -9,7 +9,8 @@ from scipy.special import ndtri, stdtrit
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.noise.growth import information_lost
 from counterspin.inference.noise.model import WANTED, Differences, Noise, make_whitener
-from counterspin.inference.noise.restricted_likelihood import RecordData, RestrictedLikelihood
+from counterspin.inference.noise.reduced import RecordData
+from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
 from counterspin.inference.noise.search import KEEPING_GAIN, effective_dof, find_noise
 from counterspin.physics.simulation import bias_wander
 

@@ -16,7 +16,7 @@ from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.growth import information_lost
 from counterspin.inference.noise.model import COMPONENTS, Noise
-from counterspin.inference.noise.restricted_likelihood import RecordData
+from counterspin.inference.noise.reduced import RecordData
 from counterspin.inference.noise.search import FoundNoise, effective_dof, find_noise
 from counterspin.inference.noise.unseen_noise import lengthened
 

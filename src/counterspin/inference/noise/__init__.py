@@ -2,6 +2,7 @@
 
 - `model`, `riccati`: models of a record's noise, and whitening with them
 - `wander`: flicker and random walk of the bias
+- `reduced`, `even`: a record reduced to what the likelihood needs; an even one at rest, transformed
 - `search`, `restricted_likelihood`: the noise's size, estimated from the records
 - `growth`: what more noise takes from what a record says
 - `unseen_noise`: what noise that the records do not show may add to the uncertainty

@@ -17,35 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from counterspin.arrays import Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
-from counterspin.frozen import frozen
-from counterspin.inference.noise.model import Differences, solve_banded_factor
-from counterspin.inference.noise.wander import LowRank, Variances
+from counterspin.inference.noise.even import EvenData, EvenRecord
+from counterspin.inference.noise.reduced import DifferencedRecord, RecordData
+from counterspin.inference.noise.wander import Variances
 
 #: White noise alone.
 WHITE: Final = (1.0, 0.0, 0.0, 0.0)
 
 #: Rows less what the unknowns follow of them, below which rounding is all that is left.
 _LEAST_FREEDOM: Final = 1e-9
-
-
-@frozen
-class RecordData:
-    """One record of one observable, as noise estimation needs it."""
-
-    times: ArrayLike  #: (n,) s, increasing.
-    order: int  #: 2 displacement, 1 velocity, 0 specific force.
-    #: (n, k) columns of the unknowns that the record sees. Start offset and velocity may be left
-    #: out: differencing removes them.
-    design: ArrayLike
-    observations: ArrayLike  #: (n,).
-    #: Samples per row and the time between them, as in `make_whitener`.
-    count: ArrayLike | None = None
-    spacing: ArrayLike | None = None
-    #: (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
-    places: ArrayLike | None = None
-    before: float = 0.0  #: For how long a bias had walked when the record began, s.
-    #: (n,) or a number: a variance of each row's samples that is known, beside what is estimated.
-    added: float | Array = 0.0
 
 
 @dataclass
@@ -56,19 +36,15 @@ class RestrictedLikelihood:
     variance beside it, the unit is the noise itself, and the scale 1.
     """
 
-    differences: list[Differences]
-    stacks: list[Array]  # differenced [design | observations] of each record
-    places: list[NDArray[np.intp]]  # of each stack's columns but the last among all unknowns
+    records: list[DifferencedRecord | EvenRecord]
+    places: list[NDArray[np.intp]]  # of each record's columns among all unknowns
     prior: Array  # [rows | values]
-    orders: list[int]
-    before: list[float]
-    added: list[float | Array]
     triangles: dict[Variances, tuple[Array, float]] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls,
-        records: Sequence[RecordData],
+        records: Sequence[RecordData | EvenData],
         prior_rows: ArrayLike | None,
         prior_values: ArrayLike | None,
     ) -> RestrictedLikelihood:
@@ -77,33 +53,21 @@ class RestrictedLikelihood:
             raise ValueError("noise cannot be estimated from no records")
         if len({record.order for record in records}) > 1:
             raise ValueError("records of different observables do not share noise components")
-        differences = [Differences.of(r.times, r.order, r.count, r.spacing) for r in records]
-        rows = [
-            np.column_stack([np.asarray(r.design, float), np.asarray(r.observations, float)])
-            for r in records
-        ]
-        stacks = [d.apply(stack) for d, stack in zip(differences, rows, strict=True)]
+        rows = [np.asarray(r.design, float) for r in records]
+        reduced = [r.reduced() for r in records]
         places = [
-            np.arange(stack.shape[1] - 1) if r.places is None else np.asarray(r.places, np.intp)
-            for r, stack in zip(records, rows, strict=True)
+            np.arange(design.shape[1]) if r.places is None else np.asarray(r.places, np.intp)
+            for r, design in zip(records, rows, strict=True)
         ]
         p = 1 + max((int(place.max()) for place in places if place.size), default=-1)
         known = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
         values = np.zeros(len(known)) if prior_values is None else np.asarray(prior_values, float)
-        likelihood = cls(
-            differences,
-            stacks,
-            places,
-            np.column_stack([known, values]),
-            [record.order for record in records],
-            [record.before for record in records],
-            [record.added for record in records],
-        )
+        likelihood = cls(reduced, places, np.column_stack([known, values]))
         # What differencing leaves of a start error in the design is rounding, not an unknown.
         before, after = np.zeros(known.shape[1]), np.zeros(known.shape[1])
-        for total, part in ((before, rows), (after, stacks)):
-            for place, stack in zip(places, part, strict=True):
-                total[place] += np.square(stack[:, :-1]).sum(axis=0)
+        for total, part in ((before, rows), (after, [one.stack[:, :-1] for one in reduced])):
+            for place, design in zip(places, part, strict=True):
+                total[place] += np.square(design).sum(axis=0)
         seen = (after > 1e-28 * before) | (known != 0).any(axis=0)
         likelihood._keep(np.flatnonzero(seen))
         likelihood._keep(likelihood._independent())
@@ -118,10 +82,10 @@ class RestrictedLikelihood:
     def _keep(self, unknowns: NDArray[np.intp]) -> None:
         renamed = np.full(self.prior.shape[1] - 1, -1)
         renamed[unknowns] = np.arange(unknowns.size)
-        for index, (place, stack) in enumerate(zip(self.places, self.stacks, strict=True)):
+        for index, place in enumerate(self.places):
             kept = renamed[place] >= 0
             self.places[index] = renamed[place[kept]]
-            self.stacks[index] = np.asfortranarray(stack[:, np.append(kept, True)])
+            self.records[index] = self.records[index].with_columns(kept)
         self.prior = self.prior[:, np.append(unknowns, self.prior.shape[1] - 1)]
         self.triangles.clear()
 
@@ -137,7 +101,7 @@ class RestrictedLikelihood:
     @property
     def rows(self) -> int:
         """How many differenced rows there are."""
-        return sum(d.rows for d in self.differences)
+        return sum(record.rows for record in self.records)
 
     @property
     def evaluations(self) -> int:
@@ -145,25 +109,44 @@ class RestrictedLikelihood:
         return len(self.triangles)
 
     @property
+    def order(self) -> int:
+        """How often the observable integrates acceleration."""
+        return self.records[0].order
+
+    @property
+    def length(self) -> float:
+        """Of the longest record, s."""
+        return max(record.length for record in self.records)
+
+    @property
+    def added(self) -> list[float | Array]:
+        """What is known of each record's white variance beside what is estimated."""
+        return [record.added for record in self.records]
+
+    @property
     def least_walk(self) -> float:
         """Log of the ratio of N^2 to the white variance that the longest record cannot show."""
-        order = self.orders[0]
-        steps = np.concatenate([np.diff(d.blocks.time) for d in self.differences])
-        counts = np.concatenate([d.blocks.count for d in self.differences])
-        unit = 1 / (np.median(counts) * np.median(steps) ** (2 * order - 1))
-        longest = max(d.rows for d in self.differences)
-        return math.log(0.1 * unit * longest ** (-2.0 * order))
+        steps, counts = map(
+            np.concatenate, zip(*(record.row_steps for record in self.records), strict=True)
+        )
+        unit = 1 / (np.median(counts) * np.median(steps) ** (2 * self.order - 1))
+        return math.log(0.1 * unit * self._longest ** (-2.0 * self.order))
 
     @property
     def walk_range(self) -> float:
         """Over how much of the logarithm above that walk and white noise show beside each other."""
-        return 2.0 * self.orders[0] * math.log(max(d.rows for d in self.differences))
+        return 2.0 * self.order * math.log(self._longest)
+
+    @property
+    def _longest(self) -> int:
+        return max(record.rows for record in self.records)
 
     def without_added(self) -> RestrictedLikelihood:
         """Return the likelihood with all of the samples' white variance to be estimated."""
         if not any(map(np.any, self.added)):
             return self
-        return replace(self, added=[0.0] * len(self.added), triangles={})
+        records = [record.without_added() for record in self.records]
+        return replace(self, records=records, triangles={})
 
     def value(self, log_scale: float, unit: Variances) -> float:
         """Restricted log-likelihood, but for a constant of the records."""
@@ -219,25 +202,13 @@ class RestrictedLikelihood:
         data = self._triangle(unit)[0] * math.exp(-log_scale / 2)
         return (triangle_of(np.vstack([data, self.prior])) if len(self.prior) else data), data
 
-    def _whitened(self, index: int, unit: Variances) -> tuple[Array, float]:
-        """Return a record's whitened rows at unit scale, and the log-determinant of their noise."""
-        differences, stack = self.differences[index], self.stacks[index]
-        bands, log_det = differences.factor(unit[0] + self.added[index], unit[1])
-        rows = solve_banded_factor(bands, stack)
-        if not any(unit[2:]):
-            return rows, log_det
-        beside = float(unit[0] + np.mean(self.added[index]))
-        shown, *_ = differences.wander(self.orders[index], (beside, *unit[1:]), self.before[index])
-        wander = LowRank.of(solve_banded_factor(bands, shown))
-        return wander.apply(rows), log_det + wander.log_det
-
     def _triangle(self, unit: Variances) -> tuple[Array, float]:
         """Triangle of the whitened rows at unit scale, and the log-determinant of their noise."""
         if unit not in self.triangles:
             width = self.prior.shape[1]
             log_det, parts = 0.0, [np.zeros((width, width))]
-            for index, place in enumerate(self.places):
-                rows, part = self._whitened(index, unit)
+            for record, place in zip(self.records, self.places, strict=True):
+                rows, part = record.whitened(unit)
                 log_det += part
                 own = triangle_of(in_parts(rows))
                 whole = np.zeros((own.shape[0], width))

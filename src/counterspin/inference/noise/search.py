@@ -29,11 +29,8 @@ from numpy.typing import ArrayLike
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import COMPONENTS, Noise
-from counterspin.inference.noise.restricted_likelihood import (
-    WHITE,
-    RecordData,
-    RestrictedLikelihood,
-)
+from counterspin.inference.noise.reduced import RecordData
+from counterspin.inference.noise.restricted_likelihood import WHITE, RestrictedLikelihood
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
 from counterspin.inference.noise.wander import Variances
 
@@ -317,9 +314,8 @@ def _first_guess(
         white = max(total - added, 0.1 * total)
     if base is None and "random_walk" in noise.wanted:
         walk = (white + added) * math.exp(likelihood.least_walk + _DETECTION_LOG_RATIO)
-    order = likelihood.orders[0]
-    w = 2.0 * math.pi * _ONSET_RATIO / max(float(d.blocks.time[-1]) for d in likelihood.differences)
-    spacing = float(np.median(likelihood.differences[0].spacing))
+    order, spacing = likelihood.order, likelihood.records[0].spacing
+    w = 2.0 * math.pi * _ONSET_RATIO / likelihood.length
     density = max(white + added, 1e-30) * spacing * w ** (2 * order) + walk
     return white, walk or 0.1 * density, density * w, density * w**2
 

@@ -132,32 +132,20 @@ def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
     return project @ flicker @ project.T, project @ walk @ project.T
 
 
-def coefficient_root(variances: Variances, count: int, length: float, before: float) -> Array:
-    """Return a square root of the cosines' covariance, shape (count, count).
+def coefficient_covariance(variances: Variances, count: int, length: float, before: float) -> Array:
+    """Return the cosines' covariance, shape (count, count).
 
     before: For how long the bias had walked when the record began, s.
     """
-    roots = _unit_roots(count, length, before)
-    # Of one kind alone the root is that of unit size; a search asks for it again and again.
-    if 0.0 in variances[2:]:
-        return math.sqrt(variances[2]) * roots[0] + math.sqrt(variances[3]) * roots[1]
     flicker, walk = _coefficient_covariances(count, length)
-    covariance = variances[2] * flicker + variances[3] * walk
+    covariance: Array = variances[2] * flicker + variances[3] * walk
     covariance[0, 0] += variances[3] * before
-    return _root(covariance)
+    return covariance
 
 
-@lru_cache(maxsize=256)
-def _unit_roots(count: int, length: float, before: float) -> tuple[Array, Array]:
-    """Return `coefficient_root` for B = 1 alone and for K = 1 alone."""
-    flicker, walk = _coefficient_covariances(count, length)
-    begun = walk.copy()
-    begun[0, 0] += before
-    return _root(flicker), _root(begun)
-
-
-def _root(covariance: Array) -> Array:
-    values, vectors = np.linalg.eigh(covariance)
+def coefficient_root(variances: Variances, count: int, length: float, before: float) -> Array:
+    """Return a square root of `coefficient_covariance`."""
+    values, vectors = np.linalg.eigh(coefficient_covariance(variances, count, length, before))
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
 

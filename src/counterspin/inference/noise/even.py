@@ -1,0 +1,196 @@
+"""An evenly sampled record at rest, as its cosine transform: nearly one row, one variance.
+
+The transform of type II is that of a record continued by its mirror image. White noise is exactly
+independent in it from row to row, and so is a random walk whose mean is unknown: its steps' inverse
+covariance has just these vectors (Strang, SIAM Review 41 (1999) 135). Flicker lies between the two:
+its slowest `_DEPENDENT` rows have their covariance, the others are less than 0.5 % correlated in
+all. What is white in a velocity or a displacement is differences of white noise here, independent
+but for the first and last `order` rows: those are given up, each an unknown of its own.
+
+The fast rows have variances that change little from one to the next, so that the triangle of a
+group says all that the group does: a hundred thousand rows cost what three thousand cost.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
+from counterspin.inference.noise.wander import Variances, flicker_autocovariance
+
+#: Slowest rows whose covariance under flicker is taken as it is.
+_DEPENDENT: Final = 64
+
+#: Points on which that covariance is computed, at most: 32 on the shortest of these waves.
+_POINTS: Final = 2048
+
+#: Rows beyond which neighbours within this part of their number are one group.
+_SINGLE: Final = 2000
+_GROUP_PART: Final = 0.02
+
+
+@frozen(eq=False)
+class EvenData:
+    """A record at rest: means of the specific force from sample to sample."""
+
+    step: float  #: s.
+    order: int  #: How often the recorded observable integrates acceleration.
+    design: Array  #: (n, k) columns of unknowns; not their common constant.
+    observations: Array  #: (n,) m/s^2: differences of that order, over step^order.
+    places: NDArray[np.intp]  #: (k,) of the columns among the unknowns of all records.
+
+    @classmethod
+    def of(cls, values: Array, step: float, order: int, slow: Array, first: int) -> EvenData:
+        """Return a record of an observable without gaps.
+
+        values: (n,) as recorded, SI.
+        slow: (n - order, k) columns of what all records share, of the specific force.
+        first: Number that this record's own unknowns begin with.
+        """
+        force = np.diff(values, n=order) / step**order
+        ends = np.zeros((force.size, 2 * order))
+        for place in range(order):
+            ends[place, place] = ends[-1 - place, order + place] = 1.0
+        places = [*range(slow.shape[1]), *range(first, first + 2 * order)]
+        return cls(step, order, np.column_stack([slow, ends]), force, np.array(places, np.intp))
+
+    def reduced(self) -> EvenRecord:
+        """Return its transform."""
+        from scipy.fft import dct
+
+        n = self.observations.size
+        rows = np.column_stack([self.design, self.observations])
+        rows = dct(rows, type=2, norm="ortho", axis=0)[1:]
+        parts = _parts(np.arange(1.0, n), n, self.step, self.order)
+        edges = [min(n - 1, _SINGLE)]
+        while edges[-1] < n - 1:
+            edges.append(min(n - 1, math.ceil(edges[-1] * (1.0 + _GROUP_PART))))
+        stack, variances = [rows[: edges[0]]], [parts[:, : edges[0]]]
+        for begin, end in pairwise(edges):
+            own = triangle_of(rows[begin:end])
+            stack.append(own)
+            variances.append(np.repeat(parts[:, begin:end].mean(axis=1)[:, None], len(own), axis=1))
+        counts = np.append(np.ones(edges[0]), np.diff(edges).astype(float))
+        first = np.cumsum([0, edges[0], *map(len, stack[1:])])[1:-1]
+        places = np.append(np.arange(edges[0]), first).astype(np.intp)
+        return EvenRecord(
+            self.step,
+            self.order,
+            n,
+            np.concatenate(stack),
+            np.concatenate(variances, axis=1),
+            counts,
+            places,
+        )
+
+
+@frozen(eq=False)
+class EvenRecord:
+    """Rows of the cosine transform, the fast ones in groups."""
+
+    step: float  #: s.
+    order: int
+    samples: int  #: Of the specific force.
+    stack: Array  #: [design | observations], (m, k + 1).
+    parts: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
+    counts: Array  #: How many rows of the transform each group has, (g,).
+    places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
+    before: float = 0.0
+    added: float = 0.0
+
+    @property
+    def rows(self) -> int:
+        """How many the transform has beside the mean."""
+        return self.samples - 1
+
+    @property
+    def length(self) -> float:
+        """Of the record, s."""
+        return self.samples * self.step
+
+    @property
+    def spacing(self) -> float:
+        """Time between samples, s."""
+        return self.step
+
+    @property
+    def row_steps(self) -> tuple[Array, Array]:
+        """Time from sample to sample, s, and one sample a row."""
+        return np.array([self.step]), np.ones(1)
+
+    def with_columns(self, kept: NDArray[np.bool_]) -> EvenRecord:
+        """Return it with some of the columns of its design."""
+        return replace(self, stack=np.asfortranarray(self.stack[:, np.append(kept, True)]))
+
+    def without_added(self) -> EvenRecord:
+        """Return itself: nothing is known beside what is estimated."""
+        return self
+
+    def whitened(self, unit: Variances) -> tuple[Array, float]:
+        """Return whitened rows, and the log-determinant of their covariance."""
+        variance = np.asarray(unit) @ self.parts
+        rows = self.stack / np.sqrt(variance)[:, None]
+        log_det = float(self.counts @ np.log(variance[self.places]))
+        if unit[2] > 0.0:
+            slow = slice(0, min(_DEPENDENT, self.rows))
+            inside = unit[2] * flicker_of_waves(self.samples, self.order)
+            inside.flat[:: len(inside) + 1] = variance[slow]
+            factor = np.linalg.cholesky(inside)
+            rows[slow] = np.linalg.solve(factor, self.stack[slow])
+            log_det += 2.0 * float(np.log(np.diagonal(factor)).sum())
+            log_det -= float(np.log(variance[slow]).sum())
+        return rows, log_det
+
+
+def _parts(k: Array, n: int, step: float, order: int) -> Array:
+    """Return the variance of each row of the transform per unit of each of `COMPONENTS`.
+
+    k: Number of each row, from 1, shape (m,).
+    n: Samples of the specific force.
+    Returns: (4, m).
+    """
+    angle = math.pi * k / n
+    wave = 4.0 * np.sin(angle / 2.0) ** 2
+    once = (2.0 + np.cos(angle)) / 3.0
+    twice = 11.0 / 20.0 + 13.0 / 30.0 * np.cos(angle) + np.cos(2.0 * angle) / 60.0
+    white = (wave / step**2) ** order
+    velocity_walk = (once if order == 2 else np.ones(k.size)) / step
+    flicker = n / (math.pi * k) * _shown(k, n, order) ** 2
+    slow = slice(0, min(_DEPENDENT, k.size))
+    flicker[slow] = np.diagonal(flicker_of_waves(n, order))
+    bias_walk = step / wave * [np.ones(k.size), once, twice][order]
+    return np.stack([white, velocity_walk, flicker, bias_walk])
+
+
+def _shown(k: Array, n: int, order: int) -> Array:
+    """Return which part of a wave shows in means over a step (velocity), or a triangle of two."""
+    return np.asarray(np.sinc(k / (2.0 * n)) ** order)
+
+
+def flicker_of_waves(n: int, order: int) -> Array:
+    """Return the covariance of the slowest rows of the transform of n samples, for B = 1."""
+    covariance = _flicker_covariance(min(n, _POINTS))
+    shown = _shown(np.arange(1.0, len(covariance) + 1.0), n, order)
+    return (n / min(n, _POINTS)) * shown[:, None] * covariance * shown
+
+
+@lru_cache(maxsize=64)
+def _flicker_covariance(points: int) -> Array:
+    from scipy.fft import dct
+
+    lags = np.arange(points, dtype=float)
+    # Slower flicker than this shows as the mean, which is unknown.
+    lag = flicker_autocovariance(lags, 1e-3 / points, 0.5)
+    index = np.arange(points)
+    rows = min(_DEPENDENT, points - 1)
+    half = dct(lag[np.abs(index[:, None] - index)], type=2, norm="ortho", axis=0)[1 : rows + 1]
+    covariance: Array = dct(half, type=2, norm="ortho", axis=1)[:, 1 : rows + 1]
+    return covariance
