@@ -54,6 +54,7 @@ from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
+from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
 
 
@@ -156,6 +157,11 @@ def _accelerometer(
         symbol: coefficient(estimated, view.assessment, index)
         for symbol, index in view.places.items()
     }
+    budgets = {
+        symbol: budget(estimated.fit, index, name)
+        for symbol, index in view.places.items()
+        if own[symbol].estimated
+    }
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
         coefficients={
@@ -167,11 +173,8 @@ def _accelerometer(
         confounded=confounded(view),
         residual=residual(kinds.judged),
         noise=noise_lines(view),
-        budget={
-            symbol: budget(estimated.fit, index, name)
-            for symbol, index in view.places.items()
-            if own[symbol].estimated
-        },
+        budget=budgets,
+        what_if=what_if(estimated.fit, view.places, budgets, name),
         jackknife=view.jackknife(),
         two_stage=compare(view, observed) if observed else None,
         traces=traces(view, observed),

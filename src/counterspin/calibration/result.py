@@ -378,6 +378,8 @@ def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
             yield f"{name} without {left_out.run} has {left_out.dof} degrees of freedom"
     if accelerometer.correlation:
         yield from _matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
+    if accelerometer.what_if is not None and not accelerometer.what_if.is_whole:
+        yield f"the matrices of what_if of {name} are not those of its names"
     for run, trace in accelerometer.traces.items():
         quantiles = trace.quantiles.normal if trace.quantiles else []
         if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):

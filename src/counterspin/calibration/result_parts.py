@@ -19,6 +19,7 @@ from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, Kind
 from counterspin.inference.joint.runs_left_out import Jackknife
+from counterspin.inference.joint.what_if import WhatIf
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 
@@ -294,6 +295,9 @@ class AccelerometerResult(ResultPart):
     residual: Residual  #: How well the model fits.
     noise: dict[str, NoiseLine] = {}  #: By component: the noise that was used.
     budget: dict[str, list[BudgetLine]] = {}  #: By term: where the uncertainty comes from.
+    #: What an update of the uncertainties needs if something were known better; None where nothing
+    #: that counts could be.
+    what_if: WhatIf | None = None
     #: What the two-stage method estimated beside K_II and K_F.
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []  #: K_II with each run left out, joint method.

@@ -41,6 +41,7 @@ from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
+from counterspin.inference.joint.what_if import what_if
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
@@ -86,6 +87,12 @@ def two_stage(
     others = [s for s in campaign.model.terms if s in OWN_TERMS and s not in unknowns]
     known = {symbol: _known(accelerometer, symbol) for symbol in others}
     coefficients = {**unknowns, **known}
+    places = {
+        unknown.symbol: index
+        for index, unknown in enumerate(model.unknowns)
+        if coefficients[unknown.symbol].estimated
+    }
+    budgets = {symbol: budget(second.fit, index, name) for symbol, index in places.items()}
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
@@ -93,11 +100,8 @@ def two_stage(
         confounded=[*confounded(view), *sums_of_alike(view, second, coefficients)],
         residual=_residual(second.parabolas, view.estimate.components.get(name)),
         noise=_noise_lines(second.parabolas, view),
-        budget={
-            unknown.symbol: budget(second.fit, index, name)
-            for index, unknown in enumerate(model.unknowns)
-            if coefficients[unknown.symbol].estimated
-        },
+        budget=budgets,
+        what_if=what_if(second.fit, places, budgets, name),
         findings=[
             *findings(view, second, coefficients, options.model),
             *incredible(campaign, name, {**coefficients, "K_I": _shown_by_waves(records)}),

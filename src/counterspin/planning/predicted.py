@@ -18,6 +18,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.budget import budget
+from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.faults import faults_of, mean_square, square
@@ -94,13 +95,15 @@ def _accelerometer(prediction: Forecast, name: str, own: Mapping[str, int]) -> P
     others = [f"{other}." for other in campaign.accelerometers if other != name]
     determined = "K_II" in coefficients and coefficients["K_II"].estimated
     share, faults = _faults(prediction, name, own["K_II"]) if determined else (None, None)
+    budgets = {
+        symbol: budget(prediction.fit, index, name)
+        for symbol, index in own.items()
+        if coefficients[symbol].estimated
+    }
     return PlannedAccelerometer(
         coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
-        budget={
-            symbol: budget(prediction.fit, index, name)
-            for symbol, index in own.items()
-            if coefficients[symbol].estimated
-        },
+        budget=budgets,
+        what_if=what_if(prediction.fit, own, budgets, name),
         confounded=[
             replace(item.of(name), value=None)
             for item in prediction.assessment.confounded

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal
 from counterspin.calibration.result_parts import Provenance
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.what_if import WhatIf
 from counterspin.reports.shown import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
 
@@ -84,6 +85,7 @@ class PlannedAccelerometer(ResultPart):
 
     coefficients: dict[str, Predicted]
     budget: dict[str, list[BudgetLine]]
+    what_if: WhatIf | None = None
     confounded: list[ConfoundedTerms]
     harmonic_share: float | None = None
     faults: list[FaultEffect] | None = None

@@ -35,7 +35,17 @@ def resting(unstated, noise=1e-7, **more):
     u = math.hypot(unstated, noise)
     lines = [line("K_OO", "unstated", unstated, u), line("noise of Qx", "noise", noise, u)]
     k_ii = coefficient(2.7e-5, u, "g/g^2", u_noise=noise, u_stated=0.0, u_unstated=unstated)
-    found = result(coefficients={"K_II": k_ii}, budget={"K_II": lines}, correlation=None)
+    square = unstated**2
+    update = {
+        "names": ["K_II", "K_OO"],
+        "units": ["g/g^2", "g/g^2"],
+        "known": {"K_OO": unstated},
+        # The data say nothing of K_OO, which K_II takes up whole.
+        "weighed": [[u**2, -square], [-square, square]],
+    }
+    found = result(
+        coefficients={"K_II": k_ii}, budget={"K_II": lines}, correlation=None, what_if=update
+    )
     return found.model_copy(update=more)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Protocol
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.what_if import WhatIf
 from counterspin.physics.terms import words_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
@@ -23,7 +23,7 @@ from counterspin.reports.numbers import (
 _MOST: Final = 0.5
 
 #: How much better than its typical size something is taken to be known once it is stated.
-_KNOWN_BETTER: Final = 0.1
+KNOWN_BETTER: Final = 0.1
 
 #: Sources below this part of any u^2 are not in the table.
 _LEAST_SHARE: Final = 1e-3
@@ -59,6 +59,10 @@ class Answered(Protocol):
     def budget(self) -> Mapping[str, Sequence[BudgetLine]]:
         """By symbol."""
 
+    @property
+    def what_if(self) -> WhatIf | None:
+        """What an update of the uncertainties needs."""
+
 
 class Assuming(Protocol):
     """A result, or a plan."""
@@ -84,13 +88,18 @@ def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     if sum(line.share for line in unstated) < _MOST:
         return ""
     largest = max(unstated, key=lambda line: line.share)
-    unit, factor = field_unit(coefficient.unit)
-    square = coefficient.u**2 - largest.contribution**2 * (1.0 - _KNOWN_BETTER**2)
-    left = format_uncertainty(math.sqrt(max(square, 0.0)) * factor)
-    size, known = _size(largest, 1.0), _size(largest, _KNOWN_BETTER)
-    return (
+    said = (
         f"{format_share(largest.share)} of u^2 of {symbol} comes from {in_words(largest.source)}, "
-        f"which is not stated (typical {size}); stating or measuring it to {known} would leave "
+        f"which is not stated (typical {_size(largest, 1.0)})"
+    )
+    update = accelerometer.what_if
+    if update is None or largest.source not in update.known:
+        return f"{said}."
+    known = KNOWN_BETTER * update.known[largest.source]
+    unit, factor = field_unit(coefficient.unit)
+    left = format_uncertainty(update.u(symbol, {largest.source: known}) * factor)
+    return (
+        f"{said}; stating or measuring it to {_size(largest, KNOWN_BETTER)} would leave "
         f"u = {left} {unit}."
     )
 

@@ -10,7 +10,8 @@
 - `found_noise`: noise found in the records, and what its own uncertainty leaves open
 - `rotation`: how runs without angles turned
 - `condensed`: what nobody asks for, in as few columns as the records can tell from nothing
-- `budget`: where the uncertainty of a coefficient comes from
+- `budget`, `what_if`: where the uncertainty of a coefficient comes from, and what it would be if
+  that were known better
 - `kinds`: whether data of several kinds agree; `runs_left_out`: what becomes of an estimate
   without a run
 - `relaxed`, `alternatives`, `mistakes`: what is assumed taken as unknown; what else would explain

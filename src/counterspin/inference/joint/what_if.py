@@ -1,0 +1,124 @@
+"""What uncertainties would be if something were known better or worse: an update, not a refit.
+
+Let A be the covariance that the weights minimise, and D the changes of 1/u^2 of what is known
+beforehand of the sources J. The estimates then become M times what they were, with
+M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes M A (the information form of a sequential update,
+Bierman 1977, chapter V). What is beside the weights, of held terms and of noise that does not show,
+goes through the same gain: E becomes M E M^T. The noise stays as it was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.fit import JointFit
+
+#: Sources below this share of any u^2 are not asked about, nor more of them than a page has room
+#: for.
+_LEAST_SHARE: Final = 1e-3
+_MOST: Final = 12
+
+#: What is beside the weights, below this part of a variance, is rounding.
+_ROUNDING: Final = 1e-9
+
+
+@frozen
+class WhatIf:
+    """What the uncertainties of coefficients depend on, as far as an update of them needs it."""
+
+    names: list[str]  #: Coefficients and sources, named as in a budget.
+    units: list[str]  #: Of each: SI, or g-units.
+    #: By source: its standard uncertainty beforehand; what is not there has none that can change.
+    known: dict[str, float]
+    #: The covariance that the weights minimise, rows and columns as `names`.
+    weighed: list[list[float]]
+    #: What held terms and noise that does not show add to it; empty: nothing.
+    beside: list[list[float]] = field(default_factory=list)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether names, units and matrices belong together, as those of a file may not."""
+        names = set(self.names)
+        matrices = (self.weighed, self.beside or self.weighed)
+        return (
+            len(names) == len(self.names) == len(self.units)
+            and self.known.keys() <= names
+            and all(0.0 < u < math.inf for u in self.known.values())
+            and all(len(m) == len(names) == len(r) for m in matrices for r in m)
+            and all(math.isfinite(value) for m in matrices for row in m for value in row)
+        )
+
+    def u(self, name: str, known: Mapping[str, float]) -> float:
+        """Return the standard uncertainty of a coefficient if sources were known so well.
+
+        known: By source its standard uncertainty beforehand, above 0; others stay as they are.
+        """
+        if unknown := [source for source in known if source not in self.known]:
+            raise ValueError(f"nothing is known beforehand of {', '.join(unknown)}")
+        if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
+            raise ValueError("a standard uncertainty is a number above 0")
+        least = np.array(self.weighed)
+        beside = np.array(self.beside) if self.beside else np.zeros_like(least)
+        here = [self.names.index(source) for source in known]
+        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in known.items()])
+        inner = np.eye(len(here)) + least[np.ix_(here, here)] @ change
+        moved = np.eye(len(least))
+        moved[:, here] -= least[:, here] @ change @ np.linalg.inv(inner)
+        place = self.names.index(name)
+        row = moved[place]
+        variance = float(row @ least[:, place] + row @ beside @ row)
+        return math.sqrt(max(variance, 0.0))
+
+
+def what_if(
+    fit: JointFit, places: Mapping[str, int], budget: Mapping[str, Sequence[BudgetLine]], owner: str
+) -> WhatIf | None:
+    """Return what an update of coefficients needs; None where nothing that counts could change.
+
+    places: Coefficient -> its place among the unknowns.
+    budget: Coefficient -> its budget.
+    owner: Accelerometer, whose own terms are named without it.
+    """
+    shares: dict[str, float] = {}
+    for line in (line for lines in budget.values() for line in lines):
+        shares[line.source] = max(shares.get(line.source, 0.0), line.share)
+    unknowns = fit.model.unknowns
+    named = {u.name.removeprefix(f"{owner}."): place for place, u in enumerate(unknowns)}
+    sources = [
+        source
+        for source, share in sorted(shares.items(), key=lambda item: -item[1])
+        if share >= _LEAST_SHARE
+        and source in named
+        # What is exactly known would have to become uncertain first.
+        and 0.0 < unknowns[named[source]].prior[1] < math.inf
+    ][:_MOST]
+    if not sources:
+        return None
+    names = list(dict.fromkeys([*(symbol for symbol in places if symbol in budget), *sources]))
+    here = [named[name] for name in names]
+    rows = np.zeros((len(here), len(unknowns)))
+    rows[np.arange(len(here)), here] = 1.0
+    # From the factors: what the weights take the covariance for, whatever the noise turned out.
+    root = fit.solution.root_of(rows)
+    weighed = root @ root.T
+    beside = fit.solution.covariance[np.ix_(here, here)] - weighed
+    return WhatIf(
+        names=names,
+        units=[unknowns[place].unit for place in here],
+        known={source: unknowns[named[source]].prior[1] for source in sources},
+        weighed=weighed.tolist(),
+        beside=beside.tolist() if _counts(beside, weighed) else [],
+    )
+
+
+def _counts(beside: Array, weighed: Array) -> bool:
+    size = np.sqrt(np.diag(weighed))
+    return bool(np.max(np.abs(beside) / np.outer(size, size)) > _ROUNDING)

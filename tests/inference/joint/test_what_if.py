@@ -1,0 +1,88 @@
+"""What is known better, as an update, beside the whole problem solved again with another prior."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.inference.blocks import Block
+from counterspin.inference.joint.budget import budget
+from counterspin.inference.joint.fit import JointFit, solve_blocks
+from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
+from counterspin.inference.joint.what_if import what_if
+
+#: Priors such that the data tell much of some and next to nothing of others.
+PRIORS = {"K_F": math.inf, "K_II": math.inf, "K_OO": 2e-6, "K_PP": 1e-6, "K_4": 1e-9}
+
+
+def fit_of(priors, held=()):
+    """A fit of 40 rows in which K_OO looks nearly like K_II, and K_4 moves everything a little."""
+    rng = np.random.default_rng(5)
+    names = [name for name in priors if name not in held]
+    columns = {name: rng.normal(size=40) for name in ("K_F", "K_II", "K_PP", "K_4")}
+    columns["K_OO"] = columns["K_II"] + 1e-2 * rng.normal(size=40)
+    scale = {"K_F": 1e6, "K_II": 1e6, "K_OO": 1e6, "K_PP": 1e6, "K_4": 1e9}
+    factor = np.column_stack([scale[name] * columns[name] for name in names])
+    fixed = np.column_stack([scale[name] * columns[name] for name in held] or [np.empty((40, 0))])
+    block = Block(factor, rng.normal(size=40), fixed, 0.0, 40, 0)
+    model = Unknowns(
+        tuple(
+            Unknown("Qx", name, (0.0, priors[name]), 1e-3, name in ("K_F", "K_II"))
+            for name in names
+        ),
+        tuple(Considered("Qx", name, (0.0, priors[name]), 1e-3) for name in held),
+    )
+    return JointFit(model, solve_blocks([block], model), (), (), {}, beside={"rows": block})
+
+
+def asked(fit):
+    places = {"K_F": 0, "K_II": 1}
+    return what_if(fit, places, {k: budget(fit, place, "Qx") for k, place in places.items()}, "Qx")
+
+
+@pytest.mark.parametrize("held", [(), ("K_PP",)])
+@pytest.mark.parametrize(
+    "known", [{"K_OO": 2e-7}, {"K_OO": 1e-5}, {"K_4": 1e-12}, {"K_OO": 3e-8, "K_4": 5e-9}]
+)
+def test_an_update_is_the_fit_with_another_prior(known, held):
+    found = asked(fit_of(PRIORS, held))
+    again = fit_of(PRIORS | known, held)
+    for place, name in enumerate(("K_F", "K_II")):
+        assert found.u(name, known) == pytest.approx(float(again.solution.u[place]), rel=1e-9)
+    assert found.u("K_II", {}) == pytest.approx(float(fit_of(PRIORS, held).solution.u[1]), rel=1e-9)
+
+
+def test_the_squares_of_a_budget_s_lines_would_not_do():
+    """What the data determine in part weighs less once it is known: 8 % less u here."""
+    fit = fit_of(PRIORS)
+    found, u = asked(fit), float(fit.solution.u[1])
+    (line,) = (line for line in budget(fit, 1, "Qx") if line.source == "K_OO")
+    naive = math.sqrt(u**2 - line.contribution**2 * (1.0 - 0.3**2))
+    assert naive > 1.05 * found.u("K_II", {"K_OO": 0.3 * PRIORS["K_OO"]})
+
+
+def test_noise_that_does_not_show_follows_the_update():
+    """Its gain changes with the weights: as of a considered term with the same column."""
+    held = fit_of(PRIORS, ("K_PP",))
+    column = held.solution.sensitivity_considered[:, 0] * PRIORS["K_PP"]
+    plain = fit_of({k: v for k, v in PRIORS.items() if k != "K_PP"})
+    # The same rows: K_PP's column is drawn before K_4's.
+    solution = dataclasses.replace(plain.solution, covariance_unseen=np.outer(column, column))
+    seen = dataclasses.replace(plain, solution=solution)
+    expected = asked(held).u("K_II", {"K_OO": 1e-7})
+    assert asked(seen).u("K_II", {"K_OO": 1e-7}) == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_nothing_is_known_of_cannot_be_changed():
+    found = asked(fit_of(PRIORS))
+    assert set(found.known) <= {"K_OO", "K_PP", "K_4"}
+    with pytest.raises(ValueError, match="K_F"):
+        found.u("K_II", {"K_F": 1e-6})
+    with pytest.raises(ValueError, match="above 0"):
+        found.u("K_II", {"K_OO": 0.0})
+
+
+def test_without_anything_that_counts_there_is_no_question():
+    fit = fit_of({"K_F": math.inf, "K_II": math.inf})
+    assert asked(fit) is None
