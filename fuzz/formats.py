@@ -42,7 +42,8 @@ from counterspin.campaign.simulation import simulate
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import read_lab
-from counterspin.certificates.signature import read_signer, sign
+from counterspin.certificates.signature import sign
+from counterspin.certificates.signers import read_signer
 from counterspin.cli import main
 from counterspin.correction.apply import apply
 from counterspin.errors import RecordError

@@ -17,14 +17,18 @@ import hashlib
 import json
 import os
 import shutil
+from base64 import b64encode
 from importlib.resources import files
 from pathlib import Path
 from random import Random
 from typing import Any
 from urllib.parse import quote, urlencode
 
+import signing_keys
+from cryptography.hazmat.primitives.asymmetric import ec
 from served import ANSWERS, write_folder
 
+import certificates
 from counterspin.application import server
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import FILES, SESSION, TICKETS
@@ -128,6 +132,7 @@ NAMES: tuple[str, ...] = (
 )
 
 _FORM = "application/json"
+_CURVE = ec.SECP256R1()
 
 #: Stands in a request for a ticket, which is issued when it is asked.
 TICKET = "TICKET"
@@ -147,6 +152,8 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
     run = {"name": "three", "run": "slow"}
     files = ["exports/slow.csv", "exports/fast.csv"]
     rate = ["runs", 0, "rate"]
+    signer = (folder / "signer.pem").read_bytes()
+    key = {"name": "signer.pem", "content": b64encode(signer).decode()}
     asked: dict[str, tuple[str, str, Any]] = {
         "session": ("POST", SESSION, {"token": TOKEN}),
         "ticket": ("GET", f"{TICKETS}{TICKET}", {}),
@@ -216,7 +223,9 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST drafted": [{"folder": "new", "names": files, "answers": ANSWERS}],
         "POST certificate": [
             {"result": result, "lab": "LAB.toml", "output": "three/certificate.xml"},
-            {"result": result, "lab": "LAB.toml", "output": "new.pdf"},
+            {"result": result, "lab": "LAB.toml", "output": "new.pdf", "both": True},
+            {"result": result, "lab": "LAB.toml", "output": "new.xml", "signing": {"key": key}},
+            {"result": result, "lab": "own.toml", "output": "new.xml", "signing": {"key": key}},
             {"result": result, "lab": "odd/LAB.toml", "output": "new.xml"},
         ],
         "GET file": [{"name": result}, {"name": "PLAN.toml"}],
@@ -535,6 +544,9 @@ def write_served(folder: Path) -> None:
         shutil.copy(folder / "three" / name, folder / "exports" / name)
     init(folder / "tumble", "tumble")
     write_lab(folder / "LAB.toml")
+    certificates.write_own(folder / "own.toml")
+    key, cert = signing_keys.write_pair(folder.parent / "k", ec.derive_private_key(1, _CURVE))
+    (folder / "signer.pem").write_bytes(key.read_bytes() + cert.read_bytes())
     text = (files("counterspin.planning") / "starter.toml").read_text("utf-8")
     (folder / "PLAN.toml").write_text(text.replace("runs = 14", "runs = 2"), encoding="utf-8")
     write_odd(folder)

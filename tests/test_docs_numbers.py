@@ -23,7 +23,7 @@ from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
 from counterspin.campaign import simulable
 from counterspin.campaign.kinds import exact
-from counterspin.certificates import coverage, signature
+from counterspin.certificates import coverage, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared
 from counterspin.inference import conformity, diagnostics
@@ -136,8 +136,8 @@ ROWS = {
         ("rounded to {} decimal places", coverage._FACTOR_DECIMALS),
         (
             "RSA keys have at least {} bits, elliptic curves {};",
-            signature._RSA_BITS,
-            signature._CURVE_BITS,
+            signers._RSA_BITS,
+            signers._CURVE_BITS,
         ),
     ],
     "compare": [("the same within {}, or", rerun.LIMIT)],

@@ -1,9 +1,17 @@
 """From a result to a certificate, by the page."""
 
-import pytest
+import shlex
+import sys
+from base64 import b64encode
 
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from signing_keys import write_pair, write_pkcs12
+
+from certificates import write_own
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import write_example
+from counterspin.certificates.signers import command_signer
 
 SAID = {"result": "three/result.json", "lab": "LAB.toml", "output": "three/certificate.xml"}
 
@@ -20,6 +28,7 @@ def test_a_certificate_is_issued_once_and_can_be_taken_away(with_lab, folder):
     assert with_lab.get("/api/folder").json()["labs"] == ["LAB.toml"]
     made = with_lab.post("/api/certificate", json=SAID).json()
     assert made["accelerometers"] == ["Qx", "Qy"]
+    assert made["files"] == ["three/certificate.xml"]
     assert any("example" in note for note in made["notes"])
     certified = check_certificate(folder / "three" / "certificate.xml").certified
     assert certified.identifier == made["identifier"]
@@ -46,6 +55,110 @@ def test_what_cannot_be_certified_leaves_nothing(with_lab, folder, change, statu
     before = sorted(folder.rglob("*"))
     assert with_lab.post("/api/certificate", json=SAID | change).status_code == status
     assert sorted(folder.rglob("*")) == before
+
+
+PASSWORD = "vy secret"
+
+
+@pytest.fixture
+def with_own_lab(page, folder):
+    """Return the page of a folder whose laboratory is no example's."""
+    write_own(folder / "LAB.toml")
+    return page
+
+
+def brought(path):
+    return {"name": path.name, "content": b64encode(path.read_bytes()).decode()}
+
+
+@pytest.mark.parametrize("write", [write_pair, write_pkcs12])
+def test_a_key_signs_both_files_and_leaves_nothing_of_itself(
+    with_own_lab, folder, tmp_path, caplog, capfd, write
+):
+    key, cert = write(tmp_path / "k", ec.generate_private_key(ec.SECP256R1()), PASSWORD.encode())
+    before = set(folder.rglob("*"))
+    signing = {"key": brought(key), "password": PASSWORD}
+    if write is write_pair:
+        signing["certificate"] = brought(cert)
+    made = with_own_lab.post("/api/certificate", json=SAID | {"both": True, "signing": signing})
+    assert made.status_code == 200, made.json()
+    told = made.json()
+    assert told["files"] == ["three/certificate.xml", "three/certificate.pdf"]
+    for name in told["files"]:
+        assert check_certificate(folder / name, cert=cert).signature == "valid"
+    assert check_certificate(folder / told["files"][1], cert=cert).pages == "valid"
+    # The command names files as the page knew them, and no password.
+    own = [f"--cert={cert.name}"] if write is write_pair else []
+    assert shlex.split(told["command"])[6:] == ["--both", f"--key={key.name}", *own]
+    written = set(folder.rglob("*")) - before
+    assert {path.name for path in written} == {"certificate.xml", "certificate.pdf"}
+    secrets = [PASSWORD.encode(), key.read_bytes()[30:90], brought(key)["content"][40:100].encode()]
+    seen = [path.read_bytes() for path in folder.rglob("*") if path.is_file()]
+    seen += [made.content, caplog.text.encode(), "".join(capfd.readouterr()).encode()]
+    seen.append(with_own_lab.get("/api/jobs").content)
+    assert [secret for secret in secrets for place in seen if secret in place] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"password": "wrong words"}, "cannot be read with this password"),
+        ({"password": None}, "key.p12: is encrypted; type its password"),
+        ({"key": None}, "started without a command that signs"),
+    ],
+)
+def test_what_cannot_sign_is_told_and_leaves_nothing(with_own_lab, folder, tmp_path, change, words):
+    key, _ = write_pkcs12(tmp_path, rsa.generate_private_key(65537, 2048), PASSWORD.encode())
+    before = sorted(folder.rglob("*"))
+    signing = {"key": brought(key), "password": PASSWORD} | change
+    told = with_own_lab.post("/api/certificate", json=SAID | {"signing": signing})
+    assert told.status_code == 422
+    assert words in told.json()["error"]
+    assert "wrong words" not in told.text
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("key", [{"name": "k"}, {"name": "k", "content": "no base 64 SECRET"}, 4])
+def test_a_request_of_another_form_is_not_repeated(with_own_lab, key):
+    told = with_own_lab.post("/api/certificate", json=SAID | {"signing": {"key": key}})
+    assert told.status_code == 400
+    assert "SECRET" not in told.text
+
+
+def test_an_example_is_not_signed_and_no_key_is_read(with_lab, folder):
+    """A key that is none would be told otherwise."""
+    signing = {"key": {"name": "k", "content": b64encode(b"no key").decode()}}
+    told = with_lab.post("/api/certificate", json=SAID | {"signing": signing})
+    assert told.status_code == 422
+    assert "laboratory.name" in told.json()["error"]
+    assert "still the example's" in told.json()["error"]
+    assert not (folder / "three" / "certificate.xml").exists()
+    # The page knows before it asks.
+    lab = with_lab.get("/api/lab", params={"file": "LAB.toml", "result": SAID["result"]}).json()
+    assert "laboratory.name" in lab["example"]
+    assert lab["signer"] == ""
+
+
+def test_the_server_s_own_command_signs(with_own_lab, folder, desk, tmp_path):
+    key, cert = write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1()))
+    text = (
+        "import sys\n"
+        "from cryptography.hazmat.primitives.asymmetric import ec\n"
+        "from cryptography.hazmat.primitives.hashes import SHA256\n"
+        "from cryptography.hazmat.primitives.serialization import load_pem_private_key\n"
+        f"key = load_pem_private_key(open({str(key)!r}, 'rb').read(), None)\n"
+        "data = sys.stdin.buffer.read()\n"
+        "sys.stdout.buffer.write(key.sign(data, ec.ECDSA(SHA256())))\n"
+    )
+    (tmp_path / "sign.py").write_text(text)
+    command = shlex.join([sys.executable, str(tmp_path / "sign.py")])
+    desk.signer = command_signer(command, cert)
+    desk.signer_options = {"signer": command, "cert": str(cert)}
+    asked = {"file": "LAB.toml", "result": SAID["result"]}
+    assert with_own_lab.get("/api/lab", params=asked).json()["signer"] == "CN=Example laboratory"
+    told = with_own_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
+    assert check_certificate(folder / "three/certificate.xml", cert=cert).signature == "valid"
+    assert shlex.split(told["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
 
 
 def test_records_are_not_given_away(page):

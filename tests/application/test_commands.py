@@ -13,7 +13,9 @@ PLACE = Path("a folder") / "it's.json"
 
 SHOWN = {
     "calibrate_command": commands.calibrate_command(PLACE, PLACE, "two-stage", "it --is so"),
-    "certificate_command": commands.certificate_command(PLACE, PLACE, PLACE),
+    "certificate_command": commands.certificate_command(
+        PLACE, PLACE, PLACE, True, {"key": "a key.p12", "cert": "c.pem"}
+    ),
     "check_command": commands.check_command(PLACE, PLACE, "run 1"),
     "compare_command": commands.compare_command([PLACE, PLACE]),
     "export_command": commands.export_command(PLACE, [PLACE], {"radius": "2.5 ± 1e-5 m"}, "tumble"),

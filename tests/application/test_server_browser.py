@@ -10,10 +10,14 @@ import pypdf
 import pytest
 from campaigns import changed
 from chromium import chromium, needs_chromium
+from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
 from served import InlineJobs, serving, token_of
+from signing_keys import write_pair, write_pkcs12
 
+from certificates import write_own
 from counterspin.application.server import _leading
+from counterspin.certificates.issuing import check_certificate
 from counterspin.planning.plan import write_example
 
 pytestmark = needs_chromium
@@ -142,6 +146,43 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     shown = tab.locator("code:visible").last.inner_text()
     assert shown.startswith("counterspin certificate ")
     assert b"digitalCalibrationCertificate" in certificate.read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["pkcs12", "pem"])
+def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
+    write_own(folder / "LAB.toml", keep=("Example Customer",))
+    write = write_pkcs12 if kind == "pkcs12" else write_pair
+    key, cert = write(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"vy secret")
+    tab = opened("/certificate/three%2Fresult.json")
+    # What is left of the example is seen before anything is signed.
+    tab.get_by_text("Still the example's: customer.name. What is issued now is a draft").wait_for()
+    tab.get_by_label("Signature").select_option("With a key in a file")
+    tab.get_by_text("Replace that below before you sign.").wait_for()
+    button = tab.get_by_role("button", name="Sign and issue")
+    assert button.is_disabled()
+    tab.locator('[id="f-customer.name"]').fill("Own customer")
+    tab.get_by_label("File of the certificate").click()
+    tab.get_by_text("Still the example's").wait_for(state="hidden")
+    assert button.is_enabled()
+    tab.get_by_label("Key, PEM or PKCS #12").set_input_files(key)
+    if kind == "pem":
+        tab.get_by_label("Its certificate (PEM)").set_input_files(cert)
+    password = tab.get_by_label("Password of the key")
+    password.fill("wrong")
+    button.click()
+    tab.get_by_text("cannot be read with this password").wait_for()
+    assert password.input_value() == ""
+    assert not (folder / "three" / "certificate.xml").exists()
+    password.fill("vy secret")
+    button.click()
+    tab.get_by_text(re.compile("^Certificate .* signed: ")).wait_for()
+    assert password.input_value() == ""
+    for name in ("certificate.xml", "certificate.pdf"):
+        assert tab.get_by_role("button", name=f"three/{name}").is_visible()
+        assert check_certificate(folder / "three" / name, cert=cert).signature == "valid"
+    assert check_certificate(folder / "three" / "certificate.pdf", cert=cert).pages == "valid"
+    kept = tab.evaluate("JSON.stringify([{...localStorage}, {...sessionStorage}])")
+    assert "secret" not in kept
 
 
 def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):

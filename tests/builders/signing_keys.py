@@ -11,6 +11,7 @@ from cryptography.hazmat.primitives.serialization import (
     NoEncryption,
     PrivateFormat,
 )
+from cryptography.hazmat.primitives.serialization.pkcs12 import serialize_key_and_certificates
 from cryptography.x509.oid import NameOID
 
 #: What a certificate may say that its key is for.
@@ -54,3 +55,13 @@ def write_pair(folder, key, password=None, *, days=(-1, 365), usage=None, common
     (folder / "key.pem").write_bytes(private)
     (folder / "cert.pem").write_bytes(made.public_bytes(Encoding.PEM))
     return folder / "key.pem", folder / "cert.pem"
+
+
+def write_pkcs12(folder, key, password=None):
+    """Write a key with the certificate that it has signed for itself into one file."""
+    _, cert = write_pair(folder, key)
+    certificate = x509.load_pem_x509_certificate(cert.read_bytes())
+    encryption = BestAvailableEncryption(password) if password else NoEncryption()
+    made = serialize_key_and_certificates(b"laboratory", key, certificate, None, encryption)
+    (folder / "key.p12").write_bytes(made)
+    return folder / "key.p12", cert

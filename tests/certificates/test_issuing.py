@@ -4,20 +4,27 @@ import base64
 import io
 import json
 import re
+import shlex
+import shutil
 import tomllib
+from datetime import UTC, datetime
+from pathlib import Path
 
 import pypdf
 import pytest
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from results import result, sealed
-from signing_keys import write_pair
+from signing_keys import write_pair, write_pkcs12
 
 from certificates import LAB, find, write_lab
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
-from counterspin.certificates.issuing import certificate
+from counterspin.certificates.attached import read_document
+from counterspin.certificates.issuing import certificate, check_certificate
+from counterspin.certificates.pdf_signature import sign_pages
 from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.signers import read_signer
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 
 
@@ -118,7 +125,26 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     status, out, _ = command(capsys, "--verify", "c.pdf", "--cert", cert)
     assert status == 0
     assert "27.0000 ± 0.0020 ug/g^2" in out
-    assert "The signature is valid.\nThis is of the XML that is attached to the PDF" in out
+    pages = "The pages carry a valid signature of the same signer.\n"
+    assert out.endswith(f"The signature is valid.\n{pages}")
+    assert "its pages were not checked" in command(capsys, "--verify", "c.pdf")[1]
+    # Pages that show something else, and those of nobody or somebody else, with the same XML.
+    made = (desk / "c.pdf").read_bytes()
+    place = made.index(b"/StructParents") + 4
+    (desk / "d.pdf").write_bytes(made[:place] + b"X" + made[place + 1 :])
+    status, out, err = command(capsys, "--verify", "d.pdf", "--cert", cert)
+    assert (status, out) == (1, "")
+    assert "the pages were changed after the holder of" in err
+    plain = made[: made.index(b"%%EOF") + 5]
+    (desk / "e.pdf").write_bytes(plain)
+    told = command(capsys, "--verify", "e.pdf", "--cert", cert)
+    assert told[0] == 0
+    assert told[1].endswith("its pages are not signed.\n")
+    other = read_signer(*write_pair(desk / "o", ec.generate_private_key(ec.SECP256R1())))
+    (desk / "f.pdf").write_bytes(sign_pages(plain, other, datetime.now(UTC)))
+    status, out, err = command(capsys, "--verify", "f.pdf", "--cert", cert)
+    assert (status, out) == (1, "")
+    assert "the signature of the pages is not that of the holder of" in err
     # What is attached counts, whatever the pages show.
     writer = pypdf.PdfWriter(clone_from="c.pdf")
     writer.add_attachment("second.xml", b"<a/>")
@@ -130,6 +156,56 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     assert "no XML file is attached" in command(capsys, "--verify", "none.pdf")[2]
     (desk / "no.pdf").write_bytes(b"%PDF-1.7 no")
     assert "no.pdf: is not a PDF, or is damaged" in command(capsys, "--verify", "no.pdf")[2]
+
+
+def test_xml_and_pdf_are_of_one_signature(desk, capsys):
+    key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
+    ledgered = write_lab(desk, LAB.replace('language = "de"', 'ledger = "l.jsonl"'))
+    signing = ("--key", key, "--cert", cert)
+    given = ("r.json", str(ledgered), "--both", *signing)
+    status, out, _ = command(capsys, *given, "-o", "c.pdf")
+    assert status == 0
+    assert out.startswith("Wrote c.pdf and c.xml: certificate CS-")
+    assert read_document(desk / "c.pdf") == (desk / "c.xml").read_bytes()
+    assert check_certificate(desk / "c.pdf", cert=Path(cert)).pages == "valid"
+    # Neither is written where the other cannot be.
+    (desk / "d.pdf").touch()
+    assert command(capsys, *given, "-o", "d.xml")[0] == 1
+    assert not (desk / "d.xml").exists()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_password_is_asked_for_once_all_else_is_right(desk, capsys, monkeypatch, terminal):
+    key, cert = write_pkcs12(desk / "k", ec.generate_private_key(ec.SECP256R1()), b"vy secret")
+    asked = []
+
+    def ask(words):
+        asked.append(words)
+        return "vy secret"
+
+    stdin = io.StringIO("vy secret\n")
+    stdin.isatty = lambda: terminal
+    monkeypatch.setattr("sys.stdin", stdin)
+    monkeypatch.setattr("counterspin.cli.certificate.getpass", ask)
+    assert command(capsys, "--init", "mine.toml")[0] == 0
+    assert command(capsys, "r.json", "mine.toml", "-o", "d.xml", "--key", str(key))[0] == 2
+    assert (asked, stdin.tell()) == ([], 0)
+    status, out, err = command(capsys, "r.json", "LAB.toml", "-o", "c.xml", "--key", str(key))
+    assert (status, err) == (0, "")
+    assert asked == ([f"Password of {key}: "] if terminal else [])
+    assert "secret" not in out
+    assert check_certificate(desk / "c.xml", cert=cert).signature == "valid"
+
+
+def test_a_command_signs_in_place_of_a_key(desk, capsys):
+    key, cert = write_pair(desk / "k", rsa.generate_private_key(65537, 2048))
+    way = f"openssl dgst -sha256 -sign {shlex.quote(str(key))}"
+    signing = ("--signer", way, "--cert", str(cert))
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.pdf", *signing)[0] == 0
+    checked = check_certificate(desk / "c.pdf", cert=cert)
+    assert (checked.signature, checked.pages) == ("valid", "valid")
 
 
 def test_only_those_chosen_are_certified(desk, capsys):
@@ -164,7 +240,11 @@ def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     signing = ("--key", key, "--cert", cert)
     status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
-    assert "it still contains text of the example; replace that before signing" in err
+    assert "certificate.traceability, laboratory.name" in err
+    assert "still the example's; what is signed says nothing of an example" in err
+    # Before anything is signed: nobody is asked for a key.
+    with pytest.raises(CampaignError, match="still the example's"):
+        certificate(desk / "r.json", desk / "mine.toml", signer=lambda: pytest.fail("asked"))
 
 
 CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
@@ -211,7 +291,13 @@ def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
         (("r.json", "LAB.toml", "-o", "c.txt"), 2, "c.txt: name the file .xml or .pdf"),
         (("r.json", "LAB.toml"), 2, "-o FILE.xml"),
         ((), 2, "--init LAB.toml"),
-        (("r.json", "LAB.toml", "-o", "c.xml", "--key", "k.pem"), 2, "given together"),
+        (("r.json", "LAB.toml", "-o", "c.xml", "--cert", "k.pem"), 2, "give --key or --signer"),
+        (("r.json", "LAB.toml", "-o", "c.xml", "--signer", "x"), 2, "--signer and --cert together"),
+        (
+            ("r.json", "LAB.toml", "-o", "c.xml", "--signer", "x", "--key", "k.pem"),
+            2,
+            "give --key or --signer, not both",
+        ),
         (("none.json", "LAB.toml", "-o", "c.xml"), 1, "none.json: cannot be read"),
         (("LAB.toml", "LAB.toml", "-o", "c.xml"), 1, "not a result file"),
         (("printed.json", "LAB.toml", "-o", "c.xml"), 1, "printed.json: this result was computed"),

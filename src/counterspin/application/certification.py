@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
+
 from counterspin.application.commands import certificate_command
 from counterspin.application.desk import Desk
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.toml_file import load_document
-from counterspin.certificates.issuing import issue_certificate
+from counterspin.certificates.issuing import certificate, check_place, other_kind
+from counterspin.certificates.signers import KeyFile, PasswordNeededError, Signer, read_signer
 from counterspin.errors import CounterspinError
 from counterspin.input import read_file
 
@@ -17,20 +20,86 @@ from counterspin.input import read_file
 _WRITTEN_SUFFIXES: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".xml")
 
 
-def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[str, Any]:
-    """Issue the certificate of a result; return what it is known by, and what to check."""
-    files = desk.file(result), desk.file(lab), desk.folder.path(output)
+class BroughtFile(BaseModel):
+    """A file that is used for one request, and written nowhere."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
+
+    name: str
+    content: Base64Bytes
+
+    def read(self) -> KeyFile:
+        """Return it as those on the command line are read."""
+        return KeyFile(self.name, self.content)
+
+
+class Signing(BaseModel):
+    """With what a certificate is signed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
+
+    #: PEM or PKCS #12; None: with the command that the server was started with.
+    key: BroughtFile | None = None
+    certificate: BroughtFile | None = None  #: PEM; None: it is in the file of the key.
+    password: SecretStr | None = None  #: Of the key.
+
+    def signer(self, desk: Desk) -> Signer:
+        """Return who signs; CounterspinError if key, certificate and password do not fit."""
+        if self.key is None:
+            if desk.signer is None:
+                raise CounterspinError(
+                    "This server was started without a command that signs; bring a key."
+                )
+            return desk.signer
+        own = None if self.certificate is None else self.certificate.read()
+        secret = None if self.password is None else self.password.get_secret_value() or None
+        try:
+            return read_signer(self.key.read(), own, secret)
+        except PasswordNeededError as error:
+            raise CounterspinError(f"{self.key.name}: is encrypted; type its password") from error
+
+
+def begin_certificate(
+    desk: Desk,
+    result: str,
+    lab: str,
+    output: str,
+    both: bool = False,
+    signing: Signing | None = None,
+) -> dict[str, Any]:
+    """Issue the certificate of a result; return what it is known by, and what to check.
+
+    both: The other of XML and PDF is written beside it too.
+    """
+    files = desk.file(result), desk.file(lab)
+    outputs = [desk.folder.path(output)]
+    check_place(outputs[0])
+    if both:
+        outputs.append(desk.folder.path(desk.folder.name(other_kind(outputs[0]))))
+        check_place(outputs[1])
     # The ledger, too.
     desk.require_inside(files[1].parent, load_document(files[1]))
     with desk.drawing:
-        made = issue_certificate(*files)
+        made = certificate(*files, signer=None if signing is None else lambda: signing.signer(desk))
+        for place in outputs:
+            made.write(place)
     return {
         "identifier": made.identifier,
         "accelerometers": made.accelerometers,
         "notes": made.notes,
-        "file": output,
-        "command": certificate_command(*files),
+        "files": [desk.folder.name(place) for place in outputs],
+        "command": certificate_command(*files, outputs[0], both, _options(desk, signing)),
     }
+
+
+def _options(desk: Desk, signing: Signing | None) -> dict[str, str]:
+    """Return the options of the command line that sign so."""
+    if signing is None:
+        return {}
+    if signing.key is None:
+        return dict(desk.signer_options)
+    own = {} if signing.certificate is None else {"cert": signing.certificate.name}
+    return {"key": signing.key.name} | own
 
 
 def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tuple[str, bytes]:

@@ -41,9 +41,17 @@ def history_command(folder: Path, term: str) -> str:
     return _typed(["history", str(folder), f"--term={term}"])
 
 
-def certificate_command(result: Path, lab: Path, output: Path) -> str:
-    """Return the command that issues a result's certificate."""
-    return _typed(["certificate", str(result), str(lab), "--output", str(output)])
+def certificate_command(
+    result: Path, lab: Path, output: Path, both: bool, signing: Mapping[str, str]
+) -> str:
+    """Return the command that issues a result's certificate.
+
+    signing: Options that say who signs, such as `key`, and their values.
+    """
+    words = ["certificate", str(result), str(lab), "--output", str(output)]
+    if both:
+        words.append("--both")
+    return _typed([*words, *(f"--{name}={value}" for name, value in signing.items())])
 
 
 def plan_command(file: Path, folder: Path | None) -> str:

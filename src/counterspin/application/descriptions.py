@@ -30,7 +30,12 @@ def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
     seen = desk.folder.read(file)
     text = seen.text or _example()
     told = checked_lab(text, desk.result(result)).shown()
-    return told | {"file": file, "version": seen.version, "form": lab_form()}
+    return told | {
+        "file": file,
+        "version": seen.version,
+        "form": lab_form(),
+        "signer": "" if desk.signer is None else desk.signer.name,
+    }
 
 
 def _example() -> str:

@@ -16,6 +16,7 @@ from counterspin.application.live import LiveViews
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.certificates.signers import Signer
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity
 
@@ -65,8 +66,16 @@ def _identity(file: Path) -> FileIdentity | None:
 class Desk:
     """The folder that is served, what is being worked on, and what was read before."""
 
-    def __init__(self, folder: ServedFolder) -> None:
+    def __init__(
+        self,
+        folder: ServedFolder,
+        signer: Signer | None = None,
+        signer_options: Mapping[str, str] | None = None,
+    ) -> None:
         self.folder = folder
+        #: Who signs certificates without a key that is brought, and how the command line names it.
+        self.signer = signer
+        self.signer_options = signer_options or {}
         self.jobs = Jobs()
         self.live = LiveViews()
         self.remembered = Remembered()

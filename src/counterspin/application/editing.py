@@ -29,7 +29,7 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.toml_file import parse_document
-from counterspin.certificates.lab import read_lab
+from counterspin.certificates.lab import example_keys, read_lab
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.studies.description import study_of
@@ -49,6 +49,8 @@ class Edited:
     #: Mistakes, each as key (empty: of the whole) and words.
     problems: tuple[tuple[str, str], ...] = ()
     questions: tuple[str, ...] = ()  #: What may well be a slip.
+    #: Keys of the laboratory's data that still have the example's text.
+    example: tuple[str, ...] = ()
 
     def shown(self) -> dict[str, Any]:
         """Return what the page is told."""
@@ -57,6 +59,7 @@ class Edited:
             "document": json.loads(json.dumps(self.document, default=str)),
             "problems": [{"key": key, "words": words} for key, words in self.problems],
             "questions": list(self.questions),
+            "example": list(self.example),
             "run_kinds": run_kinds(self.document),
         }
 
@@ -86,10 +89,10 @@ def checked_lab(text: str, result: Result) -> Edited:
     except CampaignError as error:
         return Edited(text, {}, _split(error.problems))
     try:
-        read_lab(document, result)
+        lab, _ = read_lab(document, result)
     except CampaignError as error:
         return Edited(text, document, _split(error.problems))
-    return Edited(text, document)
+    return Edited(text, document, example=tuple(example_keys(lab)))
 
 
 def _document(text: str) -> dict[str, Any]:

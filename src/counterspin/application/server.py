@@ -32,6 +32,7 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import FILES, SESSION, TICKETS, Door, Guard
 from counterspin.application.interface import Answer, answer, answered, taken
+from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
 
 #: This machine, and no other.
@@ -143,14 +144,21 @@ def serve(
     *,
     port: int = 0,
     browser: bool = True,
+    signing: tuple[str, Path] | None = None,
     say: Callable[[str], None] = print,
 ) -> None:
     """Serve a folder to this machine's browser until Ctrl-C.
 
     port: Where to listen; 0: any that is free.
     browser: Whether the page is opened.
+    signing: A command that signs, and the certificate of its key, for certificates of the page.
     """
-    desk = Desk(ServedFolder(folder))
+    if signing is None:
+        desk = Desk(ServedFolder(folder))
+    else:
+        command, cert = signing
+        options = {"signer": command, "cert": str(cert)}
+        desk = Desk(ServedFolder(folder), command_signer(command, cert), options)
     with listening(port) as listener, tempfile.TemporaryDirectory(prefix="counterspin-") as own:
 
         def tell(link: str) -> None:

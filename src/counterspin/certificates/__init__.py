@@ -13,5 +13,6 @@ records do not determine is named as such, and missing data of the laboratory is
 - `evidence`: what bounds the terms that were taken as perfect
 - `amendment`: a certificate that another one replaces
 - `ledger`, `entering`: what was found, certified and amended, in a file that is only added to
-- `schema`, `signature`, `attached`, `reading`: validating, signing, reading back, from a PDF too
+- `signers`: keys and commands that sign; `signature`: the XML; `pdf_signature`: the pages (PAdES)
+- `schema`, `attached`, `reading`: validating and reading back, from a PDF too
 """

@@ -1,4 +1,4 @@
-"""The XML that a certificate's PDF carries (PDF/A-3, ISO 19005-3)."""
+"""A certificate's file: its XML, which a PDF carries (PDF/A-3, ISO 19005-3), and its pages."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 from pathlib import Path
 from typing import Any, Final
 
+from counterspin.certificates.pdf_signature import PagesSignature, pages_signature
 from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.input import read_file
 from counterspin.records.isolation import isolated
@@ -15,14 +16,24 @@ _PYPDF_MISSING: Final = (
 )
 
 
+def is_pdf(path: Path) -> bool:
+    """Return whether a certificate's file is for people, by the ending of its name."""
+    return path.suffix.lower() == ".pdf"
+
+
 def read_document(path: Path) -> bytes:
     """Return the XML of a certificate: the file, or what is attached to a PDF.
 
     A PDF is read where it can do no harm, as records of native formats are.
     """
-    if path.suffix.lower() == ".pdf":
+    if is_pdf(path):
         return isolated(_attached, path)
     return _content(path)
+
+
+def verify_pages(path: Path, public: bytes) -> PagesSignature:
+    """Return what the signature of a PDF's pages is worth, as `pages_signature` does."""
+    return isolated(_pages_signature, path, public)
 
 
 def _content(path: Path) -> bytes:
@@ -45,12 +56,26 @@ def _attached(path: Path) -> bytes:
     except MemoryError:
         raise
     except Exception as error:  # whatever pypdf and zlib raise on a damaged file
-        reason = str(error)[:REASON_LENGTH] or type(error).__name__
-        raise RecordError(f"{path}: is not a PDF, or is damaged ({reason})") from error
+        raise _damaged(path, error) from error
     if len(found) != 1:
         held = "no XML file is" if not found else f"{len(found)} XML files are"
         raise RecordError(f"{path}: {held} attached to it; a certificate's PDF has one")
     return found[0]
+
+
+def _pages_signature(path: Path, public: bytes) -> PagesSignature:
+    content = _content(path)
+    try:
+        return pages_signature(content, public)
+    except (CounterspinError, MemoryError):
+        raise
+    except Exception as error:  # whatever pyHanko raises on a damaged file
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> RecordError:
+    reason = str(error)[:REASON_LENGTH] or type(error).__name__
+    return RecordError(f"{path}: is not a PDF, or is damaged ({reason})")
 
 
 def _xml_files(reader: Any) -> list[bytes]:

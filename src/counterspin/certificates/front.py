@@ -30,7 +30,7 @@ TITLE: Final = "Calibration certificate"
 
 #: Where somebody signs on paper.
 _LINE: Final = Lines("", "_____________________________________")
-_ELECTRONIC: Final = "electronic, in the XML"
+_ELECTRONIC: Final = "electronic, of the XML and of these pages"
 
 
 def title(issue: Issue) -> str:

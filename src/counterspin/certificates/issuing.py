@@ -18,7 +18,7 @@ from counterspin.certificates.amendment import (
     read_amended,
     with_changes,
 )
-from counterspin.certificates.attached import read_document
+from counterspin.certificates.attached import is_pdf, read_document, verify_pages
 from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
@@ -28,9 +28,11 @@ from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.ledger import checksum_of
+from counterspin.certificates.pdf_signature import PagesSignature, sign_pages
 from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
-from counterspin.certificates.signature import Signer, is_signed, read_signer, sign, verify
+from counterspin.certificates.signature import is_signed, sign, verify
+from counterspin.certificates.signers import KeyFile, Signer, certificates_in
 from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
@@ -41,9 +43,6 @@ from counterspin.reports.publication import issue_date
 
 #: Endings of the files that are written.
 FORMATS: Final = (".xml", ".pdf")
-
-#: Why a draft is not signed.
-_EXAMPLE: Final = "it still contains text of the example; replace that before signing"
 
 
 @frozen(eq=False)
@@ -135,13 +134,17 @@ def check_place(output: Path) -> None:
     reserve(output)
 
 
+def other_kind(output: Path) -> Path:
+    """Return the name of a certificate's PDF beside that of its XML, or the other way round."""
+    return output.with_suffix(next(f for f in FORMATS if f != output.suffix.lower()))
+
+
 def certificate(
     result: Result | Path | str,
     lab: Mapping[str, Any] | Path | str,
     *,
     schema: Path | None = None,
-    key: Path | None = None,
-    cert: Path | None = None,
+    signer: Signer | Callable[[], Signer] | None = None,
     despite: str | None = None,
     amends: Amendment | None = None,
 ) -> Certificate:
@@ -155,8 +158,10 @@ def certificate(
         What ``LAB.toml`` says, as nested mappings with the same keys; or the file.
     schema
         Folder or file of DCC's schema, against which the certificate is validated.
-    key, cert
-        Private key and its X.509 certificate, PEM: the certificate is signed.
+    signer
+        Who signs XML and pages, as `read_signer` and `command_signer` of
+        `counterspin.certificates.signers` return it; or what returns that, which is called once
+        all else has been checked.
     despite
         The reason for which a result that its records contradict is certified all the same; it
         stands in the certificate.
@@ -173,8 +178,6 @@ def certificate(
     CounterspinError
         If key or schema cannot be used.
     """
-    if (key is None) != (cert is None):
-        raise CampaignError("certificate", ["`key` and `cert` are given together"])
     if despite is not None and not despite.strip():
         raise CampaignError("certificate", ["`despite`: give the reason in words"])
     original = result if isinstance(result, Result) else Result.read(result)
@@ -196,11 +199,12 @@ def certificate(
         raise RecordError(f"{result}: {error}") from error
     source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
     require_evidence(original.assumed, data.evidence, source)
-    signer = read_signer(key, cert) if key is not None and cert is not None else None
     amended, old = (None, b"") if amends is None else read_amended(amends)
     issue = _issue(data, original, amended, despite, signed=signer is not None)
     if issue.draft and signer is not None:
-        raise CampaignError("the laboratory's data", [_EXAMPLE])
+        raise CampaignError(source, [_example_words(example_keys(data))])
+    if callable(signer):
+        signer = signer()
     certified = with_capability(judged, data)
     if specifications is not None:
         certified = with_conformity(certified, specifications)
@@ -225,16 +229,19 @@ def certificate(
         reason=_reason(issue.amended, judged),
         result=None if isinstance(result, Result) else Path(result),
         draft=issue.draft,
-        pages=lambda: _pages(data, judged, issue, verdicts, attach=xml),
+        pages=lambda: _signed_pages(_pages(data, judged, issue, verdicts, attach=xml), signer),
     )
 
 
-def issue_certificate(result: Path, lab: Path, output: Path) -> Certificate:
-    """Make the certificate of a result and write it; raises as `certificate` and its `write`."""
-    check_place(output)
-    made = certificate(result, lab)
-    made.write(output)
-    return made
+def _example_words(keys: list[str]) -> str:
+    return (
+        f"{', '.join(keys)}: still the example's; what is signed says nothing of an example, so "
+        "replace that first"
+    )
+
+
+def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
+    return pages if signer is None else sign_pages(pages, signer, issue_date())
 
 
 def _ledger(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
@@ -341,8 +348,10 @@ class Checked:
     """What a certificate's file holds, and what its signature is worth."""
 
     certified: Certified  #: The numbers.
-    #: ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
+    #: Of the XML: ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
     signature: Literal["none", "unchecked", "valid"]
+    #: Of a PDF's pages, where the signature of its XML is valid; None: unchecked, or no PDF.
+    pages: PagesSignature | None = None
     #: When the signer's certificate expired, after the day of issue; None: it has not, or was not
     #: given.
     expired: date | None = None
@@ -369,7 +378,29 @@ def check_certificate(
         return Checked(read_certificate(data, str(path)), "unchecked" if signed else "none")
     # Only what the signature covers is read.
     verified = verify(data, cert, str(path))
-    return Checked(read_certificate(verified.content, str(path)), "valid", verified.expired)
+    certified = read_certificate(verified.content, str(path))
+    return Checked(certified, "valid", _checked_pages(path, cert), verified.expired)
+
+
+def _checked_pages(path: Path, cert: Path) -> PagesSignature | None:
+    """Return whether a PDF's pages are signed; RecordError if their signature is not valid."""
+    if not is_pdf(path):
+        return None
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    expected = certificates_in(KeyFile.read(cert))[0].public_bytes(Encoding.DER)
+    found = verify_pages(path, expected)
+    if found == "changed":
+        raise RecordError(
+            f"{path}: the signature is not valid: the pages were changed after the holder of "
+            f"{cert} had signed them; the XML in it was not"
+        )
+    if found == "invalid":
+        raise RecordError(
+            f"{path}: the signature of the pages is not that of the holder of {cert}; that of the "
+            "XML in it is"
+        )
+    return found
 
 
 def certificate_blocks(certified: Certified) -> Iterator[Block]:

@@ -9,30 +9,18 @@ from typing import Any, Final
 
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
+from counterspin.certificates.signers import KeyFile, Signer, certificates_in
 from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.frozen import frozen
-from counterspin.input import read_file
 
 _NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
 _SIGNATURE: Final = f"{_NAMESPACE}Signature"
 #: What the document says of its signer.
 _STATED: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
 
-#: The smallest keys: RSA by NIST SP 800-131A, elliptic curves likewise; bits.
-_RSA_BITS: Final = 2048
-_CURVE_BITS: Final = 256
-
 _SIGNXML_MISSING: Final = (
     f"signatures need the package signxml, which is not installed: {installing('signature')}"
 )
-
-
-@frozen
-class Signer:
-    """Who signs."""
-
-    key: Any  #: Private key, RSA or elliptic curve.
-    certificates: list[Any]  #: X.509: the signer's, followed by its chain if given.
 
 
 @frozen
@@ -44,68 +32,25 @@ class Verified:
     expired: date | None
 
 
-def read_signer(key: Path, certificate: Path) -> Signer:
-    """Read a private key and the certificate that belongs to it, both PEM."""
-    _signxml()
-    from cryptography.hazmat.primitives.asymmetric import ec, rsa
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
-
-    try:
-        private: Any = load_pem_private_key(_read(key), password=None)
-    except TypeError as error:
-        raise CounterspinError(
-            f"{key}: is encrypted; give a key without a passphrase, such as "
-            "`openssl pkey -in KEY.pem -out OPEN.pem` writes, and keep it safe"
-        ) from error
-    except ValueError as error:
-        raise CounterspinError(f"{key}: is not a private key in PEM form") from error
-    if not isinstance(private, rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey):
-        raise CounterspinError(f"{key}: must be an RSA or an elliptic-curve key")
-    certificates = _read_certificates(certificate)
-    if certificates[0].public_key() != private.public_key():
-        raise CounterspinError(f"{certificate}: is not the certificate of the key {key}")
-    _refuse_small(private, key)
-    _refuse_unfit(certificates[0], certificate)
-    return Signer(private, certificates)
-
-
-def _refuse_small(private: Any, source: Path) -> None:
-    from cryptography.hazmat.primitives.asymmetric import rsa
-
-    least = _RSA_BITS if isinstance(private, rsa.RSAPrivateKey) else _CURVE_BITS
-    if private.key_size < least:
-        raise CounterspinError(
-            f"{source}: the key has {private.key_size} bits; at least {least} are needed"
-        )
-
-
-def _refuse_unfit(certificate: Any, source: Path) -> None:
-    """Refuse a certificate with which a signature of now would be worth nothing."""
-    from cryptography.x509 import ExtensionNotFound, KeyUsage
-
-    begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    if not begin <= datetime.now(UTC) <= end:
-        raise CounterspinError(
-            f"{source}: is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, and not today"
-        )
-    try:
-        usage = certificate.extensions.get_extension_for_class(KeyUsage).value
-    except ExtensionNotFound:
-        return
-    except ValueError as error:
-        raise CounterspinError(f"{source}: its extensions are damaged") from error
-    if not (usage.digital_signature or usage.content_commitment):
-        raise CounterspinError(f"{source}: its key is not meant for signatures (key usage)")
-
-
 def sign(root: Element, signer: Signer) -> Element:
     """Return the certificate with its signature as the last element."""
     signxml = _signxml()
-    from cryptography.hazmat.primitives.asymmetric import rsa
+    signing = signxml.XMLSigner(
+        signature_algorithm="rsa-sha256" if signer.with_rsa else "ecdsa-sha256"
+    )
+    return signing.sign(root, key=_Key(signer), cert=list(signer.certificates))
 
-    method = "rsa-sha256" if isinstance(signer.key, rsa.RSAPrivateKey) else "ecdsa-sha256"
-    signing = signxml.XMLSigner(signature_algorithm=method)
-    return signing.sign(root, key=signer.key, cert=signer.certificates)
+
+class _Key:
+    """A signer as the private key that signxml asks."""
+
+    def __init__(self, signer: Signer) -> None:
+        self._signer = signer
+        self.key_size = signer.public.key_size
+
+    def sign(self, data: bytes, **_: Any) -> bytes:
+        """Return the signature of bytes, by the method that `sign` names."""
+        return self._signer.signed(data)
 
 
 def verify(document: bytes, certificate: Path, source: str) -> Verified:
@@ -120,7 +65,7 @@ def verify(document: bytes, certificate: Path, source: str) -> Verified:
     _signxml()
     from signxml.exceptions import InvalidDigest
 
-    trusted = _read_certificates(certificate)[0]
+    trusted = certificates_in(KeyFile.read(certificate))[0]
     root = parse(document, source, comments=True)  # it may cover them after all
     if root.find(_SIGNATURE) is None:
         raise RecordError(f"{source}: is not signed")
@@ -232,19 +177,3 @@ def _signxml() -> Any:
     except ImportError as error:
         raise CounterspinError(_SIGNXML_MISSING) from error
     return signxml
-
-
-def _read_certificates(path: Path) -> list[Any]:
-    from cryptography.x509 import load_pem_x509_certificates
-
-    try:
-        return load_pem_x509_certificates(_read(path))
-    except ValueError as error:
-        raise CounterspinError(f"{path}: is not an X.509 certificate in PEM form") from error
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return read_file(path)
-    except OSError as error:
-        raise CounterspinError(f"{path}: cannot be read ({error.strerror})") from error

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from getpass import getpass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from counterspin.cli.words import OutputFile, group, say
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+
+if TYPE_CHECKING:
+    from counterspin.certificates.signers import Signer
 
 
 @group
@@ -19,14 +26,59 @@ class Proof:
     schema
         Folder or file of the schema of DCC, to validate against.
     key
-        Private key (PEM) to sign with, not encrypted.
+        Private key to sign with: PEM, or PKCS #12 with its certificate. If it is encrypted, its
+        password is asked for, or read from standard input where that is no terminal.
+    signer
+        In place of a key: a command that reads bytes on standard input and writes their signature,
+        such as that of a card or token.
     cert
         X.509 certificate (PEM): of the key, or with --verify of who must have signed.
+    both
+        Write the other of the two, XML and PDF, beside it, of the same signature.
     """
 
     schema: Path | None = None
     key: Path | None = None
+    signer: str | None = None
     cert: Path | None = None
+    both: bool = False
+
+    def who_signs(self) -> Callable[[], Signer] | None:
+        """Return what reads the key; None if none is given."""
+        from counterspin.certificates.signers import command_signer
+
+        key, command, cert = self.key, self.signer, self.cert
+        if command is not None and key is not None:
+            raise CampaignError("certificate", ["give --key or --signer, not both"])
+        if command is not None:
+            if cert is None:
+                raise CampaignError("certificate", ["give --signer and --cert together"])
+            return lambda: command_signer(command, cert)
+        if key is None:
+            if cert is not None:
+                raise CampaignError("certificate", ["--cert: give --key or --signer too"])
+            return None
+        return lambda: _read_signer(key, cert)
+
+
+def _read_signer(key: Path, cert: Path | None) -> Signer:
+    """Read a key, and ask for its password if it has one."""
+    from counterspin.certificates.signers import PasswordNeededError, read_signer
+
+    try:
+        return read_signer(key, cert)
+    except PasswordNeededError:
+        return read_signer(key, cert, _password(key))
+
+
+def _password(key: Path) -> str:
+    if sys.stdin is None:
+        raise CampaignError(
+            "certificate", [f"{key}: is encrypted; give its password on standard input"]
+        )
+    if sys.stdin.isatty():
+        return getpass(f"Password of {key}: ")
+    return sys.stdin.readline().rstrip("\r\n")
 
 
 @group
@@ -54,6 +106,13 @@ class Grounds:
 
 _UNPROVED = Proof()
 _NONE_NEEDED = Grounds()
+
+#: What is said of a PDF's pages.
+_PAGES = {
+    None: "This is of the XML that is attached to the PDF; its pages were not checked.",
+    "none": "This is of the XML that is attached to the PDF; its pages are not signed.",
+    "valid": "The pages carry a valid signature of the same signer.",
+}
 
 
 def certificate(
@@ -88,6 +147,7 @@ def certificate(
         certificate_blocks,
         check_certificate,
         check_place,
+        other_kind,
     )
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, report_console
@@ -119,25 +179,29 @@ def certificate(
             checksum = " and its checksum is right" if grounds.amends is not None else ""
             say(f"It amends and replaces certificate {old}{checksum}.")
         if verify.suffix.lower() == ".pdf":
-            say("This is of the XML that is attached to the PDF; its pages are not signed.")
+            say(_PAGES[checked.pages])
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (grounds.amends is None) != (grounds.reason is None):
         raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
     check_place(output)
+    outputs = [output, *([other_kind(output)] if proof.both else [])]
+    for place in outputs[1:]:
+        check_place(place)
     done = make(
         result,
         lab,
         schema=proof.schema,
-        key=proof.key,
-        cert=proof.cert,
+        signer=proof.who_signs(),
         despite=grounds.despite,
         amends=None
         if grounds.amends is None or grounds.reason is None
         else Amendment(grounds.amends, grounds.reason),
     )
-    done.write(output, ledger=grounds.ledger)
-    say(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
+    for place in outputs:
+        done.write(place, ledger=grounds.ledger)
+    files, names = " and ".join(map(str, outputs)), ", ".join(done.accelerometers)
+    say(f"Wrote {files}: certificate {done.identifier} of {names}.")
     for note in done.notes:
         say(note)

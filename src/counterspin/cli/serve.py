@@ -5,10 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 from counterspin.cli.words import OnOff, say
-from counterspin.errors import CounterspinError, installing
+from counterspin.errors import CampaignError, CounterspinError, installing
 
 
-def serve(directory: Path, /, *, port: int = 0, browser: OnOff = True) -> None:
+def serve(
+    directory: Path,
+    /,
+    *,
+    port: int = 0,
+    browser: OnOff = True,
+    signer: str | None = None,
+    cert: Path | None = None,
+) -> None:
     """Open a page that only this machine reaches: campaigns, results, plans, certificates.
 
     Parameters
@@ -19,7 +27,14 @@ def serve(directory: Path, /, *, port: int = 0, browser: OnOff = True) -> None:
         Where to listen; 0: any that is free.
     browser
         Open the page in the browser.
+    signer
+        A command with which the page may sign certificates: it reads bytes on standard input and
+        writes their signature, such as that of a card or token.
+    cert
+        X.509 certificate (PEM) of the key that the command signs with.
     """
+    if (signer is None) != (cert is None):
+        raise CampaignError("serve", ["give --signer and --cert together"])
     try:
         from counterspin.application.server import serve as run
     except ModuleNotFoundError as error:
@@ -28,4 +43,5 @@ def serve(directory: Path, /, *, port: int = 0, browser: OnOff = True) -> None:
         raise CounterspinError(
             f"the page needs Starlette and uvicorn: {installing('application')}"
         ) from error
-    run(directory, port=port, browser=browser, say=say)
+    signing = None if signer is None or cert is None else (signer, cert)
+    run(directory, port=port, browser=browser, signing=signing, say=say)

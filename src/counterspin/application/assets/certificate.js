@@ -6,6 +6,7 @@ import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
 import { editorOf } from "./editor.js";
 import { saving } from "./result.js";
+import { Signing } from "./signing.js";
 
 /**
  * The page of a result's certificate.
@@ -15,22 +16,47 @@ export async function certificateView(result) {
   const folder = await get("folder");
   const file = folder.labs[0] ?? "LAB.toml";
   const told = await get("lab", { file, result });
-  const editor = editorOf(told, { result });
   const output = make("input", {
     value: result.replace(/(result)?\.json$/, "certificate.xml"), required: true, autocomplete: "off",
   });
+  const both = make("input", { type: "checkbox", checked: true });
+  const button = make("button", { class: "main" }, "Issue");
   const place = make("div", { "aria-live": "polite" });
+  const draft = make("p", { class: "warning", id: "draft" });
+  /** @type {string[]} */
+  let example = told.example;
+  // Before anything is signed: what still is an example's gets no signature.
+  const judge = () => {
+    const refused = signing.wanted && example.length > 0;
+    button.disabled = refused;
+    button.textContent = signing.wanted ? "Sign and issue" : "Issue";
+    if (refused) button.setAttribute("aria-describedby", draft.id);
+    else button.removeAttribute("aria-describedby");
+    draft.hidden = example.length === 0;
+    draft.textContent = `Still the example's: ${example.join(", ")}. ${
+      refused ? "Replace that below before you sign." : "What is issued now is a draft, and says so on every page."}`;
+  };
+  const signing = new Signing(told.signer, () => judge());
+  const editor = editorOf(told, {
+    result,
+    shown: (now) => {
+      example = now.example;
+      judge();
+    },
+  });
   const issue = async (/** @type {Event} */ event) => {
     event.preventDefault();
     if (editor.changed || !editor.version) await editor.save();
-    if (editor.changed) return;
+    if (editor.changed || button.disabled) return;
     try {
-      const made = await send("POST", "certificate", { result, lab: file, output: output.value });
-      say(`Wrote ${made.file}.`);
+      const made = await send("POST", "certificate", {
+        result, lab: file, output: output.value, both: both.checked, signing: await signing.said(),
+      });
+      say(`Wrote ${made.files.join(" and ")}.`);
       place.replaceChildren(
         make("p", { class: "answer-line" },
-          `Certificate ${made.identifier} of ${made.accelerometers.join(", ")}: `,
-          saving(made.file, "file", { name: made.file })),
+          `Certificate ${made.identifier} of ${made.accelerometers.join(", ")}${signing.wanted ? ", signed" : ""}: `,
+          ...made.files.map(/** @param {string} name */ (name) => saving(name, "file", { name }))),
         ...made.notes.map(/** @param {string} note */ (note) => make("p", { class: "warning" }, note)),
         commandLine(made.command));
     } catch (error) {
@@ -44,9 +70,13 @@ export async function certificateView(result) {
       make("p", {}, "Of ", make("a", { href: resultAddress(result) }, result),
         ". The laboratory's data are kept in ", make("code", {}, file),
         told.version ? "." : ", which is not there yet: all of it is an example."),
-      make("form", { class: "row", onsubmit: issue },
-        labelled("File of the certificate, .xml or .pdf", output),
-        make("button", { class: "main" }, "Issue")),
+      make("form", { onsubmit: issue },
+        make("div", { class: "row" },
+          labelled("File of the certificate, .xml or .pdf", output),
+          make("label", { class: "choice" }, both, "XML and PDF, both")),
+        signing.element,
+        draft,
+        button),
       place,
       editor.element,
     ],

@@ -12,7 +12,7 @@ import { labelled, make, say, warning } from "./dom.js";
  * @typedef {{key: string, words: string, repeat: string | null, fields: Field[],
  *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
  * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
- *   questions: string[], run_kinds: string[]}} Edited
+ *   questions: string[], run_kinds: string[], example: string[]}} Edited
  */
 
 /**
@@ -94,7 +94,7 @@ const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] 
 export class Editor {
   /**
    * @param {any} told what the server says of the file
-   * @param {{result?: string, saved?: () => void}} [more]
+   * @param {{result?: string, saved?: () => void, shown?: (now: Edited) => void}} [more]
    */
   constructor(told, more = {}) {
     /** @type {string} */ this.file = told.file;
@@ -224,6 +224,7 @@ export class Editor {
       if (was !== undefined) details.open = was;
     });
     this.showProblems();
+    this.more.shown?.(this.now);
     this.button.disabled = !this.changed && this.version !== "";
     const again = key && /** @type {HTMLInputElement | null} */ (document.getElementById(key));
     if (again) {
@@ -582,7 +583,7 @@ addEventListener("beforeunload", (event) => {
 /**
  * Make an editor that is asked about before the page is left.
  * @param {any} told
- * @param {{result?: string, saved?: () => void}} [more]
+ * @param {{result?: string, saved?: () => void, shown?: (now: Edited) => void}} [more]
  */
 export function editorOf(told, more) {
   current = new Editor(told, more);

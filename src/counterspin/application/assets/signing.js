@@ -1,0 +1,78 @@
+// @ts-check
+// With what a certificate is signed. A key and its password go into one request and are forgotten.
+
+import { labelled, make } from "./dom.js";
+
+/**
+ * A file as a request carries it.
+ * @param {File} file
+ * @returns {Promise<{name: string, content: string}>}
+ */
+const carried = (file) => new Promise((done, failed) => {
+  const reader = new FileReader();
+  reader.onload = () => done({ name: file.name, content: String(reader.result).split(",")[1] ?? "" });
+  reader.onerror = () => failed(new Error(`${file.name} cannot be read.`));
+  reader.readAsDataURL(file);
+});
+
+/** The fields that say who signs. */
+export class Signing {
+  /**
+   * @param {string} signer whose command the server was started with; empty: nobody's
+   * @param {() => void} changed
+   */
+  constructor(signer, changed) {
+    this.how = make("select", {
+      onchange: () => {
+        this.show();
+        changed();
+      },
+    },
+      make("option", { value: "" }, "Not signed"),
+      make("option", { value: "key" }, "With a key in a file"),
+      signer ? make("option", { value: "command" }, `With this server's command: ${signer}`) : null);
+    this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx" });
+    this.certificate = make("input", { type: "file", accept: ".pem,.crt,.cer" });
+    this.password = make("input", { type: "password", autocomplete: "off" });
+    this.files = make("div", { class: "row" },
+      labelled("Key, PEM or PKCS #12", this.key),
+      labelled("Its certificate (PEM), if the key's file has none", this.certificate),
+      labelled("Password of the key, if it has one", this.password));
+    this.words = make("p", { class: "quiet" });
+    this.element = make("div", {}, make("div", { class: "row" }, labelled("Signature", this.how)),
+      this.files, this.words);
+    this.show();
+  }
+
+  /** Whether it is signed at all. */
+  get wanted() {
+    return this.how.value !== "";
+  }
+
+  show() {
+    this.files.hidden = this.how.value !== "key";
+    this.words.textContent = {
+      "": "",
+      key: "Both XML and PDF are signed. Key and password are used for this one request: nothing keeps them.",
+      command: "Both XML and PDF are signed.",
+    }[this.how.value] ?? "";
+  }
+
+  /**
+   * What a request says; the password is forgotten here.
+   * @returns {Promise<any>}
+   */
+  async said() {
+    if (this.how.value === "") return undefined;
+    if (this.how.value === "command") return {};
+    const [key, certificate] = [this.key.files?.[0], this.certificate.files?.[0]];
+    if (!key) throw new Error("Choose the file of the key.");
+    const password = this.password.value;
+    this.password.value = "";
+    return {
+      key: await carried(key),
+      ...(certificate ? { certificate: await carried(certificate) } : {}),
+      ...(password ? { password } : {}),
+    };
+  }
+}

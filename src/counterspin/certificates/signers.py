@@ -1,0 +1,251 @@
+"""Who signs a certificate: a private key in a file, or a command that has it in a device."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.errors import REASON_LENGTH, CounterspinError, installing
+from counterspin.frozen import frozen
+from counterspin.input import read_file
+
+#: The smallest keys: RSA by NIST SP 800-131A, elliptic curves likewise; bits.
+_RSA_BITS: Final = 2048
+_CURVE_BITS: Final = 256
+
+#: How long a command may take, s: somebody may have to type the PIN of a card.
+_COMMAND_SECONDS: Final = 120.0
+
+_MISSING: Final = (
+    f"signatures need the package cryptography, which is not installed: {installing('signature')}"
+)
+
+
+class PasswordNeededError(CounterspinError):
+    """A key is encrypted, and no password was given."""
+
+
+@frozen(eq=False)
+class Signer:
+    """Who signs.
+
+    No part of a key is ever written, or in a message.
+    """
+
+    certificates: Sequence[Any]  #: X.509: the signer's, followed by its chain if given.
+    #: Takes bytes; returns their signature: RSA by PKCS #1 v1.5, or ECDSA in DER; SHA-256.
+    signed: Callable[[bytes], bytes] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Who it is, as the certificate says."""
+        text: str = self.certificates[0].subject.rfc4514_string()
+        return text[:REASON_LENGTH]
+
+    @property
+    def public(self) -> Any:
+        """The public key."""
+        return self.certificates[0].public_key()
+
+    @property
+    def with_rsa(self) -> bool:
+        """Whether the key is RSA; else it is of an elliptic curve."""
+        from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
+
+        return isinstance(self.public, RSAPublicKey)
+
+
+@frozen
+class KeyFile:
+    """A file with a key or a certificate, as it was read."""
+
+    name: str
+    content: bytes = field(repr=False)
+
+    @classmethod
+    def read(cls, path: Path) -> KeyFile:
+        """Read a file; CounterspinError if that cannot be done."""
+        try:
+            return cls(str(path), read_file(path))
+        except OSError as error:
+            raise CounterspinError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def read_signer(
+    key: Path | KeyFile, certificate: Path | KeyFile | None = None, password: str | None = None
+) -> Signer:
+    """Read a private key with the certificate that belongs to it.
+
+    key: PEM, or PKCS #12, which holds its certificate.
+    certificate: PEM; None: it is in the file of the key.
+    """
+    of_key = key if isinstance(key, KeyFile) else KeyFile.read(key)
+    _require_cryptography()
+    given = certificate
+    of_certificate = given if given is None or isinstance(given, KeyFile) else KeyFile.read(given)
+    secret = None if password is None else password.encode()
+    if b"-----BEGIN " not in of_key.content:
+        private, certificates = _from_pkcs12(of_key, secret)
+        if of_certificate is not None:
+            certificates = certificates_in(of_certificate)
+    else:
+        private = _from_pem(of_key, secret)
+        certificates = certificates_in(of_certificate or of_key)
+    source = (of_certificate or of_key).name
+    if certificates[0].public_key() != private.public_key():
+        raise CounterspinError(f"{source}: is not the certificate of the key {of_key.name}")
+    signer = signer_with(private, certificates)
+    _refuse_unfit(signer, of_key.name, source)
+    return signer
+
+
+def signer_with(key: Any, certificates: Sequence[Any]) -> Signer:
+    """Return the signer that has a private key of `cryptography`."""
+    return Signer(certificates, lambda data: bytes(key.sign(data, *_way(key.public_key()))))
+
+
+def command_signer(command: str, certificate: Path) -> Signer:
+    """Return the signer whose key a command has: in a card, a token, another machine.
+
+    command: Reads on standard input what is to be signed, and writes the signature: of RSA by
+        PKCS #1 v1.5, of an elliptic curve in DER, each with SHA-256.
+    """
+    _require_cryptography()
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise CounterspinError(f"`signer`: {command!r} is not a command ({error})") from error
+    if not words:
+        raise CounterspinError("`signer`: give the command that signs")
+    certificates = certificates_in(KeyFile.read(certificate))
+    signer = Signer(
+        certificates, lambda data: _signed_by(words, data, certificates[0].public_key())
+    )
+    _refuse_unfit(signer, str(certificate), str(certificate))
+    return signer
+
+
+def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
+    """Return what a command makes of bytes, if it is their signature."""
+    from cryptography.exceptions import InvalidSignature
+
+    def failed(why: str) -> CounterspinError:
+        return CounterspinError(f"the signer's command {shlex.join(words)} {why}")
+
+    try:
+        made = subprocess.run(
+            words, input=data, capture_output=True, timeout=_COMMAND_SECONDS, check=False
+        )
+    except OSError as error:
+        raise failed(f"cannot be run ({error.strerror})") from error
+    except subprocess.TimeoutExpired as error:
+        raise failed(f"had not ended after {_COMMAND_SECONDS:g} s") from error
+    if made.returncode != 0:
+        said = made.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
+        raise failed(f"ended with {made.returncode}: {said or 'it does not say why'}")
+    try:
+        public.verify(made.stdout, data, *_way(public))
+    except InvalidSignature as error:
+        raise failed(
+            f"wrote {len(made.stdout)} bytes that are no signature by the key of its certificate "
+            "(RSA by PKCS #1 v1.5, or ECDSA in DER, of SHA-256, is expected)"
+        ) from error
+    return made.stdout
+
+
+def _way(public: Any) -> tuple[Any, ...]:
+    """Return how the holder of a key signs; empty for other kinds than RSA and curves."""
+    from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+    from cryptography.hazmat.primitives.hashes import SHA256
+
+    if isinstance(public, rsa.RSAPublicKey):
+        return padding.PKCS1v15(), SHA256()
+    return (ec.ECDSA(SHA256()),) if isinstance(public, ec.EllipticCurvePublicKey) else ()
+
+
+def certificates_in(file: KeyFile) -> list[Any]:
+    """Return the X.509 certificates in a PEM file, of which there is one at least."""
+    _require_cryptography()
+    from cryptography.x509 import load_pem_x509_certificates
+
+    try:
+        return load_pem_x509_certificates(file.content)
+    except ValueError as error:
+        raise CounterspinError(f"{file.name}: is not an X.509 certificate in PEM form") from error
+
+
+def _from_pem(file: KeyFile, password: bytes | None) -> Any:
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    try:
+        return load_pem_private_key(file.content, password)
+    except TypeError as error:
+        if password is None:
+            raise PasswordNeededError(f"{file.name}: is encrypted; give its password") from error
+        return _from_pem(file, None)  # it is not encrypted after all
+    except (ValueError, UnsupportedAlgorithm) as error:
+        if password is not None:
+            raise CounterspinError(
+                f"{file.name}: cannot be read with this password, or is not a private key in PEM "
+                "form"
+            ) from error
+        raise CounterspinError(f"{file.name}: is not a private key in PEM form") from error
+
+
+def _from_pkcs12(file: KeyFile, password: bytes | None) -> tuple[Any, list[Any]]:
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization.pkcs12 import load_pkcs12
+
+    try:
+        held = load_pkcs12(file.content, password)
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        if not file.content.startswith(b"\x30"):
+            raise CounterspinError(
+                f"{file.name}: is not a private key in PEM form, nor a PKCS #12 file"
+            ) from error
+        if password is None:
+            raise PasswordNeededError(f"{file.name}: is encrypted; give its password") from error
+        raise CounterspinError(
+            f"{file.name}: cannot be read with this password, or is not a PKCS #12 file"
+        ) from error
+    if held.key is None or held.cert is None:
+        raise CounterspinError(f"{file.name}: does not hold both a key and its certificate")
+    return held.key, [held.cert.certificate, *(one.certificate for one in held.additional_certs)]
+
+
+def _refuse_unfit(signer: Signer, key: str, certificate: str) -> None:
+    """Refuse a signer whose signature of now would be worth nothing."""
+    from cryptography.x509 import ExtensionNotFound, KeyUsage
+
+    if not _way(signer.public):
+        raise CounterspinError(f"{key}: must be an RSA or an elliptic-curve key")
+    least, size = _RSA_BITS if signer.with_rsa else _CURVE_BITS, signer.public.key_size
+    if size < least:
+        raise CounterspinError(f"{key}: the key has {size} bits; at least {least} are needed")
+    own = signer.certificates[0]
+    begin, end = own.not_valid_before_utc, own.not_valid_after_utc
+    if not begin <= datetime.now(UTC) <= end:
+        raise CounterspinError(
+            f"{certificate}: is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, and not today"
+        )
+    try:
+        usage = own.extensions.get_extension_for_class(KeyUsage).value
+    except ExtensionNotFound:
+        return
+    except ValueError as error:
+        raise CounterspinError(f"{certificate}: its extensions are damaged") from error
+    if not (usage.digital_signature or usage.content_commitment):
+        raise CounterspinError(f"{certificate}: its key is not meant for signatures (key usage)")
+
+
+def _require_cryptography() -> None:
+    try:
+        import cryptography  # noqa: F401
+    except ImportError as error:
+        raise CounterspinError(_MISSING) from error

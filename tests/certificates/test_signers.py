@@ -1,0 +1,178 @@
+"""Who can sign: keys in files, with passwords, and commands that have a key."""
+
+import shlex
+import sys
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
+from cryptography.hazmat.primitives.hashes import SHA256
+from signing_keys import write_pair, write_pkcs12
+
+from counterspin.certificates.signers import (
+    KeyFile,
+    PasswordNeededError,
+    command_signer,
+    read_signer,
+)
+from counterspin.errors import CounterspinError
+
+SECRET = "vÿ secret"
+
+
+@pytest.fixture(scope="module")
+def keys():
+    return {
+        "rsa": rsa.generate_private_key(65537, 2048),
+        "ec": ec.generate_private_key(ec.SECP256R1()),
+    }
+
+
+def fits(signer, key):
+    """Tell whether a signer signs with a key; raises InvalidSignature if not."""
+    made = signer.signed(b"words")
+    way = (padding.PKCS1v15(), SHA256()) if signer.with_rsa else (ec.ECDSA(SHA256()),)
+    key.public_key().verify(made, b"words", *way)
+    return True
+
+
+@pytest.mark.parametrize("kind", ["rsa", "ec"])
+@pytest.mark.parametrize("password", [None, SECRET])
+def test_a_key_is_read_from_pem_and_pkcs12(tmp_path, keys, kind, password):
+    secret = password and password.encode()
+    pem = read_signer(*write_pair(tmp_path / "pem", keys[kind], secret), password)
+    p12, cert = write_pkcs12(tmp_path / "p12", keys[kind], secret)
+    assert fits(pem, keys[kind])
+    for given in (None, cert):
+        held = read_signer(p12, given, password)
+        assert fits(held, keys[kind])
+        assert held.name == "CN=Example laboratory"
+    # A certificate may stand behind its key, in one file.
+    key, cert = write_pair(tmp_path / "one", keys[kind], secret)
+    one = KeyFile("one.pem", key.read_bytes() + cert.read_bytes())
+    assert fits(read_signer(one, password=password), keys[kind])
+
+
+def test_a_password_that_is_not_needed_does_no_harm(tmp_path, keys):
+    assert fits(read_signer(*write_pair(tmp_path / "k", keys["ec"]), SECRET), keys["ec"])
+
+
+@pytest.mark.parametrize("write", [write_pair, write_pkcs12])
+def test_a_password_is_asked_for_and_a_wrong_one_is_refused(tmp_path, keys, write):
+    key, cert = write(tmp_path / "k", keys["rsa"], SECRET.encode())
+    with pytest.raises(PasswordNeededError, match="is encrypted; give its password"):
+        read_signer(key, cert)
+    with pytest.raises(CounterspinError, match="cannot be read with this password") as raised:
+        read_signer(key, cert, "wrong words")
+    assert not isinstance(raised.value, PasswordNeededError)
+    assert "wrong words" not in str(raised.value)
+
+
+def test_nothing_shows_a_key(tmp_path, keys):
+    key, cert = write_pair(tmp_path / "k", keys["ec"])
+    shown = repr(read_signer(key, cert)) + repr(KeyFile.read(key))
+    inner = key.read_text().splitlines()[1]
+    assert inner not in shown
+    assert "PRIVATE" not in shown
+
+
+@pytest.mark.parametrize(
+    ("made", "more", "words"),
+    [
+        (lambda: rsa.generate_private_key(65537, 1024), {}, "1024 bits; at least 2048"),
+        (lambda: ec.generate_private_key(ec.SECP192R1()), {}, "192 bits; at least 256"),
+        (None, {"days": (-10, -1)}, "only, and not today"),
+        (None, {"days": (1, 10)}, "only, and not today"),
+        (None, {"usage": "key_agreement"}, "not meant for signatures"),
+        (None, {"usage": "content_commitment"}, None),
+        (None, {"usage": "digital_signature"}, None),
+    ],
+)
+def test_a_signer_s_certificate_is_checked_at_issue(tmp_path, made, more, words):
+    key = made() if made else ec.generate_private_key(ec.SECP256R1())
+    pair = write_pair(tmp_path / "k", key, **more)
+    if words is None:
+        assert read_signer(*pair).public.key_size == 256
+    else:
+        with pytest.raises(CounterspinError, match=words):
+            read_signer(*pair)
+
+
+def test_a_key_that_cannot_sign_is_told(tmp_path, keys):
+    key, cert = write_pair(tmp_path / "rsa", keys["rsa"])
+    odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
+    with pytest.raises(CounterspinError, match="must be an RSA or an elliptic-curve key"):
+        read_signer(*odd)
+    with pytest.raises(CounterspinError, match="is not a private key in PEM form"):
+        read_signer(cert, cert)
+    with pytest.raises(CounterspinError, match=r"is not an X\.509 certificate in PEM form"):
+        read_signer(key, key)
+    with pytest.raises(CounterspinError, match=r"is not an X\.509 certificate in PEM form"):
+        read_signer(key)
+    with pytest.raises(CounterspinError, match=r"not a private key in PEM form, nor a PKCS #12"):
+        read_signer(KeyFile("x", b"words"))
+    with pytest.raises(CounterspinError, match=r"cannot be read with this password, or is not a"):
+        read_signer(KeyFile("x", b"\x30\x82words"), None, "x")
+    with pytest.raises(CounterspinError, match="is not the certificate of the key"):
+        read_signer(key, write_pair(tmp_path / "ec", keys["ec"])[1])
+    with pytest.raises(CounterspinError, match=r"none\.pem: cannot be read"):
+        read_signer(tmp_path / "none.pem", cert)
+
+
+def program(folder, text):
+    """Return a command that runs a program."""
+    (folder / "sign it.py").write_text(text)
+    return shlex.join([sys.executable, str(folder / "sign it.py")])
+
+
+SIGNS = """
+import sys
+from cryptography.hazmat.primitives.asymmetric import ec, padding
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+key = load_pem_private_key(open({key!r}, "rb").read(), None)
+data = sys.stdin.buffer.read()
+way = (ec.ECDSA(SHA256()),) if {curve} else (padding.PKCS1v15(), SHA256())
+sys.stdout.buffer.write(key.sign(data, *way))
+"""
+
+
+@pytest.mark.parametrize("kind", ["rsa", "ec"])
+def test_a_command_signs_with_a_key_that_is_never_seen(tmp_path, keys, kind):
+    key, cert = write_pair(tmp_path / "k", keys[kind])
+    text = SIGNS.format(key=str(key), curve=kind == "ec")
+    assert fits(command_signer(program(tmp_path, text), cert), keys[kind])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("import sys; sys.exit('no card in the reader')", "ended with 1: no card in the reader"),
+        ("import sys; sys.exit(3)", "ended with 3: it does not say why"),
+        ("print('words')", "wrote 6 bytes that are no signature by the key of its certificate"),
+    ],
+)
+def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):
+    _, cert = write_pair(tmp_path / "k", keys["ec"])
+    signer = command_signer(program(tmp_path, text), cert)
+    with pytest.raises(CounterspinError, match=words):
+        signer.signed(b"words")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("", "give the command"), ("'x", "is not a command"), ("/nowhere/x", "cannot be run")],
+)
+def test_what_is_no_command_is_told(tmp_path, keys, command, words):
+    _, cert = write_pair(tmp_path / "k", keys["ec"])
+    with pytest.raises(CounterspinError, match=words):
+        command_signer(command, cert).signed(b"words")
+    _, odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
+    with pytest.raises(CounterspinError, match="must be an RSA or an elliptic-curve key"):
+        command_signer("sign", odd)
+
+
+def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, tmp_path, keys):
+    pair = write_pair(tmp_path / "k", keys["ec"])
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):
+        read_signer(*pair)
