@@ -9,13 +9,13 @@ from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.resolved import Run
-from counterspin.campaign.settings import OBSERVABLES, StatedNoise
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.monitoring.judging import remarks_of, run_state
 from counterspin.monitoring.observing import Observer, record_name
 from counterspin.monitoring.reaching import Fitted, fitted, reached, shown_names
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.planning.forecast import forecast
+from counterspin.planning.recorded import as_recorded, noise_of_fit
 from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread
@@ -179,17 +179,9 @@ def _expected(
     unknown = [r.name for r in runs if r.duration is None]
     if unknown:
         return [], f"the description does not say how long {', '.join(unknown)} will last"
-    stated = campaign.noise or StatedNoise()
-    found = {
-        part: size
-        for name, view in fit.campaign.accelerometers.items()
-        for part, size in _found_noise(fit, name, view.observable).items()
-    }
-    noise = {
-        key: found.get(key, 0.0) if campaign.noise is None or isinstance(value, str) else value
-        for key, value in stated
-    }
-    whole = replace(campaign, runs=tuple(runs), noise=stated.model_copy(update=noise))
+    whole = as_recorded(
+        replace(campaign, runs=tuple(runs)), [observed], noise_of_fit(fit.estimate.fit)
+    )
     try:
         predicted = forecast(whole, sampling_rate=1.0 / observed.record.report.step)
     except CounterspinError as error:
@@ -197,15 +189,3 @@ def _expected(
     names = shown_names(campaign)
     lines = reached(Fitted(whole, predicted.estimate), names)
     return [line.model_copy(update={"value": None}) for line in lines], None
-
-
-def _found_noise(fit: Fitted, name: str, observable: str) -> dict[str, float]:
-    """Return the noise that the run itself has, by the key of the description."""
-    noise = fit.estimate.fit.noise[name]
-    assert observable in OBSERVABLES
-    return {
-        observable: noise.white,
-        "acceleration": noise.random_walk,
-        "flicker": noise.flicker,
-        "bias_walk": noise.bias_walk,
-    }

@@ -2,7 +2,8 @@
 
 - `plan`: the whole way, from ``PLAN.toml`` to a plan and back to a campaign
 - `plan_sections`, `plan_file`: what may stand in ``PLAN.toml``; `read_plan`
-- `forecast`: what a calibration will say, before there are records
+- `forecast`, `recorded`: what a calibration will say, before there are records; of a campaign that
+  has them, with their lengths, rates and noise
 - `experimental_setup`, `angle_functions`, `even_samples`, `information_table`,
   `run_information`: what a run of a plan would tell, as a smooth function of its rate and length
 - `design`: plans, what they may be and how good they are

@@ -80,7 +80,7 @@ class Forecast:
 def forecast(
     where: Path | str | Campaign,
     *,
-    sampling_rate: float | None = None,
+    sampling_rate: float | Mapping[str, float] | None = None,
     model: Unknowns | None = None,
     expected: Array | None = None,
 ) -> Forecast:
@@ -92,7 +92,8 @@ def forecast(
         The campaign's folder, its ``campaign.toml``, or a campaign already read; every run with
         its duration, the noise given, every reading with its standard uncertainty.
     sampling_rate
-        Samples a second, Hz; None: that of the campaign's [simulation].
+        Samples a second, Hz, or those of each run by name; None: that of the campaign's
+        [simulation].
     model
         What is estimated and considered; None: what the campaign says.
     expected
@@ -120,9 +121,14 @@ def forecast(
         solution = solve_blocks(list(beside.values()), model)
         return Forecast(campaign, JointFit(model, solution, (), (), {}, beside=beside))
     assert sampling_rate is not None
-    require_room(campaign, sampling_rate, "forecast")
+    rates = (
+        dict(sampling_rate)
+        if isinstance(sampling_rate, Mapping)
+        else dict.fromkeys((run.name for run in campaign.runs), sampling_rate)
+    )
+    require_room(campaign, max(rates.values()), "forecast")
     series = [
-        planned_series(campaign, run, name, sampling_rate)
+        planned_series(campaign, run, name, rates[run.name])
         for run in campaign.runs
         for name in campaign.accelerometers
     ]
@@ -138,7 +144,7 @@ def forecast(
     return Forecast(campaign, fit)
 
 
-def _check(campaign: Campaign, sampling_rate: float | None) -> None:
+def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:
     problems = [
         f"runs[{index}]: neither duration nor revolutions are given; a prediction needs one "
         f'(run "{run.name}")'

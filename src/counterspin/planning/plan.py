@@ -24,6 +24,7 @@ from counterspin.planning.plan_file import load_plan, plan_name, read_plan
 from counterspin.planning.predicted import result_of
 from counterspin.planning.readings.reading_plan import plan_readings
 from counterspin.planning.readings.stations import read_reading_plan
+from counterspin.planning.recorded import from_records, lacks
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
@@ -168,14 +169,18 @@ def check(
 ) -> PlanResult:
     """Forecast the uncertainties of a campaign without its records.
 
+    What a forecast needs and the description does not say (lengths, sampling rates, noise) is taken
+    from the records where all of them are there.
+
     Parameters
     ----------
     where
         The campaign's folder or its description.
     sampling_rate
-        Hz; None: that of its [simulation].
+        Hz; None: that of its [simulation], or of the records.
     revolutions
-        Of runs for which the campaign says neither duration nor revolutions; None: they must.
+        Of runs for which the campaign says neither duration nor revolutions; None: the records
+        must.
 
     Raises
     ------
@@ -188,7 +193,13 @@ def check(
         lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}
         runs = (replace(r, duration=lengths.get(r.name, r.duration)) for r in campaign.runs)
         campaign = replace(campaign, runs=tuple(runs))
-    prediction = forecast(campaign, sampling_rate=sampling_rate)
+    rates: float | Mapping[str, float] | None = sampling_rate
+    if revolutions is None and lacks(campaign, sampling_rate):
+        campaign, recorded = from_records(campaign)
+        if sampling_rate is None:
+            # That of the slowest recorder is the one that a requirement may rest on.
+            rates, sampling_rate = recorded, min(recorded.values())
+    prediction = forecast(campaign, sampling_rate=rates)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
@@ -203,7 +214,7 @@ def check(
     warnings = [
         f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not say how long "
         "its record is."
-        for run in lacking
+        for run in (lacking if revolutions is not None else ())
     ]
     return result.model_copy(
         update={
