@@ -59,8 +59,8 @@ def test_what_is_likely_is_said():
 def test_without_a_mistake_nothing_is_said(way):
     right = replace(MISTAKES[1], truth={}, world={}, change=float)
     row = STUDY["row_of"](right, way)
-    # An arm whose pendulous axis lies along the motion says nothing of delta_O.
-    assert row.code == ("not-determined" if way == "arm" else "")
+    # Twelve readings on an arm of which little is stated leave 4.1 degrees of freedom.
+    assert row.code == ("unjudged-readings" if way == "arm" else "")
 
 
 @pytest.mark.parametrize("upright", [True, False])

@@ -1,16 +1,19 @@
 """What speaks against a result: decided once, ranked, and with its consequences."""
 
 import json
+from pathlib import Path
 
 import pytest
 from results import result
 
+import counterspin as cs
 from certificates import write_lab
 from counterspin import cli
 from counterspin.calibration.findings import judge_result, lack_of_fit, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
 from counterspin.inference.distributions import chi_square_tail
+from counterspin.results import _seal_of
 
 
 def judged(**changes):
@@ -229,3 +232,79 @@ def test_what_a_cause_explains_is_not_found_again(tmp_path):
     (tmp_path / "r.json").write_text(json.dumps(document))
     again = judge_result(Result.read(tmp_path / "r.json"))
     assert (again.state, codes(again)) == ("reservations", ["cause"])
+
+
+FROZEN = Path(__file__).parents[1] / "frozen" / "schema-1-joint.json"
+
+
+def earlier(folder, **values):
+    """Write a result of schema 1, which nobody has held to credible sizes, with other values."""
+    document = json.loads(FROZEN.read_text(encoding="utf-8"))
+    for symbol, value in values.items():
+        document["accelerometers"]["Qx"]["coefficients"][symbol] |= {
+            "value": value,
+            "estimated": True,
+        }
+    (folder / "old.json").write_text(json.dumps(document), encoding="utf-8")
+    return judge_result(Result.read(folder / "old.json"))
+
+
+@pytest.mark.parametrize(
+    ("symbol", "value"), [("K_I", -1.0006), ("K_I", 9.8), ("K_F", 3.0), ("K_II", 0.1)]
+)
+def test_an_incredible_result_of_an_earlier_version_is_held_to_it(
+    tmp_path, monkeypatch, capsys, symbol, value
+):
+    monkeypatch.chdir(tmp_path)
+    write_lab(tmp_path)
+    before = earlier(tmp_path)
+    found = earlier(tmp_path, **{symbol: value})
+    assert not any(f.code == "incredible" for f in before.findings)
+    assert found.state == found.accelerometers["Qx"].state == "contradicted"
+    assert ("incredible", f"Qx.{symbol}") in {(f.code, f.subject) for f in found.findings}
+    assert refusal(found, ["Qy"]) is None
+    assert cli.main(["certificate", "old.json", "LAB.toml", "-o", "c.xml"]) == 1
+    assert f"{symbol} = {value:g}" in " ".join(capsys.readouterr().err.split())
+    read = cs.history(["old.json"]).left_out
+    assert any("is not credible" in one.reason for one in read if one.accelerometer == "Qx")
+    assert cs.compare("old.json", "old.json").results[0].state == "contradicted"
+
+
+def test_an_earlier_result_may_be_of_any_grade(tmp_path):
+    """Its grade is not in its file: an offset of 0.3 g is a consumer's, and no mistake."""
+    found = earlier(tmp_path, K_F=0.3)
+    assert not any(f.code == "incredible" for f in found.findings)
+
+
+def test_platform_and_unstated_terms_of_an_earlier_result_are_held_to_it(tmp_path):
+    document = json.loads(FROZEN.read_text(encoding="utf-8"))
+    document["platform"]["platform.drift.north"] |= {"value": 1e-3, "u": 1e-6}
+    (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
+    found = judge_result(Result.read(tmp_path / "old.json"))
+    assert ("incredible", "platform.drift.north") in {(f.code, f.subject) for f in found.findings}
+    assert found.state == "contradicted"
+
+
+def test_without_a_seal_credible_sizes_are_asked_again(tmp_path):
+    document = json.loads(judged().to_json())
+    document["seal"] = None
+    document["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"value": 0.1}
+    row = {"name": "Qx.K_OO", "kind": "unstated", "value": 0.0, "u": 2e-6, "unit": "g/g^2"}
+    document["rests_on"] = [{**row, "found": 1e-5, "u_found": 1e-7}]
+    (tmp_path / "r.json").write_text(json.dumps(document), encoding="utf-8")
+    again = judge_result(Result.read(tmp_path / "r.json"))
+    assert again.state == "contradicted"
+    assert codes(again) == ["incredible", "beyond-typical"]
+    assert judge_result(again) == again
+
+
+def test_a_sealed_result_of_schema_1_that_called_itself_good_is_held_to_credible_sizes(tmp_path):
+    document = json.loads((FROZEN.parent / "repeat" / "result.json").read_text(encoding="utf-8"))
+    (name,) = document["accelerometers"]
+    for sign, state in ((1.0, "good"), (-1.0, "contradicted")):
+        document["accelerometers"][name]["coefficients"]["K_I"]["value"] = sign * 1.0006
+        document["seal"] = _seal_of(json.dumps(document))
+        (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
+        read = Result.read(tmp_path / "old.json")
+        assert (read.sealed, read.state) == (True, "good")
+        assert judge_result(read).state == state

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import Quantity, last_digit, parse
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.units import ADVICE, UNITS, unit_factor
 
@@ -165,3 +165,17 @@ def test_sizes_beyond_all_measure(text):
         ValueError, match="is too large or too small to be real; a length is wanted"
     ):
         parse(text, "m")
+
+
+@pytest.mark.parametrize(
+    ("text", "one"),
+    [
+        ("1.250 mA", "1e-3 mA"),
+        ("-0.5g", "1e-1g"),
+        ("−12 mg", "1e0 mg"),
+        ("6.28e-4 A", "1e-6 A"),
+        (".5 V", "1e-1 V"),
+    ],
+)
+def test_the_last_digit_of_a_quantity(text, one):
+    assert last_digit(text) == one

@@ -99,7 +99,8 @@ def test_a_frozen_result_still_holds():
     repeated = cs.rerun(FROZEN / "repeat" / "result.json")
     assert repeated.largest_in_u < 1e-6
     assert {c.name for c in repeated.coefficients} >= {"A.K_F", "A.K_I"}
-    assert repeated.state_now == repeated.state_before
+    # Four readings leave one degree of freedom, which the version of then did not remark on.
+    assert (repeated.state_before, repeated.state_now) == ("good", "reservations")
     assert not {"campaign.toml", "options", "method"} & {c.subject for c in repeated.changes}
 
 

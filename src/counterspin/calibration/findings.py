@@ -11,9 +11,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from counterspin.calibration.diagnosis.causes import Cause, below_causes, merged
+from counterspin.calibration.diagnosis.credible import (
+    beyond_typical,
+    incredible,
+    incredible_shared,
+    widest_limit,
+)
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
+    Coefficient,
     Comparison,
     Finding,
     KindOfTest,
@@ -56,13 +63,15 @@ def judge_result(
         kept where the result is contradicted.
     """
     if result.state is not None:
-        return result if result.sealed else _judged_again(result)
+        return result if result.sealed and not result.assumes_all else _judged_again(result)
     accelerometers = {
         name: _judge(name, accelerometer, result, causes)
         for name, accelerometer in result.accelerometers.items()
     }
     own = [finding for judged in accelerometers.values() for finding in judged.findings]
-    everything = ranked(merged([*below_causes("", result.findings, causes), *own]))
+    # What has just been calibrated was held to what its campaign says is credible.
+    shared = [*result.findings, *(_not_credible(result) if result.assumes_all else ())]
+    everything = ranked(merged([*below_causes("", shared, causes), *own]))
     state = state_of(everything)
     return result.model_copy(
         update={
@@ -76,14 +85,18 @@ def judge_result(
 
 
 def _judged_again(result: Result) -> Result:
-    """Return a result with a state that nobody vouches for: the worst of what speaks against it."""
+    """Return a result with the worst state of what speaks against it.
+
+    Its own state nobody vouches for, or it is of a version that knew of no credible sizes.
+    """
     accelerometers = {}
     for name, stated in result.accelerometers.items():
         known = {(f.code, f.subject) for f in _with_explained(stated.findings)}
-        found = [
-            *_of_the_whole(name, stated, result),
-            *from_numbers(name, stated, result.inputs.gravity, len(result.accelerometers)),
-        ]
+        found = list(incredible(widest_limit, name, stated.coefficients))
+        if not result.sealed:
+            gravity, fits = result.inputs.gravity, len(result.accelerometers)
+            found += _of_the_whole(name, stated, result)
+            found += from_numbers(name, stated, gravity, fits)
         new = [finding for finding in found if (finding.code, finding.subject) not in known]
         findings = ranked([*stated.findings, *new])
         accelerometers[name] = stated.model_copy(
@@ -94,7 +107,9 @@ def _judged_again(result: Result) -> Result:
             }
         )
     own = [finding for judged in accelerometers.values() for finding in judged.findings]
-    everything = ranked(merged([*result.findings, *own]))
+    known = {(f.code, f.subject) for f in _with_explained(result.findings)}
+    shared = [f for f in _not_credible(result) if (f.code, f.subject) not in known]
+    everything = ranked(merged([*result.findings, *shared, *own]))
     states = (judged.state for judged in accelerometers.values())
     state = _worst_state(result.state, state_of(everything), *states)
     return result.model_copy(
@@ -126,6 +141,8 @@ def _judge(
         *_of_the_whole(name, accelerometer, result),
         *from_numbers(name, accelerometer, result.inputs.gravity, len(result.accelerometers)),
     ]
+    if result.assumes_all:
+        found += incredible(widest_limit, name, accelerometer.coefficients)
     findings = ranked(below_causes(name, found, causes))
     return accelerometer.model_copy(
         update={
@@ -191,6 +208,28 @@ def _of_the_whole(
         yield Finding(
             code="not-determined", subject=subject, text="These records do not determine K_II."
         )
+
+
+def _not_credible(result: Result) -> Iterator[Finding]:
+    """Yield what platform, machine, runs and all that is unstated have that nothing has."""
+    of_runs = (
+        (symbol, f"{run}.{symbol}", c)
+        for run, own in result.runs.items()
+        for symbol, c in own.terms.items()
+    )
+    of_all = (
+        (symbol, symbol, _deviation(c, result.inputs.radius))
+        if symbol.startswith("centrifuge.radius.")
+        else (symbol, symbol, c)
+        for symbol, c in result.platform.items()
+    )
+    yield from incredible_shared(widest_limit, (*of_all, *of_runs))
+    yield from beyond_typical(result.rests_on)
+
+
+def _deviation(c: Coefficient, nominal: float) -> Coefficient:
+    value = None if c.value is None else c.value - nominal
+    return c.model_copy(update={"value": value})
 
 
 def from_numbers(

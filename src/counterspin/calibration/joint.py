@@ -11,7 +11,10 @@ from counterspin.calibration.diagnosis.credible import (
     incredible_shared,
 )
 from counterspin.calibration.diagnosis.mountings import other_mountings, unseen_axes
-from counterspin.calibration.diagnosis.reading_findings import outliers_of_means
+from counterspin.calibration.diagnosis.reading_findings import (
+    no_more_than_rounded,
+    outliers_of_means,
+)
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
@@ -83,7 +86,8 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
         for index, unknown in enumerate(model.asked)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
-    beyond = list(incredible_shared(campaign, shared))
+    each = ((unknown.symbol, unknown.name, c) for unknown, c in shared.items())
+    beyond = list(incredible_shared(campaign.limit_of, each))
     shared |= radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
@@ -118,7 +122,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
             *beyond_typical(rests_on),
         ],
         causes=causes_of(views, accelerometers, mountings),
-        remarks=tuple(unseen_axes(mountings)),
+        remarks=(*unseen_axes(mountings), *no_more_than_rounded(views)),
         residuals=residuals_of(estimated.fit, units),
     )
 
@@ -188,7 +192,7 @@ def _accelerometer(
             *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(view, own),
-            *incredible(view.campaign, name, own),
+            *incredible(view.campaign.limit_of, name, own),
         ],
         **described(view.accelerometer, own),
     )

@@ -99,7 +99,7 @@ class AccelerometerReadings(FittedReadings):
             apart += len(places) - 1.0
             within += float(np.sum((own[places] - own[places].mean()) ** 2))
         left = self.freedom - apart
-        if math.isinf(self.dof) or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
+        if self.weighed or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
             return None
         from scipy.special import fdtrc
 

@@ -104,7 +104,7 @@ def two_stage(
         what_if=what_if(second.fit, places, budgets, name),
         findings=[
             *findings(view, second, coefficients, options.model),
-            *incredible(campaign, name, {**coefficients, "K_I": _shown_by_waves(records)}),
+            *incredible(campaign.limit_of, name, {**coefficients, "K_I": _shown_by_waves(records)}),
         ],
         **described(accelerometer, coefficients),
     )

@@ -114,6 +114,7 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         time=np.array([(start if r.time is None else r.time) - start for r in readings]),
         repeats=np.array([float(r.repeats) for r in readings]),
         scatter=np.array([r.scatter for r in readings]),
+        resolution=min(r.resolution for r in readings),
         position=tuple(r.position for r in readings),
         in_si=np.array([float(r.in_si) for r in readings]),
     )

@@ -117,6 +117,14 @@ def parse(
     return Quantity(value, u, unit)
 
 
+def last_digit(text: str) -> str:
+    """Return one of the last digit of a quantity, as a quantity: ``0.001 mA`` of ``1.250 mA``."""
+    clean = text.strip().replace("−", "-")
+    match = re.match(r"[+-]?\d*\.?(\d*)(?:[eE]([+-]?\d+))?", clean)
+    assert match is not None
+    return f"1e{int(match[2] or 0) - len(match[1])}{clean[match.end() :]}"
+
+
 def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
     """Say how ``VALUE UNIT ± U UNIT`` is written with one unit."""
     unit, u, unit_of_u = twice.groups()

@@ -30,7 +30,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     record_file,
 )
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import Quantity, last_digit, parse
 from counterspin.campaign.settings import Output
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
@@ -136,6 +136,7 @@ class Reading:
     duration: float | None = None  #: Length of the record that is simulated, s; None: not stated.
     repeats: int = 1  #: How many repeats at one setting the value is the mean of.
     scatter: float = 0.0  #: Sum of squares of the repeats about their mean, g^2.
+    resolution: float = 0.0  #: One of the last digit that was written, g; 0 of a record.
     #: Whether it was written in m/s^2, so that its value in g depends on the gravity assumed.
     in_si: bool = False
     #: Name of the position at rest, the same for all that are set alike; empty where errors of
@@ -224,6 +225,7 @@ def resolve_reading(
                 duration=duration,
                 repeats=read.repeats,
                 scatter=read.scatter,
+                resolution=read.resolution,
                 in_si=read.in_si,
                 position=_position(settings, rows),
             )
@@ -284,6 +286,7 @@ class _Value:
     repeats: int = 1
     scatter: float = 0.0
     in_si: bool = False
+    resolution: float = 0.0
 
 
 def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Value:
@@ -304,7 +307,11 @@ def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Valu
         in_si = unlike != quantities[0]
     if (u > 0.0).all():
         return _Value(mean, float(np.linalg.norm(u)) / len(texts), len(texts), in_si=in_si)
-    return _Value(mean, None, len(texts), float(np.sum((values - mean) ** 2)), in_si)
+    scatter = float(np.sum((values - mean) ** 2))
+    last = 0.0
+    if not math.isnan(mean):
+        last = min(parse(last_digit(text), unit, gravity=conversion).value for text in written)
+    return _Value(mean, None, len(texts), scatter, in_si, last / abs(size))
 
 
 def _attitude(value: Any) -> tuple[Array, tuple[float, float, float], float]:

@@ -33,6 +33,9 @@ _HEAD_STEP: Final = 1e-5
 
 _SYMBOLS: Final = tuple(TERMS)
 
+#: No readout resolves more of its range: one of 8.5 digits has ten times as much.
+_FINEST: Final = 1e-9 / math.sqrt(12.0)
+
 
 @frozen
 class Readings:
@@ -61,6 +64,8 @@ class Readings:
     #: it, g^2, shape (n,). Where `u` is None.
     repeats: Array
     scatter: Array
+    #: One of the last digit that any of them has, g; 0 where it is not known.
+    resolution: float = 0.0
     #: Name of the position of each whose setting error is an unknown; empty where none is.
     position: tuple[str, ...] = ()
     #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
@@ -92,6 +97,19 @@ class Readings:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
         every = zip(stations, by.tolist(), self.head, strict=True)
         return [moved(station, "head.zero", angle, head) for station, angle, head in every]
+
+    @property
+    def least_noise(self) -> float:
+        """The least noise that one repeat can be said to have, g: rounding to the last digit.
+
+        Its standard deviation: GUM F.2.2.1. Where more digits were written than any readout has,
+        `_FINEST` of the largest one. Repeats whose scatter is below the digit are rounded alike.
+        """
+        largest = float(np.max(np.abs(self.value), initial=1e-3))
+        least = max(self.resolution / math.sqrt(12.0), _FINEST * largest)
+        again = float(np.sum(self.repeats - 1.0))
+        alike = float(self.scatter.sum()) < again * (self.resolution / 2.0) ** 2
+        return least * math.sqrt(float(self.repeats.max())) if alike else least
 
     @property
     def read_again(self) -> tuple[tuple[int, ...], ...]:

@@ -82,6 +82,14 @@ class FittedReadings:
         """Standard uncertainty of each reading, the head's part included, g, shape (n,)."""
         return self.linear.sigma
 
+    @property
+    def weighed(self) -> bool:
+        """Whether residuals are held against a noise that they did not tell: stated, or the least.
+
+        Those that are no more than rounding say nothing of each other's size.
+        """
+        return self.readings.u is not None or self.noise <= self.readings.least_noise
+
     def under(
         self,
         solution: Solution,
@@ -93,7 +101,7 @@ class FittedReadings:
         relaxed: The same with what is considered among the unknowns, by which noise is estimated.
         """
         group, part = self.readings, self.linear
-        told = None if group.u is not None else _NoiseWithout(*(relaxed or (part, solution)), group)
+        told = None if self.weighed else _NoiseWithout(*(relaxed or (part, solution)), group)
 
         def position(places: Sequence[int]) -> Position:
             return _position(part, places, solution, model, told)
@@ -291,5 +299,5 @@ def _noise_again(
     size = own * math.sqrt(squares / (float(share @ left_over) + again))
     if again < FEWEST_FREEDOM:
         size = max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))))
-    # Readings without any noise, such as simulated ones, must not end in a division by zero.
-    return max(size, 1e-15)
+    # Beside unstated terms a fit may follow every digit of readings without any noise.
+    return max(size, group.least_noise)

@@ -132,7 +132,9 @@ def readings_engine(
             true, dof = _of_record(campaign, reading)
         if true <= 0.0 and reading.u is None:
             raise ValueError(f"{_NO_NOISE}: {reading.name}")
-        readings.append(replace(reading, value=0.0, u=true if math.isfinite(dof) else reading.u))
+        # What is drawn is not rounded.
+        own_u = true if math.isfinite(dof) else reading.u
+        readings.append(replace(reading, value=0.0, u=own_u, resolution=0.0))
         noise.append(true)
         scattered.append(dof)
     ready = replace(campaign, readings=tuple(readings))

@@ -117,7 +117,7 @@ def estimate(value, u, *, estimated=True, unit="g/g^2"):
 )
 def test_three_standard_uncertainties_beyond(tmp_path, value, u, estimated, told):
     campaign = read_campaign(write(tmp_path, SMALL))
-    found = incredible(campaign, "Qx", {"K_II": estimate(value, u, estimated=estimated)})
+    found = incredible(campaign.limit_of, "Qx", {"K_II": estimate(value, u, estimated=estimated)})
     assert [finding.subject for finding in found] == ["Qx.K_II"] * told
 
 

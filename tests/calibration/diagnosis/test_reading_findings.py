@@ -33,7 +33,8 @@ def calibrated(folder, angles, values, **how):
     runs = []
     for k, (angle, value) in enumerate(zip(angles, np.atleast_2d(values.T).T, strict=True)):
         spread = "" if u is None else f" ± {1.25 * u!r}"
-        written = [f'"{1.25 * one!r}{spread} mA"' for one in value.tolist()]
+        digits = how.get("digits", 17)
+        written = [f'"{round(1.25 * one, digits)!r}{spread} mA"' for one in value.tolist()]
         reading = written[0] if len(written) == 1 else f"[{', '.join(written)}]"
         run = at_rest(f"at {k}", f"{angle!r}{head} deg about north", "?")
         runs.append(run.replace('reading = "?"', f"reading = {reading}"))
@@ -127,7 +128,8 @@ def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
     assert [f.code for f in three.findings] == ["unjudged-readings"]
     assert "3 readings are no more than the coefficients" in three.findings[0].text
     assert three.state == "reservations"
-    assert calibrated(tmp_path, even(4), values, u=SIGMA).state == "good"
+    four = calibrated(tmp_path, even(4), values, u=SIGMA)
+    assert "4 readings leave 1 degree of freedom" in four.findings[0].text
 
 
 def test_a_warm_up_is_named(tmp_path):
@@ -165,7 +167,12 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
     assert [f.code for f in result.findings] == codes
     assert result.state == ("reservations" if codes else "good")
     stated = calibrated(tmp_path, even(count), values, u=SIGMA)
-    assert stated.findings == []
+    assert [f.code for f in stated.findings] == codes
+    assert stated.state == result.state
+    if codes:
+        # Chi-square with 4 degrees of freedom exceeds 16.42 by chance in 0.25 %.
+        assert "leave 4 degrees of freedom" in stated.findings[0].text
+        assert "only residuals of 2 times what is stated are noticed" in stated.findings[0].text
 
 
 def shown(kind, rng):
@@ -293,3 +300,43 @@ def test_good_tumbles_of_which_little_is_stated_have_seldom_a_reading_that_is_of
         result = calibrated(tmp_path, even(12), values, assume=[])
         blamed += any(f.code == "outlying-reading" for f in result.findings)
     assert blamed <= 2
+
+
+ROUNDED = "follow the model to their last digit"
+
+
+@pytest.mark.parametrize("assume", ["all", []], ids=["all assumed", "nothing assumed"])
+@pytest.mark.parametrize("digits", [4, 6, 9, 17])
+def test_readings_without_noise_have_that_of_their_last_digit(tmp_path, assume, digits):
+    """Written to a digit of a, they are off by a/sqrt(12) (GUM F.2.2.1); nothing is found in it."""
+    values = simulated(tumble(), np.random.default_rng(0), 0.0, truth=LEVEL)
+    result = calibrated(tmp_path, even(12), values, assume=assume, digits=digits)
+    assert {f.code for f in result.findings} <= {"unjudged-readings"}
+    (noise,) = result.accelerometers["A"].noise.values()
+    least = 10.0**-digits / 1.25 / math.sqrt(12.0)
+    own = result.accelerometers["A"].coefficients
+    assert all(abs(c.value - LEVEL[s]) < 4.0 * c.u for s, c in own.items())
+    if digits < 9:
+        assert noise.value == pytest.approx(least, rel=1e-9)
+        assert ROUNDED in " ".join(result.warnings)
+    # They were refused, or a head off by 1,700 arcsec was named.
+    assert noise.value >= 1e-9 / math.sqrt(12.0)
+
+
+def test_the_last_digit_is_no_matter_where_there_is_noise(tmp_path):
+    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL)
+    whole = calibrated(tmp_path, even(12), values)
+    rounded = calibrated(tmp_path, even(12), values, digits=8)
+    for result in (whole, rounded):
+        assert not any(ROUNDED in warning for warning in result.warnings)
+    for symbol, c in rounded.accelerometers["A"].coefficients.items():
+        before = whole.accelerometers["A"].coefficients[symbol]
+        assert c.u == pytest.approx(before.u, rel=0.01)
+
+
+def test_repeats_that_are_alike_to_the_last_digit_have_no_less_noise_than_rounding(tmp_path):
+    values = simulated(tumble(), np.random.default_rng(2), 0.0, truth=LEVEL)
+    result = calibrated(tmp_path, even(12), np.repeat(values[:, None], 3, axis=1), digits=5)
+    (noise,) = result.accelerometers["A"].noise.values()
+    assert noise.value == pytest.approx(1e-5 / 1.25 / math.sqrt(12.0), rel=1e-9)  # of their mean
+    assert result.state == "good"

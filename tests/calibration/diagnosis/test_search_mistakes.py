@@ -33,6 +33,17 @@ SCALE = 'scale_factor = "1.0019743 ± 5e-6 g/g"'
 K_II = 'K_II = "2.7e-5 g/g^2"'
 TILT = '"platform.tilt" = "0 ± 0.5 arcsec"'
 
+
+def drifting(size):
+    """Return the displacement by a bias that grows by so many g over a record."""
+    return lambda t: size * 9.8066 * t**3 / (6.0 * t[-1])
+
+
+def warming(rate):
+    """Return the displacement by a bias that grows by so many g/s from the start of a record."""
+    return lambda t: rate * 9.8066 * t**3 / 6.0
+
+
 MISTAKES = (
     Mistake(
         "radius 2.6 m for 2.5 m",
@@ -195,6 +206,18 @@ MISTAKES = (
         estimated=True,
     ),
     Mistake(
+        "a bias that drifts by 50 ug in one record",
+        "bias-drifts middle.Qx",
+        records=added("middle", EAST, drifting(50e-6)),
+    ),
+    Mistake(
+        "a bias that drifts by 50 ug in one record",
+        "bias-drifts middle.Qx",
+        records=added("middle", EAST, drifting(50e-6)),
+        estimated=True,
+        state="reservations",
+    ),
+    Mistake(
         "a record that is bent over its length, 20 cm at its middle",
         "jump fast.Qx",
         records=added("fast", EAST, lambda t: 0.2 * np.sin(np.pi * t / t[-1])),
@@ -202,10 +225,9 @@ MISTAKES = (
     ),
     Mistake(
         "a slow error of 20 cm in one record that goes with t^3",
-        "noise-differs fast.Qx",
+        "bias-drifts fast.Qx",
         records=added("fast", EAST, lambda t: 0.2 * (t / t[-1]) ** 3),
         estimated=True,
-        state="reservations",
     ),
     Mistake(
         "K_III of 2e-5 g/g^3 left out",
@@ -356,3 +378,12 @@ def test_a_mistake_in_a_record_is_named_beside_a_reading_too(mistake, sound, tmp
     found = calibrate(folder)
     first = [f"{finding.code} {finding.subject}" for finding in found.findings][:1]
     assert first == [mistake.says] * bool(mistake.says)
+
+
+def test_a_bias_that_drifts_in_every_run_is_named_beside_a_drift_of_the_platform(sound, tmp_path):
+    """Both go with t^3: 5e-7 g/s is 300 times what a bias does, 11 times what a platform does."""
+    mistake = Mistake("", "", records=added(None, EAST, warming(5e-7)))
+    (found,) = calibrate(mistaken(tmp_path, mistake, sound)).findings
+    assert (found.subject, found.contradicts) == ("platform.drift.north", True)
+    assert "Qx" in found.as_well
+    assert "drift of the bias of Qx" in found.text

@@ -7,12 +7,11 @@ is, three of its standard uncertainties allowed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.result_parts import Coefficient, Finding, Knowledge
-from counterspin.campaign.description import Campaign
-from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.grades import GRADES
 from counterspin.physics.terms import OWN_TERMS, is_term, term
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
@@ -49,8 +48,17 @@ _LIKELY: Final = {
 }
 
 
+#: Symbol of a term and its accelerometer, empty of others' -> the largest credible size.
+LimitOf = Callable[[str, str], float]
+
+
+def widest_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- as campaigns answer
+    """Return the largest credible size at any grade, for a result that does not say its own."""
+    return max(term(symbol).sizes(grade).limit for grade in GRADES)
+
+
 def incredible(
-    campaign: Campaign, name: str, coefficients: Mapping[str, Coefficient]
+    limit_of: LimitOf, name: str, coefficients: Mapping[str, Coefficient]
 ) -> Iterator[Finding]:
     """Yield a finding if coefficients of an accelerometer are beyond what is credible.
 
@@ -62,7 +70,7 @@ def incredible(
         symbol: finding
         for symbol, c in coefficients.items()
         if symbol in OWN_TERMS
-        and (finding := _finding(campaign, name, symbol, f"{name}.{symbol}", c)) is not None
+        and (finding := _finding(limit_of, name, symbol, f"{name}.{symbol}", c)) is not None
     }
     scale = found.pop("K_I", None)
     if scale is None:
@@ -72,15 +80,16 @@ def incredible(
 
 
 def incredible_shared(
-    campaign: Campaign, coefficients: Mapping[Unknown, Coefficient]
+    limit_of: LimitOf, coefficients: Iterable[tuple[str, str, Coefficient]]
 ) -> Iterator[Finding]:
     """Yield the findings on what platform, machine and runs have; deviations from nominal, SI.
 
-    coefficients: Unknown -> estimate; radii of mountings as deviations from the centrifuge's.
+    coefficients: Symbol, whole name and estimate; radii of mountings as deviations from the
+        centrifuge's.
     """
-    for unknown, c in coefficients.items():
-        if is_term(unknown.symbol):
-            finding = _finding(campaign, "", unknown.symbol, unknown.name, c)
+    for symbol, name, c in coefficients:
+        if is_term(symbol):
+            finding = _finding(limit_of, "", symbol, name, c)
             if finding is not None:
                 yield finding
 
@@ -105,12 +114,12 @@ def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
 
 
 def _finding(
-    campaign: Campaign, owner: str, symbol: str, subject: str, c: Coefficient
+    limit_of: LimitOf, owner: str, symbol: str, subject: str, c: Coefficient
 ) -> Finding | None:
     """Return the finding on one estimate; None if it is credible or there is none."""
     if not c.estimated or c.value is None or c.u is None:
         return None
-    row, limit = term(symbol), campaign.limit_of(symbol, owner)
+    row, limit = term(symbol), limit_of(symbol, owner)
     beyond = abs(c.value - row.nominal) - limit
     if beyond <= _ALLOWED * c.u:
         return None

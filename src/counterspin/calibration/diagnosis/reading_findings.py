@@ -56,7 +56,7 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
     parts = view.readings
     level = 0.5 * SIGNIFICANCE
     followed = {place: one for place, one in _followed(view) if one.p * one.tests < level}
-    findings = _none_left(view)
+    findings = _none_left(view) or _few_left(view)
     for place, part in enumerate(parts):
         if part.dof < FEWEST_FREEDOM and not findings:
             findings.append(_unjudged(view.name, part))
@@ -100,6 +100,32 @@ def _none_left(view: AccelerometerView) -> list[Finding]:
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
 
+def _few_left(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where readings of stated noise leave too little to judge them by."""
+    stated = [part for part in view.readings if math.isinf(part.dof)]
+    freedom = sum(part.freedom for part in stated)
+    if view.has_records or len(stated) < len(view.readings) or freedom >= FEWEST_FREEDOM:
+        return []
+    count = sum(part.readings.size for part in stated)
+    left = format_number(freedom, 2)
+    text = (
+        f"{count} readings leave {left} degree{'' if left == '1' else 's'} of freedom beside what "
+        "is estimated: what they follow, such as a drift, hysteresis or a term left out, cannot be "
+        f"told{_noticed_from(freedom)}. Take more of them, or state what is known of more terms."
+    )
+    return [Finding(code="unjudged-readings", subject=view.name, text=text)]
+
+
+def _noticed_from(freedom: float) -> str:
+    """Return in words how large residuals must be for chi-square to call them no noise."""
+    if freedom <= 0.5:
+        return ", nor whether they have the uncertainty that is stated"
+    from scipy.special import chdtri
+
+    times = math.sqrt(float(chdtri(freedom, 0.5 * SIGNIFICANCE)) / freedom)
+    return f", and only residuals of {format_number(times, 2)} times what is stated are noticed"
+
+
 def _unjudged(name: str, part: AccelerometerReadings) -> Finding:
     text = (
         f"{part.readings.size} {part.words} without a stated uncertainty leave "
@@ -133,7 +159,7 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
 
 
 def _group(part: AccelerometerReadings) -> Group:
-    readings, estimated = part.readings, math.isfinite(part.dof)
+    readings, estimated = part.readings, not part.weighed
     names = {name for name, _, _ in part.outlying()}
     lone = tuple(k for k, name in enumerate(readings.names) if name in names)
     return Group(
@@ -236,6 +262,19 @@ def _outlying(
         size=abs(z),
         contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )
+
+
+def no_more_than_rounded(views: Sequence[AccelerometerView]) -> Iterator[str]:
+    """Yield a remark for each motion in which readings show no more noise than their digits."""
+    for view in views:
+        for part in view.readings:
+            if part.readings.u is None and part.weighed:
+                size = format_number(part.readings.least_noise * 1e6, 2)
+                yield (
+                    f"{view.name}: the {part.words} follow the model to their last digit. Their "
+                    f"noise is taken to be that of rounding, {size} ug; if it is more, state it "
+                    "with each of them (±)."
+                )
 
 
 def outliers_of_means(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:

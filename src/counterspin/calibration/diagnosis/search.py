@@ -111,7 +111,7 @@ def causes_of(
     """
     estimated = views[0].estimate
     read = [part for view in views for part in view.readings]
-    given = not estimated.components and all(math.isinf(part.dof) for part in read)
+    given = not estimated.components and all(part.weighed for part in read)
     now = replace(estimated, fit=relax(estimated.fit), core=None)
     priors = of_priors(now.fit)
     turned = better(mountings)
@@ -296,7 +296,8 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
         if s == TIMING or not campaign.readings
     }
     yield from mistakes.of_inputs(fit, inputs)
-    yield from mistakes.of_records(fit, angle_recorded=angle)
+    trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
+    yield from mistakes.of_records(fit, trends, angle_recorded=angle)
     yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
     terms = {
         other: campaign.typical_of(other.symbol, other.owner)
@@ -562,7 +563,7 @@ def _checked(view: AccelerometerView) -> Iterator[Finding]:
         for symbol, place in view.places.items()
         if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
     }
-    for finding in incredible(view.campaign, view.name, own):
+    for finding in incredible(view.campaign.limit_of, view.name, own):
         yield from (finding, *finding.explains)
 
 

@@ -66,6 +66,7 @@ class Explanation:
             mistakes.ANGLE: self._angle,
             mistakes.CORIOLIS: self._coriolis,
             mistakes.BIAS: self._bias,
+            mistakes.BIAS_DRIFT: self._drift,
             mistakes.JUMP: self._step,
             mistakes.SLOPE: self._step,
         }[self.other.kind]()
@@ -189,6 +190,20 @@ class Explanation:
         )
         return Described(
             code="run-differs", subject=self.other.owner, text=text, name=f"bias of {self._place}"
+        )
+
+    def _drift(self) -> Described:
+        alone = len(self.other.columns) == 1
+        when = "" if alone else " from the start of every run"
+        text = (
+            f"{self._place} would fit with a bias that drifts by {self._estimate('g/s')}{when}: "
+            "it warms up or creeps, or something else adds a slow error. Look at the records."
+        )
+        return Described(
+            code="bias-drifts",
+            subject=self.other.owner,
+            text=text,
+            name=f"drift of the bias of {self._place}",
         )
 
     def _step(self) -> Described:

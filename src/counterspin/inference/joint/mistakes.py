@@ -7,7 +7,7 @@ when the record is read.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -27,6 +27,7 @@ SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
 RUN_SCALE: Final = "run scale"  #: the same in one run only
 ANGLE: Final = "angle"  #: rad, by which a recorded angle is too small
 BIAS: Final = "bias"  #: g, of one accelerometer in one run
+BIAS_DRIFT: Final = "bias drift"  #: g/s, of an accelerometer in one run, or in each from its start
 JUMP: Final = "jump"  #: step of a record, in its unit
 CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly taken into account
 SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
@@ -45,9 +46,12 @@ _ERRORS: Final = frozenset((*TERMS, *SHARED_TERMS))
 _WINDOWS: Final = (4, 16, 64, 256)
 
 
-def of_records(fit: JointFit, *, angle_recorded: bool) -> Iterator[Alternative]:
+def of_records(
+    fit: JointFit, trends: Mapping[str, float], *, angle_recorded: bool
+) -> Iterator[Alternative]:
     """Yield what may be otherwise in the records of an accelerometer, of a run, or of all.
 
+    trends: Accelerometer -> typical size of a drift of its bias, g/s.
     angle_recorded: Whether the spindle's angle was; else its zero is found and nothing can be wrong
         with it.
     """
@@ -59,6 +63,8 @@ def of_records(fit: JointFit, *, angle_recorded: bool) -> Iterator[Alternative]:
     for name in accelerometers:
         own = {i: outputs[i] for i, part in enumerate(parts) if part.accelerometer == name}
         yield Alternative(SCALE, name, SCALE, own, between=_SCALE_RANGE)
+        if len(own) > 1:
+            yield _drift(fit, list(own), name, trends[name])
     for run in runs if len(runs) > 1 else ():
         own = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
         yield Alternative(RUN_SCALE, run, SCALE, own, between=_SCALE_RANGE)
@@ -67,16 +73,39 @@ def of_records(fit: JointFit, *, angle_recorded: bool) -> Iterator[Alternative]:
         if len(accelerometers) > 1 and len(runs) > 1:
             one = {i: outputs[i]}
             yield Alternative(RUN_SCALE, owner, SCALE, one, between=_SCALE_RANGE)
-        series = part.series
-        fallen = series.trajectory.site.gravity * series.time**series.order / max(1, series.order)
+        fallen = _fallen(fit, i, 0)
         limit = limits.get((part.accelerometer, "K_F"), TERMS["K_F"].limit)
         yield Alternative(BIAS, owner, BIAS, {i: fallen}, between=(-limit, limit))
+        yield _drift(fit, [i], owner, trends[part.accelerometer])
     if angle_recorded:
         turned = {i: rotation_column(part.series, ROTATION[0]) for i, part in enumerate(parts)}
         yield Alternative(ANGLE, "", "records.angle", turned, between=_ANGLE_RANGE)
         for run in runs if len(runs) > 1 else ():
             own = {i: turned[i] for i, part in enumerate(parts) if part.run == run}
             yield Alternative(ANGLE, run, ANGLE, own, between=_ANGLE_RANGE)
+
+
+def _fallen(fit: JointFit, i: int, power: int) -> Array:
+    """Return what a bias of t^power, in g and s from the record's start, makes of a record."""
+    series = fit.prepared[i].series
+    total = power + series.order
+    fallen: Array = (series.time - series.time[0]) ** total
+    return fallen * (series.trajectory.site.gravity * math.factorial(power) / math.factorial(total))
+
+
+def _drift(fit: JointFit, places: Sequence[int], owner: str, typical: float) -> Alternative:
+    """Return that a bias drifts in some records, in each from its start."""
+    columns = {i: _fallen(fit, i, 1) for i in places}
+    longest = max(float(np.ptp(fit.prepared[i].series.time)) for i in places)
+    steepest = TERMS["K_F"].limit / longest
+    return Alternative(
+        BIAS_DRIFT,
+        owner,
+        BIAS_DRIFT,
+        columns,
+        between=(-steepest, steepest),
+        typical=typical,
+    )
 
 
 def _output(fit: JointFit, i: int) -> Array:

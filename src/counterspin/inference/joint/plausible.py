@@ -26,6 +26,7 @@ _RARER: Final[Mapping[str, float]] = {
     "priors": 0.3,  # several statements, all off by as much
     mistakes.RUN_SCALE: 0.1,
     mistakes.BIAS: 0.1,
+    mistakes.BIAS_DRIFT: 0.3,
     mistakes.JUMP: 0.03,
     mistakes.SLOPE: 0.03,
 }
@@ -35,10 +36,11 @@ def log_evidence(other: Alternative, value: float, u: float) -> float:
     """Return ln of the evidence for an alternative, but for what all have and for how it fits."""
     if not (math.isfinite(u) and u > 0.0 and value != 0.0):
         return -math.inf
-    of_mistake = _RARER.get(other.kind, 1.0) / (abs(value) * _DECADES)
+    rarer = _RARER.get(other.kind, 1.0)
+    of_mistake = rarer / (abs(value) * _DECADES)
     if other.typical is None or not other.typical > 0.0:
         return math.log(u * of_mistake)
-    known = 1.0 / (math.pi * other.typical * (1.0 + (value / other.typical) ** 2))
+    known = rarer / (math.pi * other.typical * (1.0 + (value / other.typical) ** 2))
     if other.stated:
         known = _MISTAKEN * of_mistake + (1.0 - _MISTAKEN) * known
     return math.log(u * known)
