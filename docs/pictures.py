@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 from counterspin.cli import main
+from counterspin.reports.machine.drawings import DRAWINGS, machine_svg
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -34,6 +35,12 @@ def draw_the_demonstration() -> None:
     with tempfile.TemporaryDirectory() as folder:
         run("demo", "-o", folder)
         shutil.copy(Path(folder) / "displacement.svg", IMAGES)
+
+
+def draw_the_machine() -> None:
+    """Write the drawings of the machine."""
+    for name in DRAWINGS:
+        (IMAGES / f"machine-{name}.svg").write_text(machine_svg(name), encoding="utf-8")
 
 
 def draw_the_plan() -> None:
@@ -87,6 +94,7 @@ def photograph_the_report() -> None:
 if __name__ == "__main__":
     os.environ["SOURCE_DATE_EPOCH"] = "1772323200"  # DATE, for the certificate
     IMAGES.mkdir(exist_ok=True)
+    draw_the_machine()
     draw_the_demonstration()
     draw_the_plan()
     calibrate_the_example()

@@ -18,6 +18,7 @@ import pytest
 
 from counterspin import cli
 from counterspin.application import server
+from counterspin.reports.machine.drawings import machine_svg
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -101,3 +102,11 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
 def test_a_file_of_the_page_that_is_none_is_not_there(page, name):
     assert page.get(f"/assets/{name}").status_code == 404
     assert page.get("/api/folder/").status_code == 404
+
+
+@pytest.mark.parametrize("name", ["accelerometer", "arm", "double-turntable", "tumble"])
+def test_drawings_of_the_machine_have_the_page_s_colours(stranger, name):
+    told = stranger.get(f"/assets/machine-{name}.svg")
+    assert told.headers["content-type"] == "image/svg+xml"
+    assert told.text == machine_svg(name, "page")
+    assert "var(--ink" in told.text

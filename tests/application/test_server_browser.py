@@ -97,6 +97,8 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     tab.get_by_label("The recorder's files").set_input_files(records)
     for question, said in PLACE:
         tab.get_by_label(question).fill(said)
+    # The axes and the angle that are asked for are drawn.
+    tab.get_by_role("img", name="Double turntable").wait_for()
     # What is guessed of a column may be changed, and changed back, before anything is written.
     what = tab.get_by_label("What is column north_m?")
     what.select_option("velocity")
@@ -183,6 +185,21 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     assert check_certificate(folder / "three" / "certificate.pdf", cert=cert).pages == "valid"
     kept = tab.evaluate("JSON.stringify([{...localStorage}, {...sessionStorage}])")
     assert "secret" not in kept
+
+
+def test_a_drawing_stands_beside_the_fields_that_it_explains(opened):
+    tab = opened("/description/three")
+    for question, name in (
+        ("Which axis is which?", "Axes of an accelerometer"),
+        ("Where is the angle 0, and which way does it count?", "Double turntable"),
+    ):
+        tab.get_by_text(question).click()
+        tab.get_by_role("img", name=name).wait_for()
+    # It stays when the fields are drawn again.
+    radius = tab.locator('[id="f-centrifuge.radius"]')
+    radius.fill("2.6")
+    radius.press("Tab")
+    tab.get_by_role("img", name="Double turntable").wait_for()
 
 
 def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):

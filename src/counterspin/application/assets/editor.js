@@ -3,6 +3,7 @@
 
 import { Refused, send } from "./api.js";
 import { labelled, make, say, warning } from "./dom.js";
+import { drawingOf } from "./drawings.js";
 
 /**
  * @typedef {string | number} Part
@@ -87,6 +88,19 @@ const ADDED = /** @type {Record<string, string>} */ ({
   specification: "Limits of one accelerometer alone: its name",
   truth: "Truth of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
 });
+
+/**
+ * The drawing that shows what the fields of a section mean.
+ * @param {string} key
+ * @param {any} document
+ * @returns {string}
+ */
+function machineOf(key, document) {
+  if (key === "accelerometers") return "accelerometer";
+  const { about, columns } = document.readings ?? {};
+  if (key === "readings") return about ? "tumble" : columns?.motion ? "arm" : "";
+  return key === "centrifuge" && !document.readings ? "double-turntable" : "";
+}
 
 /** @param {any} choice */
 const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] ?? String(choice);
@@ -279,6 +293,8 @@ export class Editor {
       make("summary", {}, key[0].toUpperCase() + key.slice(1).replaceAll("_", " ")),
       section.words ? make("p", { class: "quiet" }, section.words) : null);
     this.places?.set(key, details);
+    const shown = machineOf(key, this.now.document);
+    if (shown) details.append(drawingOf(shown));
     if (!repeat) {
       details.append(...this.group(section.fields, [key], value ?? {}));
       if (section.of_names) {

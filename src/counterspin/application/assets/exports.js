@@ -5,6 +5,7 @@
 import { campaignAddress } from "./addresses.js";
 import { bring, Refused, send } from "./api.js";
 import { labelled, make, say, warning } from "./dom.js";
+import { drawingOf } from "./drawings.js";
 
 /**
  * What may be answered.
@@ -83,6 +84,7 @@ class Preview {
     /** @type {Map<string, HTMLInputElement|HTMLSelectElement>} kept, so that nothing typed is lost */
     this.fields = new Map();
     this.asked = 0;
+    this.drawing = drawingOf(test, true);
   }
 
   /** What is said of the files so far. */
@@ -116,6 +118,7 @@ class Preview {
     this.place.replaceChildren(
       make("h3", {}, `What is in ${told.file}${this.names.length > 1 ? " and the others" : ""}`),
       make("div", { class: "scroll", tabindex: "0" }, table.element),
+      this.drawing,
       make("form", { onsubmit: (/** @type {Event} */ event) => this.write(event, told), novalidate: true },
         make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
         wrong.has("") ? warning(/** @type {string} */ (wrong.get(""))) : null,

@@ -1,0 +1,43 @@
+// @ts-check
+// Drawings of the machine, beside the fields that they explain.
+
+import { make, warning } from "./dom.js";
+
+/** Drawing -> the question that it answers. */
+const QUESTIONS = /** @type {Record<string, string>} */ ({
+  "accelerometer": "Which axis is which?",
+  "arm": "Which way does the force point on the arm?",
+  "double-turntable": "Where is the angle 0, and which way does it count?",
+  "tumble": "Where is the angle 0, and which way does it count?",
+});
+
+/** Drawings that were shown open, so that they stay so when fields are drawn again. */
+const open = /** @type {Set<string>} */ (new Set());
+
+/**
+ * A drawing that is fetched when it is opened.
+ * @param {string} name
+ * @param {boolean} [begin] opened from the beginning
+ * @returns {HTMLElement}
+ */
+export function drawingOf(name, begin = false) {
+  const place = make("div");
+  const details = make("details", {
+    class: "machine",
+    ontoggle: async () => {
+      if (details.open) open.add(name);
+      else open.delete(name);
+      if (!details.open || place.childElementCount) return;
+      try {
+        const answer = await fetch(`/assets/machine-${name}.svg`);
+        if (!answer.ok) throw new Error(`The server answers ${answer.status}.`);
+        // The program's own, the same for everybody.
+        place.innerHTML = await answer.text();
+      } catch (error) {
+        place.replaceChildren(warning(/** @type {Error} */ (error).message));
+      }
+    },
+  }, make("summary", {}, QUESTIONS[name]), place);
+  details.open = begin || open.has(name);
+  return details;
+}
