@@ -9,19 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Final
 
-from counterspin.arrays import Array
+import numpy as np
+
 from counterspin.campaign.conditions import conditions_of, origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import EVERYTHING, Accelerometer
+from counterspin.campaign.resolved import EVERYTHING
 from counterspin.campaign.terms import acts, shows
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.physics.effects import PathError, Product, Slope, Turn
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import Product, Slope
 from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, Term, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
@@ -170,15 +173,15 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
 def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield owner and symbol of the terms that records of these accelerometers show."""
     accelerometers = [campaign.accelerometers[name] for name in names]
-    attitudes = {run.attitude.tobytes(): run.attitude for run in campaign.runs}
+    attitudes = dict.fromkeys(run.attitude.tobytes() for run in campaign.runs)
     wanted = {*campaign.model.terms, *campaign.model.considered}
     for symbol, row in SHARED_TERMS.items():
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
         acting = {
             key
-            for key, attitude in attitudes.items()
-            if any(_reaches(row, one, attitude) for one in accelerometers)
+            for key in attitudes
+            if any(_reaches(symbol, one.observable, one.mounting, key) for one in accelerometers)
         }
         reached = [
             run for run in campaign.runs if symbol in wanted or run.attitude.tobytes() in acting
@@ -187,9 +190,14 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
             yield (run.name if row.per_run else ""), symbol
 
 
-def _reaches(row: Term[Turn | PathError], one: Accelerometer, attitude: Array) -> bool:
-    reaches = acts if one.observable == "displacement" else shows
-    return reaches(row, one.mounting, attitude)
+@lru_cache(maxsize=1024)
+def _reaches(symbol: str, observable: str, mounting: Mounting, attitude: bytes) -> bool:
+    """Return whether a shared term shows in a record; a calibration asks so several times.
+
+    attitude: The bytes of its rows.
+    """
+    reaches = acts if observable == "displacement" else shows
+    return reaches(SHARED_TERMS[symbol], mounting, np.frombuffer(attitude).reshape(3, 3))
 
 
 def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]:

@@ -21,7 +21,7 @@ from counterspin.physics.spindle import Spindle
 
 _TINY: Final = float(np.finfo(float).tiny)
 
-#: Times up to which the spindle's angle, rate and acceleration at them are kept for a while.
+#: Times up to which the motion at them is kept for a while.
 _MOST_KEPT: Final = 16384
 
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
@@ -187,6 +187,21 @@ def turning(spindle: Spindle, t: Array) -> Turning:
 @lru_cache(maxsize=64)
 def _kept(spindle: Spindle, times: bytes, shape: tuple[int, ...]) -> Turning:
     return Turning(spindle, np.frombuffer(times).reshape(shape))
+
+
+def motion_at(trajectory: Trajectory, t: Array) -> Motion:
+    """Return the motion at some times, not to be changed: the same object for the same few times.
+
+    The accelerometers of a run share it.
+    """
+    if t.size > _MOST_KEPT:
+        return trajectory.at(t)
+    return _kept_motion(trajectory, t.tobytes(), t.shape)
+
+
+@lru_cache(maxsize=16)
+def _kept_motion(trajectory: Trajectory, times: bytes, shape: tuple[int, ...]) -> Motion:
+    return trajectory.at(np.frombuffer(times).reshape(shape))
 
 
 class Motion:

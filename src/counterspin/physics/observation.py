@@ -18,7 +18,7 @@ from counterspin.arrays import Array
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AT_REFERENCE, Effect, PathError, Product, Slope, Turn
-from counterspin.physics.motion import Motion, Site, Trajectory
+from counterspin.physics.motion import Motion, Site, Trajectory, motion_at
 from counterspin.physics.path_errors import path_change
 from counterspin.physics.quadrature import Panels
 from counterspin.physics.terms import term
@@ -58,13 +58,9 @@ def reference(
     Array
         Shape (n,).
     """
-    motion = {
-        "displacement": trajectory.position,
-        "velocity": trajectory.velocity,
-        "specific_force": trajectory.specific_force,
-    }[observable]
     axis = mounting.turned(attitude).input_axis
-    result: Array = motion(times) @ axis
+    ideal = {"displacement": "position"}.get(observable, observable)
+    result: Array = getattr(motion_at(trajectory, times), ideal) @ axis
     if trajectory.site.gravity_left:
         result = result + gravity_left(trajectory.site, axis, times, observable)
     return result
@@ -276,7 +272,7 @@ class _Shown:
     @cached_property
     def motion(self) -> Motion:
         """The motion at the times."""
-        return self._trajectory.at(self._times)
+        return motion_at(self._trajectory, self._times)
 
     @property
     def input_axis(self) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.physics.angle_error import displaced
 from counterspin.physics.effects import PathError
-from counterspin.physics.motion import Motion, Trajectory
+from counterspin.physics.motion import Motion, Trajectory, motion_at
 from counterspin.physics.terms import MOTION_TERMS
 
 
@@ -62,7 +62,7 @@ def path_change(symbol: str, circle: Motion, order: int) -> Array:
     if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
         return _turned_back(error, circle, order)
     # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
-    moved = true_trajectory(circle.trajectory, {symbol: 1.0}).at(circle.t)
+    moved = motion_at(true_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
     change: Array
     if order == 2:
         change = moved.position - circle.position

@@ -30,6 +30,16 @@ from counterspin.inference.noise.search import FoundNoise
 #: A change of K_I by less than this changes no platform column noticeably.
 _SCALE_TOLERANCE: Final = 1e-4
 
+#: A change of a coefficient by so many of its standard uncertainties changes no input's column
+#: noticeably: of its effect it changes a part as large as the input's own uncertainty.
+_FAR: Final = 20.0
+
+#: Rows of a record from which it is found where derivatives are to be taken.
+_FEW: Final = 512
+
+#: The golden section: multiples of it are spread evenly, with no period of their own.
+_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
+
 
 @frozen
 class Estimate:
@@ -53,16 +63,16 @@ class Estimate:
 class _State:
     """An estimate on its way."""
 
-    asked: Unknowns  # what is to be estimated in the end
     requests: Mapping[str, Noise]  # noise as it is given or wanted
     series: tuple[Series, ...]  # all rows, about the rotation as far as it is known
-    model: Unknowns  # what is estimated at this stage
+    model: Unknowns  # what is estimated, with what the encoder leaves open as soon as it is known
     scale_factors: Mapping[str, float]  # K_I of each accelerometer in the platform's columns
+    at: Mapping[Unknown, float]  # estimates, less nominal, at which inputs' derivatives are taken
     prepared: tuple[Prepared, ...]  # the model's columns of the rows that are not left out
     outliers: Rows
     fit: JointFit  # condensed
     found: Mapping[str, FoundNoise] = field(default_factory=dict)
-    anew: bool = False  # whether the model is another than when outliers were left out
+    anew: bool = False  # whether the columns are others than when outliers were left out
 
     @property
     def values(self) -> dict[Unknown, float]:
@@ -71,16 +81,23 @@ class _State:
 
     def with_model(self, model: Unknowns, scale_factors: Mapping[str, float]) -> _State:
         """Return the state with another model or other scale factors, fitted."""
-        prepared = prepared_for(self.prepared, self.model, model, scale_factors, self.values)
+        at = self.values
+        prepared = prepared_for(self.prepared, self.model, model, scale_factors, at)
         noise = self.fit.noise
         fit = solve_joint(*condense(prepared, model, _white(noise)), noise)
         return replace(
-            self, model=model, scale_factors=scale_factors, prepared=prepared, fit=fit, anew=True
+            self,
+            model=model,
+            scale_factors=scale_factors,
+            at=at,
+            prepared=prepared,
+            fit=fit,
+            anew=True,
         )
 
-    def with_noise(self, *, rough: bool = False) -> _State:
+    def with_noise(self) -> _State:
         """Return the state with noise found in what the fit leaves, where it is not given."""
-        noise, found = noise_of(self.fit.prepared, self.fit.model, self.requests, rough=rough)
+        noise, found = noise_of(self.fit.prepared, self.fit.model, self.requests)
         return replace(self, fit=self.fit.with_noise(noise), found=found)
 
 
@@ -127,14 +144,39 @@ def find_rotation(
 
 
 def first_fit(series: tuple[Series, ...], model: Unknowns, requests: Mapping[str, Noise]) -> _State:
-    """Fit all rows with equal weights, inputs being as they are stated."""
-    plain = model.without_inputs()
-    known = _scale_factors(series, plain, None)
-    prepared = prepare_columns(series, plain, known)
+    """Fit all rows with equal weights, with derivatives taken where a few of them put it."""
+    known, at = _beforehand(series, model, requests)
+    values = np.array([at.get(unknown, 0.0) for unknown in model.unknowns])
+    prepared = prepare_columns(series, model, known, values)
     white = _white({name: request.known for name, request in requests.items()})
-    fit = solve_joint(*condense(prepared, plain, white), _rough(requests))
+    fit = solve_joint(*condense(prepared, model, white), _rough(requests))
     none = cleaning.nothing_left_out(series)
-    return _State(model, requests, series, plain, known, prepared, none, fit)
+    return _State(requests, series, model, known, at, prepared, none, fit)
+
+
+def _beforehand(
+    series: Sequence[Series], model: Unknowns, requests: Mapping[str, Noise]
+) -> tuple[dict[str, float], dict[Unknown, float]]:
+    """Return K_I of each accelerometer and values of what is asked for, as a few rows say.
+
+    What nobody asks for moves it by no more than the uncertainties that it brings.
+    """
+    known = _scale_factors(series, model, None)
+    if not model.has_inputs:
+        return known, {}
+    asked = Unknowns(model.asked)
+    few = prepare_columns([_few_rows(record) for record in series], asked, known)
+    fit = solve_joint(few, asked, _rough(requests))
+    at = dict(zip(asked.unknowns, fit.solution.estimate.tolist(), strict=True))
+    return _scale_factors(series, model, fit), at
+
+
+def _few_rows(series: Series) -> Series:
+    """Return a series of few rows, spread over its length and over the revolution."""
+    size = series.time.size
+    drop = np.full(size, size > _FEW)
+    drop[(np.arange(_FEW) * _GOLDEN % 1.0 * size).astype(np.intp)] = False
+    return series.without(drop)
 
 
 def reject_outliers(state: _State) -> _State:
@@ -146,8 +188,8 @@ def reject_outliers(state: _State) -> _State:
 
 
 def find_noise(state: _State) -> _State:
-    """Weigh the records; what noise is about will do where inputs are still to come."""
-    return state.with_noise(rough=state.asked.has_inputs)
+    """Weigh the records."""
+    return state.with_noise()
 
 
 def find_encoder_waves(state: _State) -> _State:
@@ -161,18 +203,25 @@ def find_encoder_waves(state: _State) -> _State:
 
 
 def rescale(state: _State) -> _State:
-    """Take the columns of inputs, and of the platform where K_I is another than was thought."""
-    plain = state.asked.without_inputs()
-    found = _scale_factors(state.series, plain, state.fit)
+    """Take the columns of inputs and of the platform again, where the fit is far from theirs."""
+    found = _scale_factors(state.series, state.model, state.fit)
     moved = any(abs(found[a] - k) > _SCALE_TOLERANCE for a, k in state.scale_factors.items())
-    if not state.asked.has_inputs and not moved:
+    if not moved and not (state.model.has_inputs and _far(state)):
         return state
-    whole = Unknowns(
-        (*state.asked.unknowns, *state.model.unknowns[len(plain.unknowns) :]),
-        (*state.asked.considered, *state.model.considered[len(plain.considered) :]),
-    )
-    state = state.with_model(whole, found)
-    return state.with_noise() if state.asked.has_inputs else state
+    return state.with_model(state.model, found).with_noise()
+
+
+def _far(state: _State) -> bool:
+    """Return whether what is asked for is far from where derivatives were taken."""
+    if any(unknown.symbol in encoder.SYMBOLS for unknown in state.model.unknowns):
+        return True  # they were taken where the estimate was without what the encoder leaves open
+    solution, now = state.fit.solution, state.values
+    moves = [
+        abs(value - state.at.get(unknown, 0.0)) / u
+        for (unknown, value), u in zip(now.items(), solution.u.tolist(), strict=True)
+        if unknown.asked and 0.0 < u < unknown.limit
+    ]
+    return max(moves, default=0.0) > _FAR
 
 
 def take_back_outliers(state: _State) -> _State:

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.joint.condensed import white_level
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
@@ -30,22 +29,14 @@ def noise_of(
     prepared: Sequence[Prepared],
     model: Unknowns,
     requests: Mapping[str, Noise],
-    *,
-    rough: bool = False,
 ) -> tuple[dict[str, Noise], dict[str, FoundNoise]]:
-    """Return each accelerometer's noise, given or by restricted maximum likelihood.
-
-    Where `rough`, white noise from what changes from row to row does for what is not given.
-    """
+    """Return each accelerometer's noise, given or by restricted maximum likelihood."""
     noise: dict[str, Noise] = {}
     found: dict[str, FoundNoise] = {}
     for name, request in requests.items():
-        own = [part for part in prepared if part.accelerometer == name]
-        if not request.wanted:
-            noise[name] = request
-        elif rough and (white := max(map(white_level, own))) > 0.0:
-            noise[name] = Noise(white)
-        else:
+        noise[name] = request
+        if request.wanted:
+            own = [part for part in prepared if part.accelerometer == name]
             found[name] = _found(own, model, request)
             noise[name] = found[name].noise
     return noise, found
