@@ -170,6 +170,20 @@ def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, 
     assert [np.flatnonzero(mask).tolist() for mask in found.outliers] == [[], [], [100]]
 
 
+def test_spikes_among_the_first_few_rows_leave_no_input_s_derivative_where_they_put_it(clean):
+    """A radius known to 1e-3 of itself does to the records what K_I is found to be, not guessed."""
+    model = Unknowns((*MODEL.unknowns, *held_inputs({"centrifuge.radius": 2.5e-3})))
+    drawn = [noisy(one, WHITE, np.random.default_rng(21)) for one in clean]
+    for one in drawn:
+        one.error[::97] += 2e3
+    found = estimate(drawn, model, {"Qx": WHITE})
+    at, k = found.fit.solution.estimate, 1.0 + found.fit.solution.estimate[1]
+    kept = [one.without(mask) for one, mask in zip(drawn, found.outliers, strict=True)]
+    again = solve_joint(prepare_columns(kept, model, {"Qx": k}, at), model, {"Qx": WHITE}).solution
+    assert np.max(np.abs(at - again.estimate) / again.u) < 1e-3
+    np.testing.assert_allclose(found.fit.solution.u, again.u, rtol=1e-3)
+
+
 def test_noise_of_the_time_stamps_counts_once(clean):
     rng = np.random.default_rng(16)
     drawn = []
