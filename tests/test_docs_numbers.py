@@ -21,8 +21,8 @@ from counterspin.application import guard
 from counterspin.calibration import assembly
 from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
-from counterspin.campaign import simulable
 from counterspin.campaign.kinds import exact
+from counterspin.campaign.simulated import simulable
 from counterspin.certificates import coverage, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared

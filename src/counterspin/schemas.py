@@ -33,6 +33,7 @@ from counterspin.campaign.settings import (
     StatedNoise,
 )
 from counterspin.campaign.specification import SpecificationSettings
+from counterspin.campaign.triads.declared import TriadSettings
 from counterspin.campaign.truth import (
     AccelerometerTruthSettings,
     CentrifugeTruthSettings,
@@ -77,6 +78,7 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "site": SiteSettings,
     "centrifuge": CentrifugeSettings,
     "fixture": FixtureSettings,
+    "triad": TriadSettings,
     "records": RecordsSettings,
     "accelerometers": AccelerometerSettings,
     "noise": StatedNoise,

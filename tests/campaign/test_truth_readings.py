@@ -4,7 +4,7 @@ import pytest
 from campaigns import campaign_of
 from reading_descriptions import ACCELEROMETER, on_arm, place
 
-from counterspin.campaign.simulable import unfit_readings
+from counterspin.campaign.simulated.simulable import unfit_readings
 from counterspin.errors import CampaignError
 
 RUN = on_arm("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")

@@ -17,7 +17,7 @@
 - `findings`: what speaks against a result, and its state
 - `diagnosis`: the cause of a misfit
 - `readings`: single values beside records, or alone
-- `kinds`: each kind of test (at rest, arm, double turntable) beside the others
+- `posed`: three accelerometers as one sensor, in poses at unknown attitudes
 - `notebook`: what else a researcher asks of a result
 - `pages`: the result as a person reads it
 """

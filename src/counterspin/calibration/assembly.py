@@ -68,6 +68,7 @@ def calibration(
         title=campaign.title,
         accelerometers=found.accelerometers,
         platform=found.platform,
+        triad=found.triad,
         confounded=found.confounded,
         correlation=found.correlation,
         runs=found.runs,

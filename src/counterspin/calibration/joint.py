@@ -10,7 +10,9 @@ from counterspin.calibration.diagnosis.credible import (
     incredible,
     incredible_shared,
 )
+from counterspin.calibration.diagnosis.kinds import Kinds, compare_kinds
 from counterspin.calibration.diagnosis.mountings import other_mountings, unseen_axes
+from counterspin.calibration.diagnosis.pose_findings import pose_findings, too_few_poses
 from counterspin.calibration.diagnosis.reading_findings import (
     no_more_than_rounded,
     outliers_of_means,
@@ -36,14 +38,15 @@ from counterspin.calibration.joint_parts import (
 )
 from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.kinds import Kinds, compare_kinds
 from counterspin.calibration.model import SQUARES, inputs_of, model_of
 from counterspin.calibration.notebook.residuals import residuals_of
 from counterspin.calibration.notebook.traces import traces
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.outcome import Outcome, run_result
+from counterspin.calibration.posed.triad import triad_result
 from counterspin.calibration.readings import (
-    AccelerometerReadings,
+    Fitted,
+    FittedPoses,
     in_output_units,
     only_at_rest,
     radii,
@@ -71,13 +74,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
         nominal=[unknown.nominal for unknown in model.asked],
     )
     views = [
-        AccelerometerView(
-            campaign,
-            estimated,
-            assessment,
-            name,
-            tuple(part for part in read if part.readings.accelerometer == name),
-        )
+        AccelerometerView(campaign, estimated, assessment, name).with_parts(read)
         for name in campaign.accelerometers
     ]
     kinds = compare_kinds(views)
@@ -101,8 +98,10 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
     mountings = other_mountings(views)
     rests_on = knowledge(estimated, inputs_of(campaign))
     units = {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()}
+    posed = [part for part in read if isinstance(part, FittedPoses)]
     return Outcome(
         model="exact",
+        triad=triad_result(campaign, estimated, read),
         accelerometers=accelerometers,
         runs={
             name: run_result(
@@ -120,6 +119,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
             *large_tilts(campaign, terms, accelerometers),
             *beyond,
             *beyond_typical(rests_on),
+            *pose_findings(posed),
         ],
         causes=causes_of(views, accelerometers, mountings),
         remarks=(*unseen_axes(mountings), *no_more_than_rounded(views)),
@@ -129,9 +129,9 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
 
 def estimate_campaign(
     campaign: Campaign, observed: Sequence[ObservedRun], model: Unknowns
-) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
+) -> tuple[Estimate, Fitted]:
     """Return the estimate from records and readings, and how the readings fit; as `joint`."""
-    if not campaign.readings:
+    if not campaign.readings and not campaign.posed:
         return estimate(series_of(campaign, observed), model, noise_of(campaign)), ()
     from_records = None
     if observed:
@@ -209,7 +209,8 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> li
         not_determined(
             f"{view.name}.{symbol}",
             symbol,
-            more=squares if at_rest and symbol in ("K_F", "K_II", *SQUARES) else "",
+            more=too_few_poses(view)
+            or (squares if at_rest and symbol in ("K_F", "K_II", *SQUARES) else ""),
         )
         for symbol, c in own.items()
         if c.value is None

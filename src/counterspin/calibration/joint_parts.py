@@ -137,7 +137,7 @@ def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
 def residual(view: AccelerometerView) -> Residual:
     """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
     if not view.has_records:
-        return residual_of(view.readings)
+        return residual_of(view.parts)
     squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
     for _, prepared, residuals in view.records():
         squares += float(np.sum(residuals.plain**2 * prepared.series.count))
@@ -153,7 +153,7 @@ def residual(view: AccelerometerView) -> Residual:
 
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
-    of_readings = readings_noise(view.readings)
+    of_readings = readings_noise(view.parts)
     if not view.has_records:
         return of_readings
     components = view.estimate.components.get(view.name)

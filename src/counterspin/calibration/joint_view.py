@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
-from counterspin.calibration.readings import AccelerometerReadings
+from counterspin.calibration.readings import (
+    AccelerometerReadings,
+    FittedPoses,
+    JudgedReadings,
+)
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
@@ -30,6 +35,7 @@ class AccelerometerView:
     assessment: Assessment  #: Which unknowns the records determine.
     name: str  #: The accelerometer's.
     readings: tuple[AccelerometerReadings, ...] = ()  #: Its readings, and how they fit.
+    poses: tuple[FittedPoses, ...] = ()  #: Those of its triad, and how they fit.
 
     @property
     def fit(self) -> JointFit:
@@ -58,6 +64,28 @@ class AccelerometerView:
     def jackknife(self) -> list[Jackknife]:
         """Return what becomes of its K_II without each run."""
         return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
+
+    @property
+    def parts(self) -> tuple[JudgedReadings, ...]:
+        """Its readings, then the poses."""
+        return (*self.readings, *self.poses)
+
+    def with_parts(self, parts: Sequence[JudgedReadings]) -> AccelerometerView:
+        """Return the view with those of some readings and poses that are the accelerometer's."""
+        return replace(
+            self,
+            readings=tuple(
+                part
+                for part in parts
+                if isinstance(part, AccelerometerReadings)
+                and part.readings.accelerometer == self.name
+            ),
+            poses=tuple(
+                part
+                for part in parts
+                if isinstance(part, FittedPoses) and self.name in part.readings.accelerometers
+            ),
+        )
 
     @property
     def has_records(self) -> bool:

@@ -141,11 +141,13 @@ def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
 def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     """Return owner and symbol of all terms that act, of one accelerometer or of all of them."""
     names = [only] if only else list(campaign.accelerometers)
+    of_frame = campaign.triad.of_frame if campaign.triad else ()
     own = [
         (name, symbol)
         for name in names
         for symbol, row in OWN_TERMS.items()
         if symbol in campaign.model.terms or _acts(campaign, row)
+        if (name, symbol) not in of_frame
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
     read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
@@ -163,9 +165,9 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     origin = origin_of(campaign)
     if row.effect.condition == "time":
-        times = {reading.time for reading in campaign.readings} - {None}
+        times = {reading.time for reading in campaign.all_readings} - {None}
         return bool(campaign.runs) or any(time != origin.time for time in times)
-    warm = {reading.temperature for reading in campaign.readings} - {None}
+    warm = {reading.temperature for reading in campaign.all_readings} - {None}
     of_runs = (run.warmth for run in conditions_of(campaign).values())
     return any(of_runs) or any(temperature != origin.temperature for temperature in warm)
 
@@ -206,6 +208,7 @@ def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]
     They count as if they were asked for: K_II is no more than K_II - K_PP or K_II - K_OO.
     """
     motions = {reading.motion for reading in campaign.readings}
+    motions |= {"static"} if campaign.posed else set()
     if motions != {"static"} or campaign.runs or "K_II" not in campaign.model.terms:
         return
     if EVERYTHING not in campaign.model.assume:

@@ -18,6 +18,7 @@ from counterspin.calibration.result_parts import (
     ParabolaResult,
     RippleResult,
     RunResult,
+    TriadResult,
 )
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import ConfoundedTerms
@@ -32,6 +33,7 @@ class Outcome:
     accelerometers: dict[str, AccelerometerResult]
     runs: dict[str, RunResult]
     platform: dict[str, Coefficient] = field(default_factory=dict)
+    triad: TriadResult | None = None
     confounded: list[ConfoundedTerms] = field(default_factory=list)
     correlation: Correlation | None = None
     rests_on: list[Knowledge] = field(default_factory=list)

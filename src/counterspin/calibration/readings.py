@@ -1,16 +1,17 @@
-"""Readings of a campaign in the joint fit: at rest, on an arm, on a double turntable."""
+"""Readings of a campaign in the joint fit: at rest, on an arm, on a double turntable, in poses."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, fields, replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from counterspin.calibration.diagnosis.record_counts import counts_of
 from counterspin.calibration.observed import recorded_twice
+from counterspin.calibration.posed.found_poses import FoundPose, noise_within, poses_of
 from counterspin.calibration.result_parts import (
     Coefficient,
     NoiseLine,
@@ -20,14 +21,18 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
+from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, dof_beside
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import Readings
+from counterspin.inference.poses import TriadPoses
 from counterspin.inference.readings import (
     FEWEST_FREEDOM,
     FittedReadings,
@@ -41,6 +46,7 @@ _WORDS: Final = {
     "static": "readings at rest",
     "arm": "readings on the arm",
     "counter-rotating": "readings on the double turntable",
+    "poses": "poses at unknown attitudes",
 }
 
 
@@ -49,19 +55,16 @@ _OF_SINGLE: Final = 0.5 * SIGNIFICANCE
 
 
 def only_at_rest(campaign: Campaign) -> bool:
-    """Return whether readings at rest are all that a campaign has."""
+    """Return whether readings at rest are all that a campaign has, poses among them."""
     motions = {reading.motion for reading in campaign.readings}
-    return motions == {"static"} and not campaign.runs
+    return motions <= {"static"} and not campaign.runs
 
 
 @frozen
-class AccelerometerReadings(FittedReadings):
-    """The readings of one accelerometer in one motion, and how they fit."""
+class JudgedReadings(FittedReadings):
+    """Readings or poses of a campaign, and how they fit."""
 
-    #: What was found in the records whose means are readings, by the reading's name.
-    means: Mapping[str, RecordMean] = field(default_factory=dict)
-
-    def relaxed(self, count: int) -> AccelerometerReadings:
+    def relaxed(self, count: int) -> Self:
         """Return the same for a fit of so many unknowns, what is considered among them.
 
         Those after the considered ones are of records, and do not show in readings.
@@ -79,6 +82,48 @@ class AccelerometerReadings(FittedReadings):
     def words(self) -> str:
         """What these readings are called."""
         return _WORDS[self.readings.motion]
+
+    def outlying(self) -> list[tuple[str, float, float]]:
+        """Return name, residual (g) and standardised residual of what noise leaves open.
+
+        Each reading, and the readings of each position that was read more than once together, are
+        compared with the noise of the others (externally studentised), at the level of the other
+        tests shared out among them. Noise that is hardly known judges nothing.
+        """
+        if self.dof < FEWEST_FREEDOM:
+            return []
+        every = [*self.positions, *self.single]
+        z = [each.beside_others for each in every]
+        p = [each.p for each in every]
+        far_off: list[tuple[str, float, float]] = []
+        said: dict[int, float] = {}
+        for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):
+            places, size = every[i].places, abs(z[i])
+            # A reading is named beside its position only where it alone is the worse.
+            if any(size <= said.get(place, 0.0) for place in places):
+                continue
+            said |= dict.fromkeys(places, size)
+            names = list(dict.fromkeys(self.readings.names[place] for place in places))
+            far_off.append((", ".join(names), every[i].residual, z[i]))
+        return far_off
+
+
+@frozen
+class FittedPoses(JudgedReadings):
+    """The poses of a triad at unknown attitudes, and how they fit."""
+
+    readings: TriadPoses
+    #: Where each was found in a record, by its name.
+    found: Mapping[str, FoundPose] = field(default_factory=dict)
+
+
+@frozen
+class AccelerometerReadings(JudgedReadings):
+    """The readings of one accelerometer in one motion, and how they fit."""
+
+    readings: Readings
+    #: What was found in the records whose means are readings, by the reading's name.
+    means: Mapping[str, RecordMean] = field(default_factory=dict)
 
     @property
     def misfit_of_positions(self) -> float | None:
@@ -129,46 +174,34 @@ class AccelerometerReadings(FittedReadings):
             )
         ]
 
-    def outlying(self) -> list[tuple[str, float, float]]:
-        """Return name, residual (g) and standardised residual of what noise leaves open.
 
-        Each reading, and the readings of each position that was read more than once together, are
-        compared with the noise of the others (externally studentised), at the level of the other
-        tests shared out among them. Noise that is hardly known judges nothing.
-        """
-        if self.dof < FEWEST_FREEDOM:
-            return []
-        every = [*self.positions, *self.single]
-        z = [each.beside_others for each in every]
-        p = [each.p for each in every]
-        far_off: list[tuple[str, float, float]] = []
-        said: dict[int, float] = {}
-        for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):
-            places, size = every[i].places, abs(z[i])
-            # A reading is named beside its position only where it alone is the worse.
-            if any(size <= said.get(place, 0.0) for place in places):
-                continue
-            said |= dict.fromkeys(places, size)
-            names = list(dict.fromkeys(self.readings.names[place] for place in places))
-            far_off.append((", ".join(names), every[i].residual, z[i]))
-        return far_off
+#: How readings, and poses of a triad, fit.
+Fitted = tuple[AccelerometerReadings | FittedPoses, ...]
 
 
 def with_readings(
     estimated: Estimate | None, model: Unknowns, campaign: Campaign
-) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
-    """Return the estimate with the campaign's readings, and how these fit.
+) -> tuple[Estimate, Fitted]:
+    """Return the estimate with the campaign's readings and poses, and how these fit.
 
     estimated: From records; None if there are none.
     """
     _require_values(campaign)
     if estimated is None:
         _require_enough(campaign, model)
-    taken = list(_averaged(campaign))
-    estimated, parts = with_groups(estimated, model, groups_of(campaign, [one for one, _ in taken]))
+    taken, posed = list(_averaged(campaign)), poses_of(campaign)
+    groups: list[Readings | TriadPoses] = [*groups_of(campaign, [one for one, _ in taken])]
+    if posed:
+        groups += poses_together(
+            campaign, [one.pose for one in posed], noise_within(posed, campaign.gravity.value)
+        )
+    estimated, parts = with_groups(estimated, model, groups)
     means = {(one.accelerometer, one.name): mean for one, mean in taken if mean is not None}
+    found = {one.pose[0].name: one for one in posed}
     return estimated, tuple(
-        replace(
+        replace(part, found=found)
+        if isinstance(part, FittedPoses)
+        else replace(
             part,
             means={
                 name: mean
@@ -181,8 +214,8 @@ def with_readings(
 
 
 def with_groups(
-    estimated: Estimate | None, model: Unknowns, groups: Sequence[Readings]
-) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
+    estimated: Estimate | None, model: Unknowns, groups: Sequence[Readings | TriadPoses]
+) -> tuple[Estimate, Fitted]:
     """Return the estimate with readings in groups; as `with_readings`."""
     if estimated is None:
         beside: tuple[object, ...] = ()
@@ -207,16 +240,23 @@ def with_groups(
         beside_rows=dict(zip(names, rows, strict=True)),
     )
     dof = _effective_dof(estimated.dof, fit, len(beside))
-    parts = tuple(
-        AccelerometerReadings(**{each.name: getattr(group, each.name) for each in fields(group)})
+    kinds = (
+        FittedPoses if isinstance(group.readings, TriadPoses) else AccelerometerReadings
         for group in fit.groups
+    )
+    parts = tuple(
+        kind(**{each.name: getattr(group, each.name) for each in fields(group)})
+        for kind, group in zip(kinds, fit.groups, strict=True)
     )
     return replace(estimated, fit=joint, dof=dof, core=None, lost={}), parts
 
 
 def _require_enough(campaign: Campaign, model: Unknowns) -> None:
     """Refuse fewer readings of an accelerometer than coefficients of which nothing is known."""
+    posed = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
     for name in campaign.accelerometers:
+        if name in posed:
+            continue
         count = sum(reading.accelerometer == name for reading in campaign.readings)
         free = [u.symbol for u in model.unknowns if u.owner == name and math.isinf(u.prior[1])]
         if count < len(free):
@@ -234,22 +274,36 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarra
     Satterthwaite's, or fewer where few readings tell a noise, so that the intervals cover. What the
     records' noise adds keeps the records' own degrees of freedom.
     """
-    solution = fit.solution
-    total = np.diag(solution.covariance)
-    inverse = np.zeros(total.size)
-    for k in range(total.size):
-        weights = np.zeros(total.size)
-        weights[k] = 1.0
-        rows = solution.combine(weights).noise_rows
-        sizes = [block.factor.shape[0] for block in fit.blocks]
-        ends = np.cumsum([rows.size - sum(sizes), *sizes])
-        for part, group in zip(np.split(rows, ends[:-1])[1:], fit.groups, strict=True):
-            inverse[k] += 1.0 / dof_beside(_share(part, total[k]), group.dof)
-        of_records = rows[: ends[0]]
-        if records:
-            inverse[k] += 1.0 / dof_beside(_share(of_records, total[k]), float(dof[k]))
-    with np.errstate(divide="ignore"):
-        return 1.0 / inverse
+    every = np.eye(dof.size)
+    own = [group.dof for group in fit.groups]
+    return np.array(
+        [
+            dof_of(weights, fit.solution, fit.blocks, own, float(dof[k]) if records else math.inf)
+            for k, weights in enumerate(every)
+        ]
+    )
+
+
+def dof_of(
+    weights: np.ndarray,
+    solution: Solution,
+    blocks: Sequence[Block],
+    dof: Sequence[float],
+    of_records: float,
+) -> float:
+    """Return the degrees of freedom of a combination of the unknowns.
+
+    blocks: Of readings and poses, behind those of records; `dof` are those of their noise.
+    of_records: What records' noise has in it.
+    """
+    combined = solution.combine(weights)
+    rows, total = combined.noise_rows, float(weights @ solution.covariance @ weights)
+    sizes = [block.factor.shape[0] for block in blocks]
+    ends = np.cumsum([rows.size - sum(sizes), *sizes])
+    inverse = 1.0 / dof_beside(_share(rows[: ends[0]], total), of_records)
+    for part, own in zip(np.split(rows, ends[:-1])[1:], dof, strict=True):
+        inverse += 1.0 / dof_beside(_share(part, total), own)
+    return 1.0 / inverse if inverse > 0.0 else math.inf
 
 
 def _share(rows: np.ndarray, total: float) -> float:
@@ -257,7 +311,7 @@ def _share(rows: np.ndarray, total: float) -> float:
 
 
 def _require_values(campaign: Campaign) -> None:
-    blank = [reading.name for reading in campaign.readings if math.isnan(reading.value)]
+    blank = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
     if blank:
         raise CampaignError(
             str(campaign.path),
@@ -298,13 +352,13 @@ def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]
         yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si), mean
 
 
-def block_name(group: Readings) -> str:
+def block_name(group: Readings | TriadPoses) -> str:
     """Return what a group of readings is called in a budget."""
     estimated = "" if group.u is not None else " (noise estimated)"
     return f"{group.accelerometer}: {_WORDS[group.motion]}{estimated}"
 
 
-def residual_of(parts: Sequence[AccelerometerReadings]) -> Residual:
+def residual_of(parts: Sequence[JudgedReadings]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
     left = np.concatenate([part.residuals for part in parts])
     stated = [part for part in parts if math.isinf(part.dof)]
@@ -320,7 +374,7 @@ def residual_of(parts: Sequence[AccelerometerReadings]) -> Residual:
     )
 
 
-def readings_noise(parts: Sequence[AccelerometerReadings]) -> dict[str, NoiseLine]:
+def readings_noise(parts: Sequence[JudgedReadings]) -> dict[str, NoiseLine]:
     """Return the noise of readings, motion by motion."""
     return {
         part.words: NoiseLine(

@@ -28,6 +28,7 @@ from counterspin.calibration.result_parts import (
     RunResult,
     State,
     Trace,
+    TriadResult,
 )
 from counterspin.calibration.schema_1 import upgraded
 from counterspin.campaign.resolved import Accelerometer
@@ -89,6 +90,8 @@ class Result(ShownResult):
     title: str = ""  #: Of the campaign.
     accelerometers: dict[str, AccelerometerResult]  #: One for each accelerometer.
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
+    #: Three accelerometers as one sensor; null where the campaign has no ``[triad]``.
+    triad: TriadResult | None = None
     confounded: list[ConfoundedTerms] = []  #: Sets that concern the platform's terms only.
     #: Of everything determined, accelerometers and platform together, by whole names such as
     #: ``Qx.K_II`` and ``run1.platform.tilt.north``; null for the two-stage method.

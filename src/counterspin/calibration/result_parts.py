@@ -251,6 +251,58 @@ class ReadingResult(ResultPart):
     notes: list[str] = []  #: What reading the record found.
 
 
+class PoseResult(ResultPart):
+    """One pose of a triad at an attitude that nobody knows, in g.
+
+    `z` is the residual over its own standard deviation, None where the fit follows it wholly.
+    """
+
+    name: str  #: Of the run or the row; of a pose in a record, when it begins too.
+    start: float | None = None  #: When it begins in its record, s; null of what was read.
+    end: float | None = None  #: When it ends there, s.
+    samples: int | None = None  #: Rows of the record that it is the mean of.
+    values: tuple[float, ...]  #: Indications by the nominal sensitivities, in the triad's order.
+    #: Where the specific force points in the triad's frame, as the fit has found it.
+    direction: tuple[float, ...]
+    residual: float  #: Indication less model along the force.
+    u: float  #: Standard uncertainty of what is indicated along the force, stated or estimated.
+    z: float | None  #: Residual over its own standard deviation.
+
+
+class PosesInRecord(ResultPart):
+    """What was found in a record with poses."""
+
+    poses: int  #: How many were taken.
+    threshold: float  #: Scatter below which the triad rests, m/s^2.
+    #: Scatter in motion over that at rest, in the median; null where nothing moves.
+    contrast: float | None
+    notes: list[str] = []  #: Rests that were left out, and what makes the threshold doubtful.
+
+
+class TriadResult(ResultPart):
+    """Three accelerometers of one sensor in one frame.
+
+    The parameters are those of NIST: ``offset.X`` (g), ``sensitivity.X`` (g/g) and ``angle.X.Y``
+    (rad) between the axes along which two of them feel; beside them second-order terms of the
+    accelerometers that were asked for, such as ``X.K_II``.
+    """
+
+    accelerometers: list[str]  #: Their names, in the order of all that follows.
+    parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles; second-order terms.
+    correlation: Correlation | None = None  #: Of those that are determined.
+    #: f = matrix (y - bias): the specific force in the triad's frame, g, of the indications y by
+    #: the nominal sensitivities, g; null where the matrix is not determined.
+    matrix: list[list[float]] | None = None
+    bias: list[float] | None = None  #: The three offsets, g; null with the matrix.
+    #: Root mean square of |f| - g over the poses by the nominal sensitivities, m/s^2; null without
+    #: poses.
+    rms_before: float | None = None
+    #: The same by matrix and bias, once second-order terms that were asked for are taken away.
+    rms_after: float | None = None
+    poses: list[PoseResult] = []  #: Those at attitudes that nobody knows.
+    records: dict[str, PosesInRecord] = {}  #: By run: records in which poses were found.
+
+
 class Shift(ResultPart):
     """How far a coefficient moves when something is left out; `z` is the shift over its u."""
 

@@ -17,13 +17,13 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `description`: the `Campaign`, and `read_campaign`, from the file to it
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
 - `machine`: what the machine does to them
+- `triads`: three accelerometers of one sensor, in poses whose attitudes nobody knows
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was; readings grouped with theirs
 - `memory`: campaigns made or changed in Python, and written as folders
 - `runs`: runs with records: how each is read, and which are left out
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `starter`: a commented campaign to start from
-- `simulable`: whether a campaign can be simulated, and has room to be computed
 - `simulation`: records and readings of a campaign whose coefficients are known
-- `reading_simulation`: simulated readings: their values, and files with them
+- `simulated`: whether a campaign can be simulated; its readings
 """

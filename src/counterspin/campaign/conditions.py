@@ -30,7 +30,7 @@ class Origin:
 
 def origin_of(campaign: Campaign) -> Origin:
     """Return the reference temperature, or the mean of all; and the time of what came first."""
-    dated: list[Run | Reading] = [*campaign.runs, *campaign.readings]
+    dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
     warmths = [one.temperature for one in dated if one.temperature is not None]
     temperature = campaign.reference_temperature
     if temperature is None:

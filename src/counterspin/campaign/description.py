@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from counterspin.campaign.accelerometers import AccelerometersReader
 from counterspin.campaign.checking import M, Problems
+from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.columns import Channel, Recording, RecordsSettings
 from counterspin.campaign.machine import (
     FixtureSettings,
@@ -26,7 +27,7 @@ from counterspin.campaign.readings import (
     Reading,
     is_reading,
     positioned,
-    resolve_reading,
+    resolve_readings,
 )
 from counterspin.campaign.readings_table import read_table
 from counterspin.campaign.resolved import (
@@ -64,10 +65,10 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_with_checksum,
 )
+from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
 from counterspin.campaign.truth import of_records, resolve_reading_truth, resolve_simulation
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import term
@@ -126,6 +127,8 @@ class Campaign:
         How record files are written, as far as that is said.
     skipped
         Names of the runs that are left out.
+    triad
+        Three accelerometers of one sensor, with their poses at unknown attitudes; None without.
     source
         The description that it was resolved from; None of a copy that `dataclasses.replace` made.
     """
@@ -157,6 +160,7 @@ class Campaign:
     own_velocity: bool = False
     dialect: Dialect = TO_BE_FOUND
     skipped: tuple[str, ...] = ()
+    triad: Triad | None = None
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
 
     def limit_of(self, symbol: str, owner: str = "") -> float:
@@ -262,11 +266,23 @@ class Campaign:
     def files(self) -> tuple[Path, ...]:
         """All record files, of runs and of readings."""
         read = (reading.record for reading in self.readings if reading.record is not None)
-        return (*(file for run in self.runs for file in run.files), *read)
+        posed = (one.record for one in self.triad.records) if self.triad else ()
+        return (*(file for run in self.runs for file in run.files), *read, *posed)
+
+    @property
+    def posed(self) -> bool:
+        """Whether there are poses at attitudes that nobody knows."""
+        return self.triad is not None and self.triad.posed
+
+    @property
+    def all_readings(self) -> tuple[Reading, ...]:
+        """All readings, those of poses at unknown attitudes behind the others."""
+        posed = self.triad.poses if self.triad else ()
+        return (*self.readings, *(reading for pose in posed for reading in pose))
 
     def require_records(self, what: str) -> None:
         """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""
-        if self.readings:
+        if self.readings or self.posed:
             raise CampaignError(
                 str(self.path),
                 [f"runs: {what} takes records of a double turntable; this campaign has readings"],
@@ -378,18 +394,40 @@ class _DescriptionReader:
         settings = problems.check(ModelSettings, self._table("model"), ("model",))
         runs = self._runs()
         outputs = {name: table and table.output for name, table in tables.items()}
-        readings = positioned(self._readings(mountings, outputs), fixture.position)
+        numbered = self._numbered_readings(outputs)
+        read = partial(
+            resolve_readings,
+            mountings=mountings,
+            outputs=outputs,
+            folder=self.file.parent,
+            problems=problems,
+            gravity=gravity,
+            turns=self._sampling().revolutions if self.simulated else None,
+        )
+        readings = positioned(
+            read([one for one in numbered if not is_pose(one[0])]), fixture.position
+        )
         self._check_sections(readings)
         if not self.raw_runs and "readings" not in self.raw:
             said = "must have at least one entry" if "runs" in self.raw else "is missing"
             said = "are all left out by skip = true" if self.all_runs else said
             problems.add(("runs",), said)
         given = self.accelerometers.given_priors(tables)
+        triad = resolve_triad(
+            self.raw.get("triad"),
+            mountings,
+            [one for one in numbered if is_pose(one[0])],
+            self.file.parent,
+            read,
+            given=None if readings or runs else given,
+            problems=problems,
+        )
+        posed = triad is not None and triad.posed
         reference = centrifuge.reference_temperature if centrifuge else None
         model, priors, machine = None, given, MachineModel()
         if settings is not None:
             attitudes = [run.attitude for run in runs]
-            if readings:
+            if readings or posed:
                 settings, machine = resolve_machine(
                     settings,
                     centrifuge,
@@ -397,6 +435,7 @@ class _DescriptionReader:
                     problems,
                     setting=fixture.position,
                     recorded=bool(runs),
+                    posed=posed,
                 )
             model, priors = resolve_model(
                 settings,
@@ -407,7 +446,7 @@ class _DescriptionReader:
                 problems=problems,
                 gravity=gravity,
             )
-            if not readings and centrifuge is not None:
+            if not readings and not posed and centrifuge is not None:
                 model = with_errors_of_the_path(model, errors_of_the_path(centrifuge), problems)
             if records is not None and records.angle is None:
                 refuse_encoder(model, problems)
@@ -458,6 +497,7 @@ class _DescriptionReader:
             reference_temperature=reference,
             tables=self._tables(),
             table_checksums=self.table_checksums,
+            triad=triad,
         )
 
     def _check_sections(self, readings: Sequence[Reading]) -> None:
@@ -470,44 +510,15 @@ class _DescriptionReader:
             if (needed or not (self.raw_runs or "readings" in self.raw)) and key not in self.raw:
                 self.problems.add((key,), "is missing")
 
-    def _readings(
-        self, mountings: Mapping[str, Mounting], outputs: Mapping[str, Output | None]
-    ) -> tuple[Reading, ...]:
-        runs: list[tuple[Any, tuple[str | int, ...]]] = [
+    def _numbered_readings(self, outputs: Mapping[str, Output | None]) -> list[tuple[Any, KeyPath]]:
+        """Return the runs that are readings, rows of the table too, with where each stands."""
+        runs: list[tuple[Any, KeyPath]] = [
             (raw, ("runs", index)) for index, raw in self.numbered_runs if is_reading(raw)
         ]
         if "readings" in self.raw:
             folder, checksums = self.file.parent, self.table_checksums
             runs += read_table(self.raw["readings"], folder, outputs, self.problems, checksums)
-        readings: list[Reading] = []
-        blank: list[tuple[str | int, ...]] = []
-        for raw, path in runs:
-            own = resolve_reading(
-                raw,
-                path,
-                mountings,
-                outputs,
-                folder=self.file.parent,
-                problems=self.problems,
-                gravity=self.gravity,
-            )
-            if any(math.isnan(reading.value) for reading in own):
-                blank.append((*path, "reading"))
-            readings += [self._with_length(reading) for reading in own]
-        if blank and not self.simulated:
-            others = f", nor have {len(blank) - 1} others" if len(blank) > 1 else ""
-            self.problems.add(
-                blank[0],
-                f"has no value yet{others}; write what was read, or [truth] to simulate it",
-            )
-        return tuple(readings)
-
-    def _with_length(self, reading: Reading) -> Reading:
-        """Return a reading with the length of its record, where it is simulated on a machine."""
-        if reading.duration is not None or not reading.rate or not self.simulated:
-            return reading
-        turns = self._sampling().revolutions
-        return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
+        return runs
 
     def _tables(self) -> tuple[Path, ...]:
         """Return the files of readings."""

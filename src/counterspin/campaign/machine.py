@@ -80,12 +80,14 @@ def resolve_machine(
     *,
     setting: Quantity | None = None,
     recorded: bool = False,
+    posed: bool = False,
 ) -> tuple[ModelSettings, MachineModel]:
     """Take the machine's terms out of [model].
 
     centrifuge: The machine, if there is one; its stretch, droop and tilt are priors.
     setting: Error of setting a position, where one is stated.
     recorded: Whether there are records of a double turntable beside the readings.
+    posed: Whether there are poses at unknown attitudes.
     """
     known = symbols_shown(readings, recorded=recorded)
     terms = _expanded(settings.terms or (), "terms", known, problems)
@@ -110,7 +112,7 @@ def resolve_machine(
             )
     left = settings.model_copy(
         update={
-            "terms": _own_terms(settings, readings, recorded),
+            "terms": _own_terms(settings, readings, recorded, posed),
             key: [name for name in names if not _is_machine(name)],
             "priors": {k: v for k, v in flat_keys(settings.priors).items() if not _is_machine(k)},
         }
@@ -119,7 +121,7 @@ def resolve_machine(
 
 
 def _own_terms(
-    settings: ModelSettings, readings: Sequence[Reading], recorded: bool
+    settings: ModelSettings, readings: Sequence[Reading], recorded: bool, posed: bool
 ) -> list[str] | None:
     """Return the accelerometer's and platform's terms to estimate; None: the usual ones."""
     if settings.terms is not None:
@@ -127,7 +129,9 @@ def _own_terms(
     motions = {reading.motion for reading in readings}
     if "counter-rotating" in motions or recorded:
         return None
-    terms = _TERMS_AT_REST if motions == {"static"} else _TERMS_ON_A_MACHINE
+    terms = _TERMS_AT_REST if motions <= {"static"} else _TERMS_ON_A_MACHINE
+    if posed:
+        return [*terms, "delta_O", "delta_P"]
     return [*terms, *_misalignments(readings, len(terms))]
 
 

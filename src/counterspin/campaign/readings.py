@@ -27,6 +27,7 @@ from counterspin.campaign.kinds import (
     Temperature,
     Text,
     described,
+    positive,
     read_exactly,
     record_file,
 )
@@ -40,6 +41,9 @@ from counterspin.physics.station import FRAMES, MotionKind
 BLANK: Final = "?"
 
 
+#: Written for an attitude that nobody knows.
+UNKNOWN: Final = "unknown"
+
 #: A reading, or repeats of one at the same setting.
 Written = Text | Annotated[list[Text], Field(min_length=1)]
 
@@ -52,6 +56,15 @@ class ReadingAxes(SettingsSection):
     )
     pendulous: Text | list[float] = described(
         "in which the pendulous axis points", "up", kind="direction"
+    )
+
+
+class PosesSettings(SettingsSection):
+    """``poses`` of a record at rest: how they are found in it."""
+
+    rest: Seconds = described("shortest rest that is a pose", "1.5 s", 1.5, absent="1.5 s")
+    threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
+        "scatter below which the sensor rests", "0.05 m/s^2", None, absent="found in the record"
     )
 
 
@@ -81,7 +94,7 @@ class ReadingRunSettings(SettingsSection):
     )
     attitude: Any = described(
         "as of other [runs](campaign.md#runs), with `±` for the head; at rest there "
-        "must be this or `axes`",
+        "must be this or `axes`; `unknown` for a pose of a triad",
         "30 ± 0.001 deg about north",
         None,
         absent="level",
@@ -91,6 +104,12 @@ class ReadingRunSettings(SettingsSection):
         {"input": "inward", "pendulous": "up"},
         None,
         absent="`attitude`",
+    )
+    poses: PosesSettings | None = described(
+        "of a `record` whose attitude is `unknown`: how [poses](triads.md) are found in it",
+        {"rest": "1.5 s"},
+        None,
+        absent="rests of 1.5 s",
     )
     mounting: str = described("name of the position on the fixture", "in", "")
     temperature: Temperature | None = described("in this run", "23.4 degC", None, kind="text")
@@ -152,6 +171,46 @@ def is_reading(raw: object) -> bool:
     return moved or (isinstance(raw, Mapping) and "reading" in raw)
 
 
+def resolve_readings(
+    runs: Sequence[tuple[Any, KeyPath]],
+    *,
+    mountings: Mapping[str, Mounting],
+    outputs: Mapping[str, Output | None],
+    folder: Path,
+    problems: Problems,
+    gravity: float,
+    turns: float | None,
+) -> tuple[Reading, ...]:
+    """Return the readings of runs, with where each stands; parameters as of `resolve_reading`.
+
+    turns: Revolutions of a record that is simulated on a machine; None where nothing is simulated,
+        so that every reading has its value.
+    """
+    readings: list[Reading] = []
+    blank: list[KeyPath] = []
+    for raw, path in runs:
+        own = resolve_reading(
+            raw, path, mountings, outputs, folder=folder, problems=problems, gravity=gravity
+        )
+        if any(math.isnan(reading.value) for reading in own):
+            blank.append((*path, "reading"))
+        readings += [_with_length(reading, turns) for reading in own]
+    if blank and turns is None:
+        others = f", nor have {len(blank) - 1} others" if len(blank) > 1 else ""
+        problems.add(
+            blank[0],
+            f"has no value yet{others}; write what was read, or [truth] to simulate it",
+        )
+    return tuple(readings)
+
+
+def _with_length(reading: Reading, turns: float | None) -> Reading:
+    """Return a reading with the length of its record, where it is simulated on a machine."""
+    if reading.duration is not None or not reading.rate or turns is None:
+        return reading
+    return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
+
+
 def resolve_reading(
     raw: Any,
     path: KeyPath,
@@ -178,6 +237,8 @@ def resolve_reading(
     if (settings.reading is None) == (settings.record is None):
         problems.add(path, "give one of reading and record")
         return []
+    if settings.poses is not None:
+        problems.add((*path, "poses"), 'are found where attitude = "unknown"')
     values = settings.reading
     if settings.record is not None:
         values = dict.fromkeys(mountings, "")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator
 
@@ -86,6 +86,9 @@ class ReadingsSettings(TableDialect, _TableFile):
         "of every row that turns", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
     mounting: str = described("of every row", "in", "")
+    attitude: Literal["unknown"] | None = described(
+        "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
+    )
 
 
 def read_table(
@@ -225,7 +228,8 @@ class ReadingsTable:
         turns = self.settings.motion != "static" and "motion" not in given
         if turns and "rate" not in given:
             problems.add(path, "rate is missing: the column with the rate of each reading")
-        if static and not {"attitude", "input"} & set(given) and self.settings.axes is None:
+        stated = self.settings.axes is not None or self.settings.attitude is not None
+        if static and not {"attitude", "input"} & set(given) and not stated:
             problems.add(path, "attitude is missing: the column with the position of each reading")
         wanted = [*self.columns.values()]
         for key in ("reading", "u"):
@@ -276,7 +280,7 @@ class ReadingsTable:
             run["axes"] = axes
         elif settings.axes is not None and (motion != "static" or "attitude" not in columns):
             run["axes"] = settings.axes.model_dump()
-        attitude = cell("attitude")
+        attitude = settings.attitude if cell("attitude") is None else cell("attitude")
         if "axes" in run or attitude is None:
             pass
         elif (angle := _as_number(attitude)) is not None:

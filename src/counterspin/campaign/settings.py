@@ -66,6 +66,9 @@ class DocumentSettings(SettingsSection):
         None,
     )
     fixture: dict[str, Any] | None = described("[how well positions are set](#fixture)", {}, None)
+    triad: dict[str, Any] | None = described(
+        "[three accelerometers of one sensor](triads.md)", {}, None
+    )
     records: dict[str, Any] | None = described(
         "[how to read the files](#records); required where a run has a record", {}, None
     )

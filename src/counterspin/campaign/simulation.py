@@ -19,13 +19,6 @@ from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign, resolved_in_memory
 from counterspin.campaign.memory.records import WRITERS
 from counterspin.campaign.memory.source import source_of
-from counterspin.campaign.reading_simulation import (
-    filled_description,
-    filled_table,
-    simulate_mean_record,
-    stream,
-    true_readings,
-)
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
     Accelerometer,
@@ -34,7 +27,14 @@ from counterspin.campaign.resolved import (
     sample_count,
 )
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.simulable import (
+from counterspin.campaign.simulated.reading_simulation import (
+    filled_description,
+    filled_table,
+    simulate_mean_record,
+    stream,
+    true_readings,
+)
+from counterspin.campaign.simulated.simulable import (
     refuse_unwritable,
     require_room,
     unfit,

@@ -11,7 +11,8 @@ What stands in this room:
 - `noise`: models of a record's noise, whitening, estimation of its size
 - `joint`: full records of all runs and accelerometers, solved together
 - `linear_readings`: single values at rest, on an arm or on a turntable, as rows
-- `readings`: their fit, alone or beside records
+- `poses`: poses of three accelerometers at unknown attitudes, as rows
+- `readings`: the fit of both, alone or beside records
 - `reading_tests`: what their residuals follow
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 

@@ -34,7 +34,7 @@ _HEAD_STEP: Final = 1e-5
 _SYMBOLS: Final = tuple(TERMS)
 
 #: No readout resolves more of its range: one of 8.5 digits has ten times as much.
-_FINEST: Final = 1e-9 / math.sqrt(12.0)
+FINEST: Final = 1e-9 / math.sqrt(12.0)
 
 
 @frozen
@@ -103,10 +103,10 @@ class Readings:
         """The least noise that one repeat can be said to have, g: rounding to the last digit.
 
         Its standard deviation: GUM F.2.2.1. Where more digits were written than any readout has,
-        `_FINEST` of the largest one. Repeats whose scatter is below the digit are rounded alike.
+        `FINEST` of the largest one. Repeats whose scatter is below the digit are rounded alike.
         """
         largest = float(np.max(np.abs(self.value), initial=1e-3))
-        least = max(self.resolution / math.sqrt(12.0), _FINEST * largest)
+        least = max(self.resolution / math.sqrt(12.0), FINEST * largest)
         again = float(np.sum(self.repeats - 1.0))
         alike = float(self.scatter.sum()) < again * (self.resolution / 2.0) ** 2
         return least * math.sqrt(float(self.repeats.max())) if alike else least
@@ -127,6 +127,17 @@ class Readings:
     def size(self) -> int:
         """The number of readings."""
         return len(self.stations)
+
+    @property
+    def freedom_of_repeats(self) -> float:
+        """Degrees of freedom that repeats at one setting have among themselves."""
+        return float(np.sum(self.repeats - 1.0))
+
+    def linearised(
+        self, model: Unknowns, estimate: Array, variance: Array | None = None
+    ) -> LinearReadings:
+        """Return their rows at an estimate; parameters as of `LinearReadings.of`."""
+        return LinearReadings.of(self, model, estimate, variance)
 
     def acting(self, symbol: str) -> Array:
         """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""

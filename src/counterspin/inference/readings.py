@@ -1,4 +1,4 @@
-"""Readings as data of the joint fit.
+"""Readings, and poses at unknown attitudes, as data of the joint fit.
 
 The derivatives are taken at what readings and priors together say, and taken again there until it
 settles. The readings become blocks of square-root information, which are solved together with the
@@ -19,10 +19,12 @@ from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.distributions import tail_beside
+from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import solve_blocks, solve_relaxed
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import LinearReadings, Readings
+from counterspin.inference.poses import TriadPoses
 
 #: Rounds in which derivatives and noise must settle; two or three are usual.
 _ROUNDS: Final = 50
@@ -63,9 +65,9 @@ class Position:
 
 @frozen
 class FittedReadings:
-    """A group of readings, and how it fits a solution that has followed it."""
+    """A group of readings or poses, and how it fits a solution that has followed it."""
 
-    readings: Readings  #: What was read.
+    readings: Readings | TriadPoses  #: What was read.
     linear: LinearReadings  #: The same linearised at the estimate, each with its uncertainty.
     noise: float  #: Of one repeat where it was estimated, g; elsewhere it means nothing.
     dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
@@ -126,7 +128,7 @@ class ReadingsFit:
 
 
 def solve_readings(
-    readings: Sequence[Readings], model: Unknowns, beside: Sequence[Block] = ()
+    readings: Sequence[Readings | TriadPoses], model: Unknowns, beside: Sequence[Block] = ()
 ) -> ReadingsFit:
     """Estimate a model from readings, together with what records say.
 
@@ -139,19 +141,23 @@ def solve_readings(
             raise
     # Where hardly a position is read twice, its error hides the noise. The residuals show both
     # together, and the noise is taken to be as large as that.
-    together = _solved([replace(group, position=()) for group in readings], model, beside)
+    unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
+    together = _solved(unset, model, beside)
     return _solved(readings, model, beside, together)
 
 
 def _solved(
-    readings: Sequence[Readings],
+    readings: Sequence[Readings | TriadPoses],
     model: Unknowns,
     beside: Sequence[Block],
     together: ReadingsFit | None = None,
 ) -> ReadingsFit:
     """Return the solved problem; of `together`, where it is given, the noise is taken."""
     everything = [*model.unknowns, *model.considered]
-    point = known = np.array([unknown.prior_mean for unknown in everything])
+    known = np.array([unknown.prior_mean for unknown in everything])
+    point = known
+    for group in readings:
+        point = group.start(everything, point) if isinstance(group, TriadPoses) else point
     limits = np.array([unknown.limit for unknown in everything])
     noise = (
         [_first_noise(group) for group in readings]
@@ -163,7 +169,7 @@ def _solved(
     # looks like it would leave its prior so far that derivatives there are not the machine's.
     relaxed, variance = bool(model.considered), None
     for _ in range(_ROUNDS):
-        parts = [LinearReadings.of(group, model, point, variance) for group in readings]
+        parts = [group.linearised(model, point, variance) for group in readings]
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
@@ -190,12 +196,15 @@ def _solved(
         if moves.max(initial=0.0) < _LARGEST_MOVE:
             break
     else:
+        for group in readings:
+            if isinstance(group, TriadPoses):
+                raise ConvergenceError(_do_not_settle(group))
         raise ConvergenceError(
             f"the fit of the readings did not settle in {_ROUNDS} rounds; give the terms of the "
             "machine priors, or state the standard uncertainties of the readings"
         )
     dof = [
-        part.freedom_of_noise(found) + _freedom_of_repeats(group) if group.u is None else math.inf
+        part.freedom_of_noise(found) + group.freedom_of_repeats if group.u is None else math.inf
         for group, part in zip(readings, followed, strict=True)
     ]
     if together is not None:
@@ -244,11 +253,13 @@ def _position(
 class _NoiseWithout:
     """An estimated noise without some of the readings, all else being equal."""
 
-    def __init__(self, part: LinearReadings, solution: Solution, group: Readings) -> None:
+    def __init__(
+        self, part: LinearReadings, solution: Solution, group: Readings | TriadPoses
+    ) -> None:
         self._part, self._solution = part, solution
         self._share = part.noise_share
         self._residual = part.left_at(solution.estimate) / part.sigma
-        again = _freedom_of_repeats(group)
+        again = group.freedom_of_repeats
         self._dof = part.freedom_of_noise(solution) + again
         # The noise is such that the squares of residuals and repeats are what is expected.
         self._squares = float(self._share @ (1.0 - part.leverages(solution))) + again
@@ -268,24 +279,51 @@ class _NoiseWithout:
         return scale, max(self._dof - 2.0 * crossed + gone**2, 1.0)
 
 
-def _first_noise(group: Readings) -> float:
+def _first_noise(group: Readings | TriadPoses) -> float:
     """Return a noise to begin with: a millionth of the largest indication."""
     return 1e-6 * float(np.max(np.abs(group.value), initial=1e-3))
 
 
-def _freedom_of_repeats(group: Readings) -> float:
-    """Return the degrees of freedom that repeats at one setting have among themselves."""
-    return float(np.sum(group.repeats - 1.0))
+def _too_few_poses(group: TriadPoses, solution: Solution, model: Unknowns) -> str:
+    """Return that poses tell no noise, and what they do not determine besides."""
+    free = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
+    asked = [unknown.name for unknown in model.unknowns if unknown.asked]
+    determined = assess(solution, asked).determined
+    lacking = [name for name in asked if not determined[name]]
+    besides = f" They do not determine {', '.join(lacking)} at all." if lacking else ""
+    return (
+        f"{group.accelerometer}: {group.size} poses at unknown attitudes without a stated "
+        f"uncertainty cannot tell their noise beside {len(free)} unknowns of which nothing is "
+        f"known.{besides} Take more poses, spread over all directions, or state the uncertainty."
+    )
+
+
+def _do_not_settle(group: TriadPoses) -> str:
+    """Return why poses may leave a fit without an end: they lie too near each other."""
+    unit = group.value / np.linalg.norm(group.value, axis=1)[:, None]
+    middle = unit.mean(axis=0)
+    widest = math.degrees(math.acos(np.clip(np.min(unit @ middle) / np.linalg.norm(middle), -1, 1)))
+    return (
+        f"{group.accelerometer}: the fit of {group.size} poses did not settle in {_ROUNDS} rounds. "
+        f"They lie within {widest:.0f} deg of one direction; take poses all over the sphere, or "
+        "give the coefficients priors."
+    )
 
 
 def _noise_again(
-    group: Readings, part: LinearReadings, solution: Solution, model: Unknowns, own: float
+    group: Readings | TriadPoses,
+    part: LinearReadings,
+    solution: Solution,
+    model: Unknowns,
+    own: float,
 ) -> float:
     """Return the noise that the residuals show; its fixed point is the REML estimate."""
     if group.u is not None:
         return 1.0
     left_over = 1.0 - part.leverages(solution)
-    again = _freedom_of_repeats(group)
+    again = group.freedom_of_repeats
+    if left_over.sum() + again < 0.5 and isinstance(group, TriadPoses):
+        raise NotIdentifiableError(_too_few_poses(group, solution, model))
     if left_over.sum() + again < 0.5:
         raise NotIdentifiableError(
             f"{group.accelerometer}: {group.size} readings ({group.motion}) without a stated "

@@ -20,7 +20,7 @@ from counterspin.calibration.readings import block_name
 from counterspin.campaign.conditions import conditions_of, groups_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.resolved import Run, sample_count
-from counterspin.campaign.simulable import require_room
+from counterspin.campaign.simulated.simulable import require_room
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess

@@ -25,7 +25,7 @@ from counterspin.campaign.kinds import SettingsSection, Several, Text, described
 from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.simulable import require_room, unfit, unfit_readings
+from counterspin.campaign.simulated.simulable import require_room, unfit, unfit_readings
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,

@@ -15,13 +15,13 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.reading_simulation import (
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.simulated.reading_simulation import (
     head_errors,
     indications,
     numbered_groups,
     setting_spread,
 )
-from counterspin.campaign.readings import Reading
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.linear_readings import Readings

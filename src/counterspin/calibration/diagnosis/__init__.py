@@ -7,5 +7,7 @@
 - `credible`: estimates that no instrument has, whatever the fit
 - `attitude_findings`: whether drift and tilts are small enough for the theory
 - `reading_findings`: what speaks against readings
+- `kinds`: each kind of test (at rest, poses, arm, double turntable) beside the others
+- `pose_findings`: what speaks against poses at unknown attitudes
 - `record_counts`: how many rows of a record were left out, and whether they are too many
 """

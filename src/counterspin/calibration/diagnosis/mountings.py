@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.readings import AccelerometerReadings, with_groups
+from counterspin.calibration.readings import Fitted, JudgedReadings, with_groups
 from counterspin.calibration.result_parts import Finding
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
@@ -26,6 +26,9 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.turned import ACROSS, turned, with_turned
 from counterspin.inference.joint.unknowns import unit_of
+from counterspin.inference.linear_readings import Readings
+from counterspin.inference.poses import TriadPoses
+from counterspin.physics.accelerometer import Mounting
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Standard deviations by which a mounting may fit worse and still not be excluded.
@@ -47,7 +50,7 @@ class OtherMounting:
     #: By how much its chi-square is less than that of the stated one, over the residuals' scale.
     gain: float
     dof: float | None  #: Degrees of freedom of that scale; None where the noise was stated.
-    readings: tuple[AccelerometerReadings, ...] = ()  #: All readings, and how they fit then.
+    readings: Fitted = ()  #: All readings, and how they fit then.
 
     @property
     def pendulous(self) -> tuple[str, str]:
@@ -57,8 +60,7 @@ class OtherMounting:
 
     def seen_by(self, view: AccelerometerView) -> AccelerometerView:
         """Return a view of an accelerometer whose readings are as they fit then."""
-        own = (part for part in self.readings if part.readings.accelerometer == view.name)
-        return replace(view, readings=tuple(own))
+        return view.with_parts(self.readings)
 
     def moved(self) -> tuple[str, float, float]:
         """Return which coefficient moves most, by how much, and over its u."""
@@ -80,12 +82,12 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
     found = []
     estimated = views[0].estimate
     relaxed = replace(estimated, fit=relax(estimated.fit), core=None)
-    read = tuple(part for view in views for part in view.readings)
+    read = tuple({id(part): part for view in views for part in view.parts}.values())
     for view in views:
         if not _stated(view):
             continue
         given = not view.has_records or view.diagnostics.noise_given
-        given = given and all(math.isinf(part.dof) for part in view.readings)
+        given = given and all(math.isinf(part.dof) for part in view.parts)
         (stated, _), *others = (_turned(relaxed, read, view.name, n) for n in range(4))
         for quarters, (fit, readings) in enumerate(others, 1):
             scale = fit.solution.chi2 / max(fit.solution.dof, 1.0)
@@ -97,15 +99,18 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
 
 
 def _turned(
-    relaxed: Estimate, read: Sequence[AccelerometerReadings], name: str, quarters: int
-) -> tuple[JointFit, tuple[AccelerometerReadings, ...]]:
+    relaxed: Estimate, read: Sequence[JudgedReadings], name: str, quarters: int
+) -> tuple[JointFit, Fitted]:
     """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
     fit = with_turned(relaxed.fit, name, quarters) if quarters else relaxed.fit
     if not read:
         return fit, ()
-    groups = []
+    groups: list[Readings | TriadPoses] = []
     for part in read:
         group = part.readings
+        if isinstance(group, TriadPoses):
+            groups.append(_turned_poses(group, part, name, quarters))
+            continue
         if not math.isinf(part.dof):
             group = replace(group, u=part.noise / np.sqrt(group.repeats))
         if group.accelerometer == name:
@@ -118,6 +123,18 @@ def _turned(
     records = replace(relaxed, fit=fit, dof=dof) if fit.prepared else None
     estimated, readings = with_groups(records, fit.model, groups)
     return estimated.fit, readings
+
+
+def _turned_poses(group: TriadPoses, part: JudgedReadings, name: str, quarters: int) -> TriadPoses:
+    """Return poses with one of the accelerometers turned, with the noise they have."""
+    if not math.isinf(part.dof):
+        noise = part.noise / np.sqrt(group.repeats)
+        group = replace(group, u=np.repeat(noise[:, None], 3, axis=1))
+    if name not in group.accelerometers:
+        return group
+    axes, place = group.axes.copy(), group.accelerometers.index(name)
+    axes[place] = turned(Mounting(tuple(map(tuple, axes[place]))), quarters).matrix
+    return replace(group, axes=axes)
 
 
 def _stated(view: AccelerometerView) -> list[str]:

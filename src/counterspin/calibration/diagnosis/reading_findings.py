@@ -15,7 +15,11 @@ from counterspin.calibration.findings import (
     lack_of_fit,
 )
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.readings import AccelerometerReadings, residual_of
+from counterspin.calibration.readings import (
+    AccelerometerReadings,
+    JudgedReadings,
+    residual_of,
+)
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.alternatives import Alternative
@@ -59,7 +63,7 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
     findings = _none_left(view) or _few_left(view)
     for place, part in enumerate(parts):
         if part.dof < FEWEST_FREEDOM and not findings:
-            findings.append(_unjudged(view.name, part))
+            findings.append(unjudged(view.name, part))
         residual = residual_of([part])
         stated = math.isinf(part.dof)
         p = residual.lack_of_fit_p if stated else part.misfit_of_positions
@@ -73,7 +77,7 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
             )
             sentences = [f"{said} (p = {p:.2g})."]
         general = lack_of_fit(view.name, sentences, residual) if sentences else None
-        outlying = _outlying_of(view.name, part)
+        outlying = lone_or_many(view.name, part)
         if place in followed:
             general = _explained(view.name, part, followed[place], general)
             if len(part.outlying()) > _most_lone(part):
@@ -90,7 +94,7 @@ def _none_left(view: AccelerometerView) -> list[Finding]:
         if unknown.owner == view.name and math.isinf(unknown.prior[1])
     ]
     count = sum(part.readings.size for part in view.readings)
-    if view.has_records or not view.readings or count > len(free):
+    if view.has_records or view.poses or not view.readings or count > len(free):
         return []
     text = (
         f"{count} readings are no more than the coefficients that they determine "
@@ -104,7 +108,9 @@ def _few_left(view: AccelerometerView) -> list[Finding]:
     """Return a finding where readings of stated noise leave too little to judge them by."""
     stated = [part for part in view.readings if math.isinf(part.dof)]
     freedom = sum(part.freedom for part in stated)
-    if view.has_records or len(stated) < len(view.readings) or freedom >= FEWEST_FREEDOM:
+    if view.has_records or view.poses or len(stated) < len(view.readings):
+        return []
+    if freedom >= FEWEST_FREEDOM:
         return []
     count = sum(part.readings.size for part in stated)
     left = format_number(freedom, 2)
@@ -126,7 +132,8 @@ def _noticed_from(freedom: float) -> str:
     return f", and only residuals of {format_number(times, 2)} times what is stated are noticed"
 
 
-def _unjudged(name: str, part: AccelerometerReadings) -> Finding:
+def unjudged(name: str, part: JudgedReadings) -> Finding:
+    """Return the finding that hardly any freedom is left to judge residuals by."""
     text = (
         f"{part.readings.size} {part.words} without a stated uncertainty leave "
         f"{format_number(part.dof, 2)} degrees of freedom beside what is estimated: no residual of "
@@ -222,7 +229,7 @@ def _clause(other: Alternative) -> str:
     }[other.kind]
 
 
-def _outlying_of(name: str, part: AccelerometerReadings) -> list[Finding]:
+def lone_or_many(name: str, part: JudgedReadings) -> list[Finding]:
     """Return a finding for each position that stands out, or one where many do."""
     far_off = part.outlying()
     if len(far_off) <= _most_lone(part):
@@ -246,18 +253,17 @@ def _with_many(misfit: Finding, part: AccelerometerReadings, worst: Finding) -> 
     return misfit.model_copy(update=said)
 
 
-def _most_lone(part: AccelerometerReadings) -> float:
+def _most_lone(part: JudgedReadings) -> float:
     return max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size)
 
 
-def _outlying(
-    part: AccelerometerReadings, name: str, reading: str, residual: float, z: float
-) -> Finding:
+def _outlying(part: JudgedReadings, name: str, reading: str, residual: float, z: float) -> Finding:
+    what = "pose" if part.readings.motion == "poses" else "position"
     deviations = f"{abs(z):.1f}" if abs(z) < _COUNTABLE else f"more than {_COUNTABLE}"
     return Finding(
         code="outlying-reading",
         subject=f"{name}.{reading}",
-        text=f'The position "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
+        text=f'The {what} "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
         f"{deviations} of its standard deviations: look at it, or at what the model lacks.",
         size=abs(z),
         contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),

@@ -110,7 +110,7 @@ def causes_of(
     mountings: The other mountings of accelerometers whose stated terms rest on them.
     """
     estimated = views[0].estimate
-    read = [part for view in views for part in view.readings]
+    read = [part for view in views for part in view.parts]
     given = not estimated.components and all(part.weighed for part in read)
     now = replace(estimated, fit=relax(estimated.fit), core=None)
     priors = of_priors(now.fit)
@@ -552,7 +552,8 @@ def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
     fit = after.fit
     count = len(fit.model.unknowns)
     readings = tuple(part.relaxed(count).under(fit.solution, fit.model) for part in view.readings)
-    return replace(view, estimate=after, readings=readings)
+    poses = tuple(part.relaxed(count).under(fit.solution, fit.model) for part in view.poses)
+    return replace(view, estimate=after, readings=readings, poses=poses)
 
 
 def _checked(view: AccelerometerView) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 - `terminal`: a result in the terminal; `sections`: its blocks
 - `full_report`: the whole report for paper and screen
-- `verdict`, `accelerometer`, `uncertainty`, `motions`, `records`, `kinds`, `conformity`, `basis`,
-  `pictures`: its chapters
+- `verdict`, `accelerometer`, `triad`, `uncertainty`, `motions`, `records`, `kinds`, `conformity`,
+  `basis`, `pictures`: its chapters
 - `batch`: many campaigns in one table
 """

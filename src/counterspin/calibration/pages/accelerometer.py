@@ -132,7 +132,7 @@ def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None
 def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
     """Return one row for each coefficient; the first column is its symbol, the second its words."""
     rows = [
-        (*_names(symbol), *_cells(coefficient), _origin(coefficient))
+        (*_names(symbol), *coefficient_cells(coefficient))
         for symbol, coefficient in coefficients.items()
     ]
     return Table(
@@ -155,6 +155,11 @@ def _names(symbol: str) -> tuple[str, str]:
     if not is_term(bare):
         return _SPINDLE.get(bare, (symbol, ""))
     return symbol, words_of(bare) + bracket + run
+
+
+def coefficient_cells(coefficient: Coefficient) -> tuple[str, str, str, str]:
+    """Return value, uncertainty, unit, and what the uncertainty comes from."""
+    return (*_cells(coefficient), _origin(coefficient))
 
 
 def _cells(coefficient: Coefficient) -> tuple[str, str, str]:

@@ -16,6 +16,7 @@ from counterspin.calibration.pages.pictures import (
     ripple_plot,
 )
 from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
+from counterspin.calibration.pages.triad import triad_blocks
 from counterspin.calibration.pages.uncertainty import knowledge_blocks
 from counterspin.calibration.pages.verdict import verdict_tables
 from counterspin.calibration.result import Result
@@ -33,6 +34,7 @@ def document(result: Result) -> list[Block]:
         *verdict_tables(result),
         *conformity_blocks(result),
         *_chapters(result),
+        *triad_blocks(result, details=True),
         *platform_blocks(result),
         *knowledge_blocks(result),
         *run_blocks(result.runs, details=True),

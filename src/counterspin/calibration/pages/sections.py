@@ -15,6 +15,7 @@ from counterspin.calibration.pages.accelerometer import (
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
 from counterspin.calibration.pages.records import count_blocks, note_blocks
+from counterspin.calibration.pages.triad import triad_blocks, triad_line
 from counterspin.calibration.pages.uncertainty import (
     assumption,
     dominance,
@@ -66,6 +67,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
         if budget:
             blocks += budget_blocks(name, accelerometer)
+    blocks += triad_blocks(result, details=details)
     blocks += platform_blocks(result)
     if budget:
         blocks += knowledge_blocks(result)
@@ -102,6 +104,7 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
             yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
             if sentence := dominance(accelerometer) or largest_part(accelerometer):
                 yield Paragraph(sentence)
+    yield from triad_line(result)
     if sentence := assumption(result):
         yield Paragraph(sentence)
     for warning in result.warnings:

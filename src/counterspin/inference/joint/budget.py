@@ -14,6 +14,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Considered, Unknown
+from counterspin.inference.least_squares import Combination
 from counterspin.inference.noise.model import WALK_UNIT
 
 #: Lines below this share of u^2 say nothing.
@@ -119,6 +120,17 @@ def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:
         squares[name] = squares.get(name, 0.0) + float(np.sum(rows[start:end] ** 2))
         start = end
     return {name: math.sqrt(square) for name, square in squares.items()}
+
+
+def by_kind_of(fit: JointFit, parts: Combination) -> tuple[float, float, float]:
+    """Return u of a combination of the unknowns, as of `by_kind`."""
+    squares = {NOISE: parts.noise**2 + parts.unseen**2, STATED: 0.0, UNSTATED: 0.0}
+    terms = (*fit.model.unknowns, *fit.model.considered)
+    for unknown, part in zip(terms, (*parts.prior, *parts.considered), strict=True):
+        encoded = unknown.symbol in encoder.SYMBOLS
+        squares[NOISE if encoded else UNSTATED if unknown.unstated else STATED] += float(part) ** 2
+    of_noise, of_stated, of_unstated = (math.sqrt(square) for square in squares.values())
+    return of_noise, of_stated, of_unstated
 
 
 def by_kind(fit: JointFit, index: int) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from counterspin.calibration.findings import (
 )
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import SQUARES
-from counterspin.calibration.readings import AccelerometerReadings, residual_of
+from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTest, Shift
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
@@ -34,6 +34,7 @@ _NAMES: Final[Mapping[str, str]] = {
     "counter-rotating": "double turntable",
     "arm": "arm",
     "static": "at rest",
+    "poses": "poses",
 }
 
 
@@ -61,28 +62,24 @@ def compare_kinds(views: Sequence[AccelerometerView]) -> dict[str, Kinds]:
             kinds[view.name] = Kinds([], [], view)
             continue
         results = [_kind(view, kind, count, compared[kind]) for kind, count in own.items()]
-        apart = tuple(
-            part.under(compared[_NAMES[part.readings.motion]].alone, fit.model)
-            for part in view.readings
+        apart = view.with_parts(
+            [
+                part.under(compared[_NAMES[part.readings.motion]].alone, fit.model)
+                for part in view.parts
+            ]
         )
-        findings = _disagreement(view, results, _excess(view, apart))
-        kinds[view.name] = Kinds(
-            results, findings, _apart(view, compared, apart) if findings else view
-        )
+        findings = _disagreement(view, results, _excess(apart))
+        kinds[view.name] = Kinds(results, findings, _apart(apart, compared) if findings else view)
     return kinds
 
 
-def _apart(
-    view: AccelerometerView,
-    compared: Mapping[str, OfOneKind],
-    readings: tuple[AccelerometerReadings, ...],
-) -> AccelerometerView:
-    """Return a view in which records and readings are fitted apart."""
+def _apart(view: AccelerometerView, compared: Mapping[str, OfOneKind]) -> AccelerometerView:
+    """Return a view, whose readings are fitted apart, in which records are too."""
     recorded = compared.get(_NAMES["counter-rotating"])
     if recorded is None or not view.fit.blocks:
-        return replace(view, readings=readings)
+        return view
     fit = replace(view.fit, solution=recorded.alone, beside={})
-    return replace(view, readings=readings, estimate=replace(view.estimate, fit=fit))
+    return replace(view, estimate=replace(view.estimate, fit=fit))
 
 
 def _blocks(views: Sequence[AccelerometerView]) -> dict[str, list[Block]]:
@@ -92,7 +89,7 @@ def _blocks(views: Sequence[AccelerometerView]) -> dict[str, list[Block]]:
     if fit.blocks:
         blocks[_NAMES["counter-rotating"]] = list(fit.blocks)
     # The readings' blocks stand in the order in which the fit has them.
-    parts = {part.block_name: part for view in views for part in view.readings}
+    parts = {part.block_name: part for view in views for part in view.parts}
     for name, block in fit.beside.items():
         blocks.setdefault(_NAMES[parts[name].readings.motion], []).append(block)
     return blocks
@@ -103,7 +100,7 @@ def _counts(view: AccelerometerView) -> dict[str, int]:
     counts: dict[str, int] = {}
     if view.has_records:
         counts[_NAMES["counter-rotating"]] = sum(1 for _ in view.records())
-    for part in view.readings:
+    for part in view.parts:
         kind = _NAMES[part.readings.motion]
         counts[kind] = counts.get(kind, 0) + part.readings.size
     return counts
@@ -205,10 +202,10 @@ def _disagreement(
     ]
 
 
-def _excess(view: AccelerometerView, readings: Sequence[AccelerometerReadings]) -> float:
+def _excess(view: AccelerometerView) -> float:
     """Return how many times as large as the stated noise the residuals are, where that is much."""
     ratios = [1.0]
-    for part in readings:
+    for part in view.parts:
         residual = residual_of([part])
         if residual.chi2 is not None and residual.dof > 0.0:
             ratios.append(math.sqrt(residual.chi2 / residual.dof))

@@ -1,0 +1,89 @@
+"""Poses of a campaign's triad: read one by one, or found in a record by their rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.frozen import frozen
+from counterspin.records.poses import Poses, read_poses
+from counterspin.records.record import RecordColumns
+
+
+@frozen(eq=False)
+class RecordOfPoses:
+    """A record with poses in it, and what was found."""
+
+    name: str  #: Of the run.
+    poses: Poses  #: Where the triad lay still; forces in m/s^2.
+
+
+@frozen(eq=False)
+class FoundPose:
+    """A pose: the readings of all three, and where it was found."""
+
+    pose: tuple[Reading, ...]  #: In the order of the triad's accelerometers.
+    record: RecordOfPoses | None = None  #: The record that it was found in; None: it was read.
+    place: int = 0  #: Among the poses of the record.
+
+    @property
+    def noise_within(self) -> float:
+        """What the means of a record's rows scatter by, if each row is by itself, m/s^2."""
+        if self.record is None:
+            return 0.0
+        found = self.record.poses
+        return float(np.sqrt(np.mean(found.scatter[self.place] ** 2) / found.count[self.place]))
+
+
+def poses_of(campaign: Campaign) -> list[FoundPose]:
+    """Return every pose of a campaign's triad."""
+    if campaign.triad is None:
+        return []
+    read = [FoundPose(pose) for pose in campaign.triad.poses]
+    return [*read, *(one for record in campaign.triad.records for one in _found(campaign, record))]
+
+
+def noise_within(poses: Sequence[FoundPose], gravity: float) -> float:
+    """Return what is known of the noise from within poses that were found in records, g."""
+    within = [one.noise_within for one in poses if one.record is not None]
+    return math.sqrt(sum(size**2 for size in within) / len(within)) / gravity if within else 0.0
+
+
+def _found(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
+    """Yield the poses of a record, each with its means as readings."""
+    assert campaign.triad is not None
+    g, signals, in_si = campaign.gravity.value, {}, []
+    for name in campaign.triad.accelerometers:
+        channel = campaign.accelerometers[name].force
+        assert channel is not None
+        signals[name] = channel.spec(g)
+        in_si.append(not channel.in_g)
+    columns = RecordColumns(campaign.time.spec(g), None, signals, campaign.dialect)
+    source = campaign.record_at(record.record)
+    found, _ = read_poses(source, columns, record.rest, record.threshold)
+    whole = RecordOfPoses(record.name, found)
+    for place, (start, mean) in enumerate(zip(found.start, found.mean / g, strict=True)):
+        pose = tuple(
+            Reading(
+                name=f"{record.name} {start:.6g} s",
+                accelerometer=name,
+                motion="static",
+                mounting="",
+                axes=campaign.accelerometers[name].mounting,
+                rate=0.0,
+                value=float(value),
+                u=None,
+                head=(0.0, 0.0, 0.0),
+                u_head=0.0,
+                temperature=record.temperature,
+                time=None if record.time is None else record.time + float(start),
+                in_si=si,
+            )
+            for name, value, si in zip(signals, mean, in_si, strict=True)
+        )
+        yield FoundPose(pose, whole, place)

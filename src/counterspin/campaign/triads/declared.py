@@ -1,0 +1,210 @@
+"""[triad]: three accelerometers in one frame, and their poses at attitudes that nobody knows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import Field
+
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.kinds import SettingsSection, Text, described
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import (
+    UNKNOWN,
+    PosesSettings,
+    Reading,
+    ReadingRunSettings,
+)
+from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import Mounting
+
+#: Smallest volume that three input axes may span: below it they do not feel all directions.
+_LEAST_VOLUME: Final = 0.1
+
+#: A unit vector is along another, or at right angles to it, within this.
+_ALONG: Final = 1e-6
+
+
+class TriadSettings(SettingsSection):
+    """[triad]: three accelerometers of one sensor."""
+
+    accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = described(
+        "their names: the frame's first axis is the input axis of the first, and that of the "
+        "second lies in the plane of the first two",
+        ["X", "Y", "Z"],
+    )
+
+
+@frozen
+class PoseRecord:
+    """A record of all three with many poses in it."""
+
+    name: str  #: Of the run.
+    record: Path  #: Absolute path.
+    rest: float  #: Shortest rest that is a pose, s.
+    threshold: float | None  #: Below which the sensor rests, m/s^2; None: found.
+    #: K and s; None where they were not recorded.
+    temperature: float | None
+    time: float | None
+
+
+@frozen
+class Triad:
+    """Three accelerometers of one sensor, and its poses."""
+
+    accelerometers: tuple[str, ...]  #: Their names.
+    #: Each pose that was read: a reading of each accelerometer, its axes in the triad's frame.
+    poses: tuple[tuple[Reading, ...], ...] = ()
+    records: tuple[PoseRecord, ...] = ()  #: Records with poses.
+    #: Accelerometer and symbol of the misalignments that are nothing by the choice of the frame,
+    #: where nothing but poses says how the triad stands.
+    of_frame: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def posed(self) -> bool:
+        """Whether there are poses at attitudes that nobody knows."""
+        return bool(self.poses or self.records)
+
+
+def is_pose(raw: Any) -> bool:
+    """Return whether an entry of ``[[runs]]`` is at an attitude that nobody knows."""
+    return isinstance(raw, Mapping) and raw.get("attitude") == UNKNOWN
+
+
+def resolve_triad(
+    raw: Any,
+    mountings: Mapping[str, Mounting],
+    runs: Sequence[tuple[Any, KeyPath]],
+    folder: Path,
+    read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
+    *,
+    given: Mapping[str, Mapping[str, Quantity]] | None,
+    problems: Problems,
+) -> Triad | None:
+    """Return what [triad] and the runs at unknown attitudes say.
+
+    raw: The section, None if there is none.
+    mountings: Accelerometer -> its axes in the triad's frame.
+    runs: Those at unknown attitudes, with where each stands.
+    folder: Of records.
+    read: Resolves runs with values, as if at known attitudes.
+    given: Accelerometer -> symbol -> prior of its own table, where no reading or record says how
+        the triad stands; else None.
+    """
+    if raw is None:
+        for _, path in runs:
+            problems.add(
+                (*path, "attitude"),
+                'is "unknown", which takes three accelerometers; write [triad] accelerometers = '
+                '["X", "Y", "Z"]',
+            )
+        return None
+    settings = problems.check(TriadSettings, raw, ("triad",))
+    if settings is None:
+        return None
+    names = tuple(settings.accelerometers)
+    before = len(problems.lines)
+    for place, name in enumerate(names):
+        if name not in mountings:
+            said = did_you_mean(name, mountings)
+            problems.add(("triad", "accelerometers", place), f'no accelerometer is "{name}"{said}')
+        elif name in names[:place]:
+            problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')
+    if len(problems.lines) > before:
+        return None
+    axes = [mountings[name] for name in names]
+    if abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
+        problems.add(("triad", "accelerometers"), "their input axes lie in a plane, or nearly so")
+        return None
+    of_frame = () if given is None else _of_frame(names, axes, problems)
+    for name, symbol in of_frame:
+        if symbol in (given or {}).get(name, {}):
+            problems.add(
+                ("accelerometers", name, symbol),
+                "is zero by the choice of the triad's frame, where nothing but poses at unknown "
+                "attitudes is there; leave it out",
+            )
+    poses: list[tuple[Reading, ...]] = []
+    records: list[PoseRecord] = []
+    for run, path in runs:
+        for one in _resolve_pose(run, path, names, read, folder, problems):
+            (records if isinstance(one, PoseRecord) else poses).append(one)  # type: ignore[arg-type]
+    return Triad(names, tuple(poses), tuple(records), of_frame)
+
+
+def _of_frame(
+    names: Sequence[str], axes: Sequence[Mounting], problems: Problems
+) -> tuple[tuple[str, str], ...]:
+    """Return the misalignments that the frame makes nothing: two of the first, one of the second.
+
+    The second one's is that towards the normal of the plane of both.
+    """
+    first, second = axes[0].matrix, axes[1].matrix
+    normal = np.cross(first[0], second[0])
+    normal /= np.linalg.norm(normal)
+    upright = [abs(abs(float(axis @ normal)) - 1.0) < _ALONG for axis in second[1:]]
+    if not any(upright):
+        problems.add(
+            ("accelerometers", names[1], "pendulous_axis"),
+            f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
+            "angles to it, so that one misalignment is out of it",
+        )
+        return ()
+    return (
+        (names[0], "delta_O"),
+        (names[0], "delta_P"),
+        (names[1], "delta_O" if upright[0] else "delta_P"),
+    )
+
+
+def _resolve_pose(
+    raw: Mapping[str, Any],
+    path: KeyPath,
+    names: Sequence[str],
+    read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
+    folder: Path,
+    problems: Problems,
+) -> Iterator[tuple[Reading, ...] | PoseRecord]:
+    """Yield the pose of a run with values, or what a record with poses is."""
+    before = len(problems.lines)
+    if raw.get("motion") != "static":
+        problems.add((*path, "motion"), 'an attitude is unknown at rest alone; write "static"')
+    for key in ("axes", "mounting"):
+        if raw.get(key):
+            problems.add((*path, key), "has no meaning at an attitude that nobody knows")
+    if "record" in raw:
+        yield from _record_of_poses(raw, path, folder, problems)
+        return
+    if "poses" in raw:
+        problems.add((*path, "poses"), "are found in a record; here is a reading")
+    readings = {one.accelerometer: one for one in read([({**raw, "attitude": "level"}, path)])}
+    if readings and set(readings) != set(names):
+        every = ", ".join(names)
+        said = f"at an attitude that nobody knows all of {every} are read, and no other"
+        problems.add((*path, "reading"), said)
+    if len(problems.lines) == before:
+        yield tuple(readings[name] for name in names)
+
+
+def _record_of_poses(
+    raw: Mapping[str, Any], path: KeyPath, folder: Path, problems: Problems
+) -> Iterator[PoseRecord]:
+    """Yield what a record with poses is."""
+    settings = problems.check(ReadingRunSettings, raw, path)
+    if settings is None:
+        return
+    if settings.reading is not None:
+        problems.add(path, "give one of reading and record")
+    poses = settings.poses or PosesSettings()
+    yield PoseRecord(
+        settings.name,
+        folder / str(settings.record),
+        poses.rest,
+        poses.threshold,
+        settings.temperature,
+        settings.time,
+    )

@@ -1,0 +1,53 @@
+"""Poses of a campaign's triad, grouped as simulation and fit take them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from counterspin.campaign.conditions import origin_of
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.readings import Reading
+from counterspin.inference.poses import TriadPoses
+
+
+def poses_together(
+    campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float = 0.0
+) -> list[TriadPoses]:
+    """Return poses by whether their noise was stated, for all three.
+
+    within: What the rows within poses say of the noise of those that state none, g.
+    """
+    stated = [all(reading.u is not None for reading in pose) for pose in poses]
+    kinds = {
+        known: [pose for pose, own in zip(poses, stated, strict=True) if own is known]
+        for known in (True, False)
+    }
+    return [
+        _together(campaign, own, 0.0 if known else within) for known, own in kinds.items() if own
+    ]
+
+
+def _together(campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float) -> TriadPoses:
+    origin = origin_of(campaign)
+    warmth, start = origin.temperature, origin.time
+    firsts = [pose[0] for pose in poses]
+    stated = all(reading.u is not None for pose in poses for reading in pose)
+    return TriadPoses(
+        accelerometers=tuple(reading.accelerometer for reading in poses[0]),
+        names=tuple(first.name for first in firsts),
+        axes=np.array([reading.axes.matrix for reading in poses[0]]),
+        gravity=campaign.site.gravity,
+        value=np.array([[reading.value for reading in pose] for pose in poses]),
+        u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if stated else None,
+        temperature=np.array(
+            [(warmth if r.temperature is None else r.temperature) - warmth for r in firsts]
+        ),
+        time=np.array([(start if r.time is None else r.time) - start for r in firsts]),
+        repeats=np.array([float(min(reading.repeats for reading in pose)) for pose in poses]),
+        scatter=np.array([sum(reading.scatter for reading in pose) for pose in poses]),
+        in_si=np.array([[float(reading.in_si) for reading in pose] for pose in poses]),
+        within=within,
+        resolution=min(reading.resolution for pose in poses for reading in pose),
+    )

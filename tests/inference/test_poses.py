@@ -1,0 +1,140 @@
+"""Poses at unknown attitudes against a dense least squares over all their angles."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+import triads
+from scipy.optimize import least_squares
+
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference.readings import solve_readings
+
+#: g.
+NOISE = 3e-4
+
+
+def _dense(values, weight):
+    """Return the nine parameters and their covariance, by all unknowns and all angles at once."""
+    n = len(values)
+    start = values - values.mean(axis=0)
+    along = start / np.linalg.norm(start, axis=1)[:, None]
+    azimuth, height = np.arctan2(along[:, 1], along[:, 0]), np.arcsin(along[:, 2])
+    # Rotated so that no pose of these stands at a pole.
+    first = np.concatenate([np.zeros(3), [1.0, 0.0, 1.0, 0.0, 0.0, 1.0], azimuth, height])
+
+    def left(x):
+        rows = np.array([[x[3], 0.0, 0.0], [x[4], x[5], 0.0], [x[6], x[7], x[8]]])
+        phi, theta = x[9 : 9 + n], x[9 + n :]
+        unit = np.column_stack(
+            [np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), np.sin(theta)]
+        )
+        return (weight * (values - unit @ rows.T - x[:3])).ravel()
+
+    found = least_squares(left, first, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    triangle = np.linalg.qr(found.jac, mode="r")
+    inverse = np.linalg.inv(triangle)
+    covariance = (inverse @ inverse.T)[:9, :9]
+    freedom = 3 * n - first.size
+    return triads.SIGNS * found.x[:9], covariance, float(found.fun @ found.fun) / freedom
+
+
+def _nominal():
+    return np.array([1.0 if symbol == "K_I" else 0.0 for _, symbol in triads.PARAMETERS])
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_fit_is_that_of_all_angles_at_once(stated):
+    generator = np.random.default_rng(4)
+    along = triads.directions(25, generator)
+    values = triads.indications(along) + NOISE * generator.standard_normal((25, 3))
+    # Where it is stated, each accelerometer has its own.
+    u = NOISE * np.array([1.0, 2.0, 0.5]) if stated else None
+    expected, covariance, scale = _dense(values, 1.0 / u if stated else np.ones(3))
+    fit = solve_readings([triads.group(values, u)], triads.unknowns())
+    if not stated:
+        covariance = covariance * scale
+        (group,) = fit.groups
+        assert group.noise == pytest.approx(math.sqrt(scale), rel=1e-6)
+        assert group.dof == pytest.approx(16.0, abs=1e-6)
+    u_of = np.sqrt(np.diag(covariance))
+    found = fit.solution.estimate + _nominal()
+    assert np.max(np.abs(found - expected) / u_of) < 1e-6
+    # The derivatives of the dense fit are differences, good to seven digits.
+    signs = np.outer(triads.SIGNS, triads.SIGNS)
+    np.testing.assert_allclose(
+        fit.solution.covariance / np.outer(u_of, u_of),
+        signs * covariance / np.outer(u_of, u_of),
+        atol=2e-5,
+    )
+
+
+def test_a_part_with_large_errors_needs_no_guess():
+    rows = np.array([[1.4, 0.0, 0.0], [0.2, 0.7, 0.0], [-0.15, 0.1, 1.2]])
+    bias = np.array([0.9, -0.6, 0.4])
+    along = triads.directions(15, np.random.default_rng(2))
+    values = triads.indications(along, rows, bias)
+    fit = solve_readings([triads.group(values, 1e-4)], triads.unknowns())
+    found = fit.solution.estimate + _nominal()
+    np.testing.assert_allclose(found, triads.truth(rows, bias), atol=1e-9)
+
+
+def test_nine_poses_without_noise_determine_nine_parameters():
+    along = triads.directions(9, np.random.default_rng(5))
+    fit = solve_readings([triads.group(triads.indications(along), 1e-4)], triads.unknowns())
+    found = fit.solution.estimate + _nominal()
+    np.testing.assert_allclose(found, triads.truth(), atol=1e-9)
+
+
+def test_fewer_poses_cannot_tell_their_noise():
+    along = np.vstack([np.eye(3), -np.eye(3)])
+    with pytest.raises(
+        NotIdentifiableError,
+        match=r"6 poses .* 9 unknowns .*determine .*Y.delta_P.*Z.delta_O, Z.delta_P",
+    ):
+        solve_readings([triads.group(triads.indications(along))], triads.unknowns())
+
+
+def test_second_order_terms_that_poses_determine_are_found():
+    squares = np.array([2e-3, -1e-3, 3e-3])
+    along = triads.directions(60, np.random.default_rng(8))
+    values = triads.indications(along, squares=squares)
+    model = triads.unknowns([(name, "K_II") for name in triads.NAMES])
+    fit = solve_readings([triads.group(values, 1e-4)], model)
+    found = fit.solution.estimate
+    np.testing.assert_allclose(found[9:], squares, atol=1e-9)
+    np.testing.assert_allclose(found[:9] + _nominal(), triads.truth(), atol=1e-9)
+
+
+def test_a_pose_that_is_off_stands_out():
+    generator = np.random.default_rng(11)
+    values = triads.indications(triads.directions(30, generator))
+    values += NOISE * generator.standard_normal(values.shape)
+    values[7] *= 1.0 + 12.0 * NOISE
+    fit = solve_readings([triads.group(values)], triads.unknowns())
+    p = np.array([single.p for single in fit.groups[0].single])
+    assert np.argmin(p) == 7
+    assert p[7] < 1e-4 < np.min(np.delete(p, 7))
+
+
+def test_z_of_the_parameters_are_normal():
+    # Of 40 triads with 9 parameters each; the bound is that of chi-square at 4.5 sigma.
+    generator, trials = np.random.default_rng(21), 40
+    squares = 0.0
+    for _ in range(trials):
+        values = triads.indications(triads.directions(24, generator))
+        values += NOISE * generator.standard_normal(values.shape)
+        fit = solve_readings([triads.group(values, NOISE)], triads.unknowns())
+        off = fit.solution.estimate + _nominal() - triads.truth()
+        squares += float(off @ np.linalg.solve(fit.solution.covariance, off))
+    assert squares / (9 * trials) == pytest.approx(1.0, abs=4.5 * math.sqrt(2.0 / (9 * trials)))
+
+
+def test_a_thousand_poses_are_fast():
+    generator = np.random.default_rng(6)
+    values = triads.indications(triads.directions(1000, generator))
+    values += NOISE * generator.standard_normal(values.shape)
+    begin = time.process_time()
+    solve_readings([triads.group(values)], triads.unknowns())
+    assert time.process_time() - begin < 10.0  # a tenth of it on a quiet machine
