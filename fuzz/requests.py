@@ -212,6 +212,15 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"kind": "result", "names": result, "place": "0"},
             {"kind": "history", "names": both, "term": "K_I", "place": "0"},
         ],
+        "POST what-if": [
+            {"name": result, "accelerometer": "Qx"},
+            {"name": result, "accelerometer": "Qx", "known": {"K_III": 1e-7}},
+        ],
+        "GET ways": [{"name": "three", "result": result}],
+        "POST ways": [{"name": "three"}],
+        "POST way": [
+            {"name": "three", "result": result, "accelerometer": "Qx", "way": "state"},
+        ],
         "GET record-about": [run],
         "GET record": [
             run | {"low": "0", "high": "5"},

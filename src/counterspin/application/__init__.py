@@ -16,6 +16,7 @@ is done by a click is a command too, and the page says which.
 - `jobs`: what takes longer than a moment, one thing after the other: calibrations, studies,
   simulations, forecasts, plans
 - `pages`: results, comparisons and histories as the reports' words and pictures
+- `improving`: what an uncertainty would be if more were known, and campaigns prepared for that
 - `record_plots`: records through a window of time
 - `drafts`: exports that are dragged in, and the campaigns that they make
 - `live`, `judging`: processes kept while somebody looks: campaigns that are followed while their

@@ -145,7 +145,10 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
     text = desk.remembered.get(
         ("html", kind, *files, term), files, lambda: part(made.blocks, title=made.title)
     )
-    return {"title": made.title, "html": text, "command": made.command}
+    told: dict[str, Any] = {"title": made.title, "html": text, "command": made.command}
+    if kind == "result":
+        told["accelerometers"] = list(desk.result(names[0]).accelerometers)
+    return told
 
 
 def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: int) -> str:

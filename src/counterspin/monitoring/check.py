@@ -15,7 +15,7 @@ from counterspin.monitoring.observing import Observer, record_name
 from counterspin.monitoring.reaching import Fitted, fitted, reached, shown_names
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.planning.forecast import forecast
-from counterspin.planning.recorded import as_recorded, noise_of_fit
+from counterspin.planning.recorded.from_records import as_recorded, noise_of_fit
 from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread

@@ -24,7 +24,7 @@ from counterspin.planning.plan_file import load_plan, plan_name, read_plan
 from counterspin.planning.predicted import result_of
 from counterspin.planning.readings.reading_plan import plan_readings
 from counterspin.planning.readings.stations import read_reading_plan
-from counterspin.planning.recorded import from_records, lacks
+from counterspin.planning.recorded.from_records import from_records, lacks
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search

@@ -3,7 +3,8 @@ import { beforeEach, mock, test } from "node:test";
 import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
-import { commandLine, make, say, stateMark, warning } from "./dom.js";
+import { commandLine, make, say, stateMark, symbols, warning } from "./dom.js";
+import { knownTo, named, percent, size } from "./improving.js";
 import { follow } from "./job.js";
 
 const KEY = "counterspin-key";
@@ -32,6 +33,25 @@ test("a name is in an address as it is, whatever stands in it", () => {
 test("attributes that are false, null or undefined are left out", () => {
   const given = { title: "a", hidden: false, id: null, lang: undefined, disabled: true, max: 0 };
   assert.deepEqual(make("p", given).attributes, { title: "a", disabled: "", max: "0" });
+});
+
+test("coefficients have their index below the line, and other names stay", () => {
+  const written = (/** @type {string} */ text) =>
+    symbols(text).map((piece) => (typeof piece === "string" ? piece : `<${piece.textContent}>`)).join("");
+  assert.equal(written("u of K_II and K_4, not K_F.heating"), "u of <KII> and <K4>, not K_F.heating");
+  assert.equal(written("platform.tilt.north"), "platform.tilt.north");
+});
+
+// What if something were known better
+
+test("a source is named in words with its symbol, and its size is in its own unit", () => {
+  const source = { name: "K_OO", words: "output-axis squared", u: 2e-6, factor: 1e6, unit: "µg/g²", share: 0.9 };
+  assert.equal(named(source), "output-axis squared, K_OO");
+  assert.equal(named({ name: "noise of Qx", words: "" }), "noise of Qx");
+  assert.equal(size(source, knownTo(source, 0)), "2 µg/g²");
+  assert.equal(size(source, knownTo(source, -2)), "0.02 µg/g²");
+  assert.equal(size(source, knownTo(source, 1)), "20 µg/g²");
+  assert.deepEqual([0.5, 0.012345, 0.0004].map(percent), ["50 %", "1.2 %", "< 0.1 %"]);
 });
 
 test("a listener listens, and a value is a property", () => {

@@ -49,6 +49,10 @@ def test_an_update_is_the_fit_with_another_prior(known, held):
     found = asked(fit_of(PRIORS, held))
     again = fit_of(PRIORS | known, held)
     for place, name in enumerate(("K_F", "K_II")):
+        shares = {line.source: line.contribution**2 for line in budget(again, place, "Qx")}
+        parts = found.parts(name, known)
+        for source in found.known:
+            assert parts[source] == pytest.approx(shares.get(source, 0.0), rel=1e-6, abs=1e-24)
         assert found.u(name, known) == pytest.approx(float(again.solution.u[place]), rel=1e-9)
     assert found.u("K_II", {}) == pytest.approx(float(fit_of(PRIORS, held).solution.u[1]), rel=1e-9)
 

@@ -6,7 +6,7 @@ import { bring, get, send } from "./api.js";
 import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { follow } from "./job.js";
-import { pagePart, resultLinks, withContents } from "./result.js";
+import { pagePart, resultLinks, underAnswer, withContents } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
 /** @typedef {import("./job.js").Job} Job */
@@ -132,6 +132,7 @@ export async function campaignView(name) {
     const { told, part } = await pagePart("result", [result.name]);
     // The campaign's own title stands above.
     part?.querySelector("h1")?.remove();
+    if (part) await underAnswer(part, result.name, told.accelerometers, name);
     content.push(make("section", { "aria-label": "Result" },
       part ? withContents(result.name, part) : resultLinks(result.name)), commandLine(told.command));
   }

@@ -30,6 +30,15 @@ export function make(name, attributes = {}, ...children) {
 export const labelled = (words, control) => make("label", {}, words, control);
 
 /**
+ * A text whose coefficients, such as K_II, have their index below the line.
+ * @param {string} text
+ * @returns {(Node|string)[]}
+ */
+export const symbols = (text) =>
+  text.split(/\b([KE]_(?:[A-Z]{1,3}|\d)(?![\w.]))/).map((piece, place) =>
+    place % 2 ? make("span", {}, piece[0], make("sub", {}, piece.slice(2))) : piece);
+
+/**
  * What a click does, as a command.
  * @param {string} command
  * @returns {HTMLElement}

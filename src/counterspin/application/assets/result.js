@@ -3,6 +3,7 @@
 
 import { get, getText, getTextNow, save } from "./api.js";
 import { commandLine, make, say, warning } from "./dom.js";
+import { consistsOf, waysPart } from "./improving.js";
 import { follow } from "./job.js";
 
 /**
@@ -114,6 +115,20 @@ export function contents(part) {
 }
 
 /**
+ * Put what the uncertainty consists of, and what would reduce it, below the answer.
+ * @param {HTMLElement} part
+ * @param {string} result
+ * @param {string[]} accelerometers
+ * @param {string} [campaign] whose result it is
+ */
+export async function underAnswer(part, result, accelerometers, campaign) {
+  const [consists, ways] = await Promise.all([
+    consistsOf(result, accelerometers), campaign === undefined ? null : waysPart(campaign, result)]);
+  const first = part.querySelector("h2");
+  if (first) first.before(...(ways ? [ways] : []), ...consists);
+}
+
+/**
  * A result's page: what can be made of it above, its contents at the side.
  * @param {string} name
  * @param {HTMLElement} part
@@ -127,6 +142,7 @@ export const withContents = (name, part) =>
  */
 export async function resultView(name) {
   const { told, part } = await pagePart("result", [name]);
+  if (part) await underAnswer(part, name, told.accelerometers);
   return {
     title: told.title,
     content: [

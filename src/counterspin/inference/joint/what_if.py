@@ -61,6 +61,10 @@ class WhatIf:
 
         known: By source its standard uncertainty beforehand, above 0; others stay as they are.
         """
+        return math.sqrt(sum(self.parts(name, known).values()))
+
+    def parts(self, name: str, known: Mapping[str, float]) -> dict[str, float]:
+        """Return the u^2 of a coefficient by source, and the rest, as ``""``; as `u`."""
         if unknown := [source for source in known if source not in self.known]:
             raise ValueError(f"nothing is known beforehand of {', '.join(unknown)}")
         if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
@@ -72,10 +76,15 @@ class WhatIf:
         inner = np.eye(len(here)) + least[np.ix_(here, here)] @ change
         moved = np.eye(len(least))
         moved[:, here] -= least[:, here] @ change @ np.linalg.inv(inner)
-        place = self.names.index(name)
-        row = moved[place]
-        variance = float(row @ least[:, place] + row @ beside @ row)
-        return math.sqrt(max(variance, 0.0))
+        row = moved[self.names.index(name)]
+        covariances = row @ least  # with every name
+        variance = float(covariances[self.names.index(name)] + row @ beside @ row)
+        # What a prior contributes is its u times the sensitivity to it, A / u^2.
+        parts = {
+            source: float(covariances[self.names.index(source)] / u) ** 2
+            for source, u in (self.known | dict(known)).items()
+        }
+        return parts | {"": max(variance - sum(parts.values()), 0.0)}
 
 
 def what_if(

@@ -1,30 +1,22 @@
 """The forecast of a campaign that is recorded: lengths, rates and noise are its records'."""
 
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL
+from recorded_campaigns import record
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
-from counterspin.campaign.toml_file import load_document
 from counterspin.planning.plan import check
-from counterspin.toml_text import write_document
 
 
 @pytest.fixture(scope="module", params=["stated", "found"])
 def recorded(request, tmp_path_factory):
     """A folder of records whose description says neither length nor, in one case, noise."""
-    folder = tmp_path_factory.mktemp("recorded")
-    simulate(write(tmp_path_factory.mktemp("plan"), SMALL, "plan.toml"), folder)
-    file = folder / "campaign.toml"
-    document = load_document(file)
-    for key in ("simulation", "truth", *(["noise"] if request.param == "found" else [])):
-        document.pop(key, None)
-    for run in document["runs"]:
-        run.pop("revolutions", None)
-        run.pop("truth", None)
-    file.write_text(write_document(document), encoding="utf-8")
-    campaign = read_campaign(file)
+    away = ["noise"] if request.param == "found" else []
+    folder = record(
+        tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), SMALL, *away
+    )
+    campaign = read_campaign(folder)
     assert campaign.simulation is None
     assert all(run.duration is None for run in campaign.runs)
     return folder

@@ -29,12 +29,17 @@ def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
 
 def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
     """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
-    observed = list(observe(campaign))
-    noise: Mapping[str, Noise] = {}
-    if _to_be_found(campaign.noise):
-        estimated, _ = estimate_campaign(campaign, observed, model_of(campaign))
-        noise = noise_of_fit(estimated.fit)
+    observed, noise = observed_with_noise(campaign)
     return as_recorded(campaign, observed, noise), rates_of(observed)
+
+
+def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
+    """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
+    observed = list(observe(campaign))
+    if not _to_be_found(campaign.noise):
+        return observed, {}
+    estimated, _ = estimate_campaign(campaign, observed, model_of(campaign))
+    return observed, noise_of_fit(estimated.fit)
 
 
 def noise_of_fit(fit: JointFit) -> dict[str, Noise]:

@@ -1,0 +1,257 @@
+"""What an uncertainty would be if more were known, and campaigns prepared to know it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import FiniteFloat
+
+from counterspin.application.commands import forecast_command
+from counterspin.application.desk import Desk
+from counterspin.application.editing import changed, checked_campaign
+from counterspin.application.folder import NotThereError
+from counterspin.application.jobs import Job
+from counterspin.application.keeping import copy_campaign
+from counterspin.application.processes import Progress, tell_of
+from counterspin.calibration.pages.uncertainty import KNOWN_BETTER
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.errors import CounterspinError
+from counterspin.inference.joint.what_if import WhatIf
+from counterspin.physics.terms import INPUTS, OWN_TERMS, is_term, symbol_of, term, words_of
+from counterspin.planning.recorded.further_runs import FurtherRuns
+from counterspin.reports.numbers import field_unit, format_number, format_uncertainty
+from counterspin.reports.typography import typeset
+
+#: Sources that a page has room for.
+_MOST: Final = 6
+
+#: A way that leaves more than this part of the uncertainty is none.
+_WORTH: Final = 0.95
+
+
+def uncertainty_if(
+    desk: Desk, name: str, accelerometer: str, known: dict[str, FiniteFloat] | None = None
+) -> dict[str, Any]:
+    """Return the u of the coefficient that is asked for first, and what it consists of.
+
+    name: The result's file.
+    known: Source -> its standard uncertainty, SI or g-units; others stay as they are.
+    """
+    found = _accelerometer(desk.result(name), accelerometer)
+    symbol, update = _asked(found)
+    try:
+        parts = update.parts(symbol, known or {})
+    except ValueError as error:
+        raise CounterspinError(f"{accelerometer}: {error}") from error
+    u = math.sqrt(sum(parts.values()))
+    shown = sorted(update.known, key=lambda source: -parts[source])
+    if not known:
+        shown = [source for source in shown if parts[source] > 0.0][:_MOST]
+    units = dict(zip(update.names, update.units, strict=True))
+    return {
+        "symbol": symbol,
+        "u": u,
+        "text": _size(u, found.coefficients[symbol].unit),
+        "sources": [
+            {
+                "name": source,
+                "words": words_of(source),
+                "u": update.known[source],
+                "factor": field_unit(units[source])[1],
+                "unit": typeset(field_unit(units[source])[0]),
+                "share": parts[source] / u**2,
+            }
+            for source in shown
+        ],
+    }
+
+
+def ways(desk: Desk, name: str, result: str) -> dict[str, Any]:
+    """Return by accelerometer the cheapest ways to a smaller uncertainty, as far as they are known.
+
+    name: The campaign's folder.
+    result: The result's file.
+    """
+    document = load_document(desk.description(name))
+    known = _searched(desk, name)
+    told = []
+    for owner, found in desk.result(result).accelerometers.items():
+        stated = next(_stated(desk.result(result), owner), None)
+        if stated is None:
+            continue
+        told.append(
+            {
+                "accelerometer": owner,
+                "stated": stated,
+                "runs": None if known is None else _shown(known.get(owner), found),
+            }
+        )
+    return {"ways": told, "searched": known is not None, "has_runs": bool(document.get("runs"))}
+
+
+def _stated(result: Result, owner: str) -> Iterator[dict[str, Any]]:
+    """Yield what may be stated, the source that would leave least first."""
+    found = _accelerometer(result, owner)
+    if found.what_if is None or not _symbol(found):
+        return
+    symbol, update = _asked(found)
+    unit, lines = found.coefficients[symbol].unit, found.budget[symbol]
+    now = update.u(symbol, {})
+    left = {}
+    for line in lines:
+        known = update.known.get(line.source)
+        if line.kind == "unstated" and known is not None and _is_prior(line.source):
+            left[line.source] = update.u(symbol, {line.source: KNOWN_BETTER * known})
+    for source in sorted(left, key=lambda one: left[one]):
+        if left[source] > _WORTH * now:
+            return
+        size, unit_of_source = KNOWN_BETTER * update.known[source], term(symbol_of(source)).unit
+        yield {
+            "symbol": symbol,
+            "source": source,
+            "words": words_of(source),
+            "known": _size(size, unit_of_source),
+            "now": _size(now, unit),
+            "left": _size(left[source], unit),
+        }
+
+
+def _is_prior(source: str) -> bool:
+    """Return whether [model.priors] states a source; inputs have keys of their own."""
+    return is_term(source) and source not in INPUTS
+
+
+def _shown(further: FurtherRuns | None, found: AccelerometerResult) -> dict[str, Any] | None:
+    if further is None:
+        return None
+    unit = found.coefficients[_asked(found)[0]].unit
+    return {
+        "attitude": further.attitude,
+        "count": len(further.runs),
+        "minutes": format_number(further.seconds / 60.0, 2),
+        "left": _size(further.u, unit),
+        "now": _size(further.u_now, unit),
+    }
+
+
+def begin_search(desk: Desk, name: str) -> dict[str, Any]:
+    """Begin to look for runs in another attitude that would help; return the job."""
+    path = desk.description(name)
+    campaign = desk.campaign(name)
+    _, keep = desk.remembered.find(("ways", path), [path, *(run.record for run in campaign.runs)])
+
+    def make(number: int) -> Job:
+        return Job(number, name, "", forecast_command(path.parent), "forecast")
+
+    return desk.jobs.begin(make, search_into, path, then=keep).shown()
+
+
+def search_into(there: Connection, campaign: Path) -> None:
+    """Look for runs that would help; `there` is told as of `processes.tell_of`."""
+
+    def work(progress: Progress) -> dict[str, FurtherRuns | None]:
+        from counterspin.campaign.description import read_campaign
+        from counterspin.planning.recorded.from_records import observed_with_noise
+        from counterspin.planning.recorded.further_runs import further_runs
+
+        read = read_campaign(campaign)
+        observed, noise = observed_with_noise(read)
+        found = {}
+        for place, owner in enumerate(read.accelerometers):
+            progress(place, len(read.accelerometers))
+            symbol = "K_II" if "K_II" in read.model.terms else read.model.terms[0]
+            found[owner] = further_runs(read, observed, noise, f"{owner}.{symbol}")
+        return found
+
+    tell_of(there, work)
+
+
+def _searched(desk: Desk, name: str) -> dict[str, FurtherRuns | None] | None:
+    """Return what was found by accelerometer; None where nothing was searched."""
+    path = desk.description(name)
+    try:
+        files = [path, *(run.record for run in desk.campaign(name).runs)]
+    except CounterspinError:
+        return None
+    known: dict[str, FurtherRuns | None] | None = desk.remembered.find(("ways", path), files)[0]
+    return known
+
+
+def prepare_way(
+    desk: Desk, name: str, result: str, accelerometer: str, way: Literal["state", "runs"]
+) -> dict[str, Any]:
+    """Copy a campaign and write a way to a smaller uncertainty into the copy; return its name.
+
+    name: The campaign's folder.
+    result: The result's file.
+    way: A prior, whose value is to be replaced by what is measured; or runs to be recorded.
+    """
+    source = desk.description(name)
+    before = desk.folder.read(desk.folder.name(source))
+    text = before.text
+    if way == "state":
+        prior, ending = _prior(desk.result(result), accelerometer)
+        text = changed(text, ["model", "priors", prior[0]], prior[1])
+    else:
+        further = (_searched(desk, name) or {}).get(accelerometer)
+        if further is None:
+            raise NotThereError(f"{accelerometer}: no further runs were found; look for them first")
+        first, ending = len(load_document(source).get("runs", [])), "further-runs"
+        for place, run in enumerate(further.runs):
+            text = changed(text, ["runs", first + place], run)
+    if problems := checked_campaign(desk, source, text).problems:
+        raise CounterspinError(": ".join(problems[0]))
+    copy = copy_campaign(desk, name, _free(desk, f"{name}-{ending}"))["name"]
+    desk.folder.write(f"{copy}/{DESCRIPTION_NAME}", text, before.version)
+    return {"name": copy}
+
+
+def _prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
+    """Return the key and the text of the prior that would help most, and its term."""
+    stated = next(_stated(result, accelerometer), None)
+    if stated is None:
+        raise NotThereError(f"{accelerometer}: stating one thing more would not reduce its u")
+    source, (_, update) = stated["source"], _asked(_accelerometer(result, accelerometer))
+    symbol = symbol_of(source)
+    row = term(symbol)
+    key = f"{accelerometer}.{source}" if symbol in OWN_TERMS else symbol
+    size = KNOWN_BETTER * update.known[source]
+    return (key, f"{row.nominal:g} ± {size:.2g} {row.unit}"), symbol
+
+
+def _free(desk: Desk, name: str) -> str:
+    """Return a name that no folder has."""
+    names = (name if number == 1 else f"{name}-{number}" for number in range(1, 1000))
+    return next(one for one in names if not desk.folder.path(one).exists())
+
+
+def _accelerometer(result: Result, name: str) -> AccelerometerResult:
+    if name not in result.accelerometers:
+        raise NotThereError(f"the result has no accelerometer {name!r}")
+    return result.accelerometers[name]
+
+
+def _symbol(found: AccelerometerResult) -> str:
+    """Return the coefficient that is asked for first; empty if none is determined."""
+    names = found.what_if.names if found.what_if else []
+    asked = [symbol for symbol in found.budget if symbol in names and symbol in found.coefficients]
+    return "K_II" if "K_II" in asked else next(iter(asked), "")
+
+
+def _asked(found: AccelerometerResult) -> tuple[str, WhatIf]:
+    symbol = _symbol(found)
+    if found.what_if is None or not symbol:
+        raise NotThereError("the result does not say what its uncertainty depends on; make it anew")
+    return symbol, found.what_if
+
+
+def _size(u: float, unit: str) -> str:
+    """Return an uncertainty in the unit of the field."""
+    shown, factor = field_unit(unit)
+    return typeset(f"{format_uncertainty(u * factor)} {shown}".strip())

@@ -1,0 +1,93 @@
+"""What an uncertainty would be if more were known, and the campaigns that a click prepares."""
+
+import pytest
+from served import InlineJobs
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.result import Result
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.toml_file import load_document
+
+CAMPAIGN = {"name": "three", "result": "three/result.json"}
+QX = {"name": "three/result.json", "accelerometer": "Qx"}
+
+
+@pytest.fixture
+def result(folder):
+    """Say honestly what is known, and return the result that follows."""
+    file = folder / "three" / "campaign.toml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace('assume = "all"', ""), encoding="utf-8")
+    assert load_document(file).get("model", {}).get("assume") is None
+    found = calibrate(folder / "three")
+    found.write(folder / "three" / "result.json", overwrite=True)
+    return found
+
+
+def test_what_is_known_better_is_what_a_calibration_says(page, folder, result):
+    told = page.post("/api/what-if", json=QX).json()
+    k_ii = result.accelerometers["Qx"].coefficients["K_II"]
+    assert (told["symbol"], told["u"]) == ("K_II", pytest.approx(k_ii.u, rel=1e-9))
+    first = told["sources"][0]
+    assert (first["name"], first["words"]) == ("K_OO", "second-order output-axis coefficient")
+    assert 0.5 < first["share"] < 1.0 >= sum(one["share"] for one in told["sources"])
+    better = page.post("/api/what-if", json=QX | {"known": {"K_OO": 1e-7}}).json()
+    stated = read_campaign(folder / "three").change(priors={"Qx.K_OO": "0 ± 1e-7 g/g^2"})
+    again = calibrate(stated).accelerometers["Qx"].coefficients["K_II"]
+    # Noise that is found again moves in the sixth digit.
+    assert better["u"] == pytest.approx(again.u, rel=1e-4)
+    (now,) = (one for one in better["sources"] if one["name"] == "K_OO")
+    assert now["share"] < 0.1 * first["share"]
+
+
+@pytest.mark.parametrize(
+    ("said", "status"),
+    [
+        ({"accelerometer": "Qz"}, 404),
+        ({"known": {"K_OO": 0.0}}, 422),
+        ({"known": {"K_F": 1e-9}}, 422),
+        ({"known": {"K_OO": "nan"}}, 400),
+    ],
+)
+def test_what_cannot_be_known_is_refused(page, result, said, status):
+    assert page.post("/api/what-if", json=QX | said).status_code == status
+
+
+def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
+    told = page.get("/api/ways", params=CAMPAIGN).json()
+    assert [one["accelerometer"] for one in told["ways"]] == ["Qx", "Qy"]
+    stated = told["ways"][0]["stated"]
+    assert (stated["source"], stated["known"]) == ("K_OO", "0.20 µg/g²")
+    before = (folder / "three" / "campaign.toml").read_bytes()
+    made = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
+    assert made == {"name": "three-K_OO"}
+    prior = load_document(folder / "three-K_OO" / "campaign.toml")["model"]["priors"]
+    assert prior == {"Qx.K_OO": "0 ± 2e-07 g/g^2"}
+    assert (folder / "three" / "campaign.toml").read_bytes() == before
+    left = calibrate(folder / "three-K_OO").accelerometers["Qx"].coefficients["K_II"].u
+    assert stated["left"] == f"{left * 1e6:.2g} µg/g²"
+    # A second one has a name of its own.
+    again = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
+    assert again == {"name": "three-K_OO-2"}
+
+
+def test_runs_to_be_made_are_looked_for_and_prepared(page, desk, folder, result):
+    way = CAMPAIGN | {"accelerometer": "Qx", "way": "runs"}
+    assert page.post("/api/way", json=way).status_code == 404
+    desk.jobs = InlineJobs()
+    assert page.post("/api/ways", json={"name": "three"}).json()["state"] == "done"
+    told = page.get("/api/ways", params=CAMPAIGN).json()
+    assert told["searched"]
+    runs = told["ways"][0]["runs"]
+    assert runs["attitude"].startswith(("90 deg about", "180 deg about"))
+    assert page.post("/api/way", json=way).json() == {"name": "three-further-runs"}
+    made = read_campaign(folder / "three-further-runs")
+    assert len(made.runs) == 3 + runs["count"]
+    assert page.get("/api/campaign", params={"name": "three-further-runs"}).json()["missing"]
+
+
+def test_a_result_of_what_is_perfect_has_nothing_to_offer(page, folder):
+    assert Result.read(folder / "three" / "result.json").assumed
+    assert page.get("/api/ways", params=CAMPAIGN).json()["ways"] == []
+    way = CAMPAIGN | {"accelerometer": "Qx", "way": "state"}
+    assert page.post("/api/way", json=way).status_code == 404
