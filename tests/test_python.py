@@ -44,6 +44,15 @@ def test_names_are_listed_before_they_are_loaded():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_dir_shows_what_is_offered_and_no_helpers():
+    code = (
+        "import counterspin as cs; cs.TERMS; "
+        "print(*(name for name in dir(cs) if not name.startswith('__')))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert set(ran.stdout.split()) == set(cs.__all__) - {"__version__"}
+
+
 @pytest.mark.parametrize("name", sorted(cs.__all__))
 def test_no_name_is_that_of_a_module(name):
     # Importing such a module would put it in the place of the name.

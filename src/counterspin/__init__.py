@@ -231,5 +231,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names offered, loaded or not."""
-    return sorted({*globals(), *_PLACES})
+    """Return the names offered, loaded or not, and what every module has; no helpers."""
+    return sorted({*_PLACES, *(name for name in globals() if name.startswith("__"))})

@@ -19,6 +19,7 @@ from workbooks import write_workbook
 import counterspin as cs
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
+from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -26,7 +27,7 @@ from counterspin.calibration.result_parts import (
     Correlation,
     Knowledge,
 )
-from counterspin.correction.apply import ApplyOptions, apply, instrument_of
+from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.inference.joint.budget import BudgetLine

@@ -75,3 +75,15 @@ def test_a_computer_with_its_own_velocity_makes_no_difference(tmp_path):
             assert other.value != c.value
             assert other.value == pytest.approx(c.value, abs=0.01 * c.u)
             assert other.u == pytest.approx(told[1][f"{name}.{symbol}"], rel=5e-3)
+
+
+def test_a_forecast_shows_itself_in_a_line_for_each_coefficient(tmp_path):
+    found = forecast(write(tmp_path, SMALL))
+    head, *lines = repr(found).splitlines()
+    assert head == f"Forecast of {found.campaign.title}"
+    asked = [unknown.name for unknown in found.fit.model.asked]
+    assert [line.split()[0] for line in lines] == asked
+    shown = dict(line.split(maxsplit=1) for line in lines)
+    value, unit = shown["Qx.K_II"].removeprefix("u = ").split()
+    assert unit == "ug/g^2"
+    assert float(value) == pytest.approx(1e6 * found.u["Qx.K_II"], rel=0.05)

@@ -377,6 +377,35 @@ def test_gain_of_a_limit_is_that_of_planning_anew(starter):
         assert lines[key].gain == pytest.approx(1.0 - after / before, abs=0.004), key
 
 
+def test_a_plan_is_changed_and_swept(starter):
+    """As its file with the same change; longer times leave less u."""
+    described = starter(("runs = 14", "runs = 4"), SMALL)
+    first = plan(described)
+    text = described.read_text(encoding="utf-8")
+    more = first.change(senses="both", **{"noise.displacement": "0.02 m"})
+    described.write_text(
+        text.replace('senses = "one"', 'senses = "both"').replace('"0.01 m"', '"0.02 m"'),
+        encoding="utf-8",
+    )
+    assert more.document == plan(described).document
+    assert more.u == plan(described).u
+    assert first.change().document == first.document
+    swept = first.sweep("total_time", [first.source["limits"]["total_time"], "600 s"])
+    assert swept[0].document == first.document
+    assert swept[0].u["Qx.K_II"] > swept[1].u["Qx.K_II"]
+    # A target takes the place of what is made least.
+    u = first.u["Qx.K_II"]
+    reached = first.change(target={"K_II": f"{2.0 * u!r} g/g^2"})
+    assert reached.u["Qx.K_II"] <= 2.0 * u
+    assert reached.result.total_time < first.result.total_time
+    with pytest.raises(CampaignError, match=r"limits\.senses"):
+        first.change(senses="three")
+    with pytest.raises(CampaignError, match="nonsense"):
+        first.change(nonsense=1)
+    assert repr(first) == repr(first.result)
+    assert first._repr_html_() == first.result._repr_html_()
+
+
 def test_a_figure_of_what_hardly_changes_begins_at_zero(plan_of):
     result = plan_of(SMALL).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u

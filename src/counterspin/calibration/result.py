@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from counterspin.calibration.notebook.labelled import Covariance
@@ -40,6 +41,7 @@ from counterspin.reports.publication import Publication
 from counterspin.reports.shown import ShownResult, loaded, on_axes
 
 if TYPE_CHECKING:
+    from counterspin.calibration.notebook.prediction import Prediction
     from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
     from counterspin.reports.blocks import Picture
 
@@ -172,6 +174,52 @@ class Result(ShownResult):
         known = [f"{owner}.{symbol}" for owner, own in owners.items() for symbol in own]
         raise KeyError(f"{name}; there are {', '.join([*known, *self.platform])}")
 
+    def __getitem__(self, name: str) -> Coefficient:
+        """Return a coefficient by its whole name: ``result["Qx.K_II"]``; as `coefficient`."""
+        return self.coefficient(name)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Return the names that ``result["`` may be followed by."""
+        rows = loaded("counterspin.calibration.notebook.tables:rows")(self)
+        return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in rows]
+
+    def predict(
+        self,
+        accelerometer: str,
+        force: npt.ArrayLike,
+        *,
+        pendulous: npt.ArrayLike = 0.0,
+        output_axis: npt.ArrayLike = 0.0,
+    ) -> Prediction:
+        """Return what an accelerometer will indicate (Eq. 7), with its uncertainty.
+
+        Parameters
+        ----------
+        accelerometer
+            Its name.
+        force
+            Specific force along its input axis in g, shape (n,) or one number.
+        pendulous, output_axis
+            Specific force along the other two axes, likewise.
+
+        Returns
+        -------
+        Prediction
+            `indicated` and `u`, both in g, shape (n,). u holds the covariance of the coefficients,
+            and what nothing states at its typical size, but no noise.
+
+        Raises
+        ------
+        KeyError
+            If there is no accelerometer of that name.
+        ValueError
+            If the forces are not finite, or of different lengths.
+        """
+        made: Prediction = loaded("counterspin.calibration.notebook.prediction:predict")(
+            self, self._name(accelerometer), force, pendulous, output_axis
+        )
+        return made
+
     @property
     def covariance(self) -> Covariance | None:
         """Covariances of everything determined; None where the result states no correlations."""
@@ -256,6 +304,15 @@ class Result(ShownResult):
             [*self._residuals, *of_readings], accelerometer, run
         )
         return chosen
+
+    def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
+        """Draw data and fit, a picture a run; residuals where a file has kept no more.
+
+        `axes` as for `reports.shown.on_axes`.
+        """
+        if self._residuals:
+            return self.plot_displacement(accelerometer, axes=axes)
+        return self.plot_residuals(accelerometer, axes=axes)
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run; `axes` as for `reports.shown.on_axes`."""

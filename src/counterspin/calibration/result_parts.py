@@ -15,6 +15,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.notebook.labelled import Labelled
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
+from counterspin.campaign.quantity import Quantity
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, Kind
@@ -22,6 +23,7 @@ from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.inference.joint.what_if import WhatIf
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
+from counterspin.units import unit_factor
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
 #: not, for its records contradict it.
@@ -75,6 +77,17 @@ class Coefficient(ResultPart):
         value, u = self._stated()
         half = expanded_uncertainty(u, self.dof, coverage)
         return value - half, value + half
+
+    def in_units(self, unit: str | None = None) -> Quantity:
+        """Return value and uncertainty in another unit of the same kind; `to_si` leads to SI.
+
+        unit: Such as ``ug/g^2`` or ``arcsec``. None: the one in which tables and texts show it.
+        """
+        value, u = self._stated()
+        shown, factor = field_unit(self.unit)
+        if unit is not None:
+            shown, factor = unit, unit_factor(self.unit, unit)
+        return Quantity(value * factor, u * factor, shown)
 
     def to_si(self, gravity: float | None = None) -> SiEstimate:
         """Return the coefficient in SI, where much of what an uncertain g does to it cancels.
@@ -362,6 +375,14 @@ class AccelerometerResult(ResultPart):
     #: ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     output: dict[str, Coefficient] = {}
     warnings: list[str] = []  #: The findings in words.
+
+    def __repr__(self) -> str:
+        """Return state and coefficients, a line each."""
+        width = max(map(len, self.coefficients), default=0)
+        lines = [f"{symbol.ljust(width)}  {c}" for symbol, c in self.coefficients.items()]
+        return "\n".join([f"Accelerometer, {self.state or 'not judged'}", *lines])
+
+    __str__ = __repr__
 
 
 class RippleResult(ResultPart):

@@ -23,25 +23,10 @@ from counterspin.campaign.memory.joining import join_campaigns
 from counterspin.campaign.memory.source import Source, keep, source_of
 from counterspin.campaign.memory.writing import write_campaign
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import (
-    Reading,
-    is_reading,
-    positioned,
-    resolve_readings,
-)
+from counterspin.campaign.readings import Reading, is_reading, positioned, resolve_readings
 from counterspin.campaign.readings_table import read_table
-from counterspin.campaign.resolved import (
-    Accelerometer,
-    ErrorModel,
-    Run,
-    Simulation,
-)
-from counterspin.campaign.runs import (
-    RunDefaults,
-    resolve_runs,
-    skipped_runs,
-    taken_runs,
-)
+from counterspin.campaign.resolved import Accelerometer, ErrorModel, Run, Simulation
+from counterspin.campaign.runs import RunDefaults, resolve_runs, skipped_runs, taken_runs
 from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
@@ -162,6 +147,11 @@ class Campaign:
     skipped: tuple[str, ...] = ()
     triad: Triad | None = None
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        """Return title, accelerometers and what is recorded, in a line."""
+        names, held = ", ".join(self.accelerometers), f"{len(self.runs)} runs"
+        return f"<campaign {self.title!r}: {names}; {held}, {len(self.readings)} readings>"
 
     def limit_of(self, symbol: str, owner: str = "") -> float:
         """Return the largest credible size of a term: as stated, or by the owner's grade.

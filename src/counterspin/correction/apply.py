@@ -10,14 +10,21 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, semidefinite_root
+from counterspin.arrays import Array
 from counterspin.calibration.findings import judge_result, refusal
+from counterspin.calibration.notebook.instrument import (
+    covariance_of,
+    determined,
+    instrument_of,
+    is_possible,
+    terms_of,
+    with_unstated,
+)
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 from counterspin.physics.terms import TERMS
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
@@ -25,18 +32,12 @@ from counterspin.units import unit_factor
 
 _SOURCE: Final = "apply"  #: what the command's own refusals begin with
 
-#: Axes of an accelerometer on its own, whose place on the platform then does not matter.
-_ALONE: Final = Mounting.from_axes("east", "north")
-
 #: Axis -> its name, and the argument that gives the specific force along it.
 _AXES: Final = {"P": ("pendulous", "pendulous"), "O": ("output", "output_axis")}
 
 #: How far beyond the calibration's largest specific force an indication may go unremarked; bias
 #: and scale factor alone bring it there.
 _RANGE_FACTOR: Final = 1.05
-
-#: Relative growth of a variance by which a covariance may miss being one: rounding.
-_ROUNDING: Final = 1e-6
 
 #: Specific force along an axis: numbers in the unit of the indication, or text with a unit.
 Force = npt.ArrayLike | str
@@ -70,6 +71,15 @@ class Correction:
     dof: float
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return how many samples there are, and the largest u."""
+        largest = float(np.nanmax(self.u)) if np.isfinite(self.u).any() else math.nan
+        warned = f", {len(self.warnings)} warnings" if self.warnings else ""
+        unit = self.unit
+        return (
+            f"<{self.corrected.size} corrected in {unit}, u at most {largest:.2g} {unit}{warned}>"
+        )
 
 
 @frozen(eq=False)
@@ -147,7 +157,10 @@ def apply(
     if accelerometer in options.others:
         raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
     factor = _factor(options.unit, result.inputs.gravity)
-    whole, lost = _with_unstated(result, options)
+    given = {"I", "|I|"}
+    given |= {"P"} if options.pendulous is not None else set()
+    given |= {"O"} if options.output_axis is not None else set()
+    whole, lost = with_unstated(result, given)
     instruments = [instrument_of(whole, name, placed=bool(options.others)) for name in indications]
     judged = judge_result(result)
     if (refused := refusal(judged, indications)) is not None:
@@ -174,7 +187,7 @@ def apply(
         u=forces.u[:, 0] / factor,
         unit=options.unit,
         dof=min(
-            (c.dof for own in applied for c in _terms(own).values() if c.dof is not None),
+            (c.dof for own in applied for c in terms_of(own).values() if c.dof is not None),
             default=math.inf,
         ),
         notes=tuple(_note(name, own) for name, own in zip(indications, applied, strict=True)),
@@ -192,31 +205,6 @@ def apply(
             ),
         ),
     )
-
-
-def _with_unstated(
-    result: Result, options: ApplyOptions
-) -> tuple[Result, dict[str, tuple[str, ...]]]:
-    """Return a result that knows its unstated terms, and of each accelerometer which it cannot.
-
-    What nothing states is taken as it was for the result: ideal, with its typical size. A product
-    with the force along another axis counts where that is given.
-    """
-    given = {"I", "|I|"}
-    given |= {"P"} if options.pendulous is not None else set()
-    given |= {"O"} if options.output_axis is not None else set()
-    accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
-    for row in result.rests_on:
-        name, _, symbol = row.name.partition(".")
-        if row.kind != "unstated" or name not in accelerometers or symbol not in TERMS:
-            continue
-        if set(TERMS[symbol].effect.factors) <= given:
-            own = accelerometers[name]
-            c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
-            accelerometers[name] = own.model_copy(update={"known": {**own.known, symbol: c}})
-        else:
-            lost[name] = (*lost.get(name, ()), symbol)
-    return result.model_copy(update={"accelerometers": accelerometers}), lost
 
 
 def _not_carried(name: str, symbols: Sequence[str]) -> list[str]:
@@ -237,82 +225,9 @@ def _accepted(result: Result) -> list[str]:
     ]
 
 
-def instrument_of(result: Result, name: str, *, placed: bool = False) -> CalibratedAccelerometer:
-    """Return a calibrated accelerometer with the covariance of its coefficients.
-
-    What is not estimated but known beforehand is applied too. Where the result holds a budget,
-    its sensitivities say how such a prior has moved the estimates, so that errors which cancel
-    are seen to cancel; else it is taken as uncorrelated.
-
-    result: A calibration's result.
-    name: The accelerometer's name there.
-    placed: Whether its place on the platform is needed; else its axes are taken as the frame.
-    """
-    if name not in result.accelerometers:
-        there = ", ".join(result.accelerometers)
-        raise CampaignError(_SOURCE, [f"the result has no accelerometer {name!r}; it has {there}"])
-    accelerometer = result.accelerometers[name]
-    if placed and accelerometer.axes is None:
-        raise CampaignError(
-            _SOURCE,
-            [
-                f"the result does not say where the axes of {name} point; it was written by an "
-                "earlier version. Calibrate again, or give the force along the axes instead"
-            ],
-        )
-    mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
-    terms = _determined(accelerometer)
-    values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
-    if not values:
-        raise CampaignError(_SOURCE, [f"the result has no coefficient of {name} with a value"])
-    covariance = _covariance(accelerometer, terms)
-    if not _possible(covariance):
-        # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
-        covariance = len(terms) * np.diag(np.diag(covariance))
-    return CalibratedAccelerometer(name, mounting, values, covariance)
-
-
-def _terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
-    known = {**accelerometer.known, **accelerometer.coefficients}
-    return {symbol: c for symbol, c in known.items() if symbol in TERMS}
-
-
-def _determined(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
-    return {symbol: c for symbol, c in _terms(accelerometer).items() if c.value is not None}
-
-
-def _covariance(accelerometer: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
-    symbols = list(terms)
-    u = np.array([c.u or 0.0 for c in terms.values()])
-    covariance = np.diag(u**2)
-    stated = accelerometer.correlation
-    related = stated.terms if stated else []
-    estimated = [s for s in symbols if terms[s].estimated]
-    for symbol in estimated:
-        i = symbols.index(symbol)
-        for other in estimated:
-            if stated and symbol != other and {symbol, other} <= {*related}:
-                j = symbols.index(other)
-                r = stated.matrix[related.index(symbol)][related.index(other)]
-                covariance[i, j] = r * u[i] * u[j]
-        for line in accelerometer.budget.get(symbol, []):
-            # An estimate and the prior that moved it: sensitivity x u^2.
-            source = line.source
-            if source in terms and source not in estimated and line.sensitivity is not None:
-                j = symbols.index(source)
-                covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
-    return covariance
-
-
-def _possible(covariance: Array) -> bool:
-    """Return whether some coefficients could have a covariance, to rounding."""
-    root = semidefinite_root(covariance)
-    return bool(np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _ROUNDING)))
-
-
 def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a warning where the result states a covariance that no coefficients could have."""
-    if _possible(_covariance(accelerometer, _determined(accelerometer))):
+    if is_possible(covariance_of(accelerometer, determined(accelerometer))):
         return []
     return [
         f"{name}: the correlations in the result contradict each other, as versions "
@@ -356,7 +271,7 @@ def _needed(
 
 
 def _note(name: str, accelerometer: AccelerometerResult) -> str:
-    terms = _determined(accelerometer)
+    terms = determined(accelerometer)
     estimated = ", ".join(s for s, c in terms.items() if c.estimated)
     beforehand = ", ".join(s for s, c in terms.items() if not c.estimated)
     parts = [f"as estimated: {estimated}"] if estimated else []
@@ -365,7 +280,7 @@ def _note(name: str, accelerometer: AccelerometerResult) -> str:
 
 
 def _left_out(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    terms = _terms(accelerometer)
+    terms = terms_of(accelerometer)
     warnings = []
     unknown = [symbol for symbol, c in terms.items() if c.value is None]
     if unknown:

@@ -125,6 +125,19 @@ def correct(
     return Corrected(force, np.sqrt(total))
 
 
+def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
+    """Return what an accelerometer indicates (Eq. 7), and its u from the coefficients; both in g.
+
+    a_ipo: Specific force along its axes I, P, O in g, shape (3, n).
+    """
+    total = np.zeros(a_ipo.shape[1])
+    for row in TERMS.values():
+        value = instrument.coefficients.get(row.symbol, row.nominal)
+        if value != 0.0:
+            total += value * row.effect.evaluate(a_ipo)
+    return total, np.sqrt(_variance(instrument, a_ipo))
+
+
 def _projections(
     instruments: Sequence[CalibratedAccelerometer], known: Sequence[Known]
 ) -> tuple[Array, np.ndarray]:

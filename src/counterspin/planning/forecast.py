@@ -37,6 +37,7 @@ from counterspin.physics.spindle import Spindle, angle_error_to_come
 from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
+from counterspin.reports.numbers import field_unit, format_number
 
 
 @frozen(eq=False)
@@ -53,6 +54,17 @@ class Forecast:
 
     campaign: Campaign
     fit: JointFit
+
+    def __repr__(self) -> str:
+        """Return the u of what the campaign asks for, a line each."""
+        asked = self.fit.model.asked
+        width = max((len(unknown.name) for unknown in asked), default=0)
+        lines = []
+        for unknown in asked:
+            unit, factor = field_unit(unknown.unit)
+            u = format_number(self.u[unknown.name] * factor, 2)
+            lines.append(f"{unknown.name.ljust(width)}  u = {u} {unit}")
+        return "\n".join([f"Forecast of {self.campaign.title}", *lines])
 
     @cached_property
     def assessment(self) -> Assessment:

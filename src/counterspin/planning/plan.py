@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +20,7 @@ from counterspin.planning.feasibility import require_determined, unreachable
 from counterspin.planning.figure_curves import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.optimisation import Optimum
-from counterspin.planning.plan_file import load_plan, plan_name, read_plan
+from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
 from counterspin.planning.predicted import result_of
 from counterspin.planning.readings.reading_plan import plan_readings
 from counterspin.planning.readings.stations import read_reading_plan
@@ -51,10 +51,59 @@ class Planned:
         What there is to say about it.
     document
         The campaign's description, as TOML.
+    source
+        What the plan was made from: limits, goal and the rest of its file.
     """
 
     result: PlanResult
     document: str
+    source: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return the beginning of what the terminal shows, at most 20 lines."""
+        return repr(self.result)
+
+    def _repr_html_(self) -> str:
+        return self.result._repr_html_()
+
+    @property
+    def u(self) -> dict[str, float]:
+        """Standard uncertainty of each coefficient by name, such as ``Qx.K_II``."""
+        owners = {name: own.coefficients for name, own in self.result.accelerometers.items()}
+        named = {f"{name}.{symbol}": c for name, own in owners.items() for symbol, c in own.items()}
+        named |= self.result.platform
+        return {name: c.u for name, c in named.items() if c.u is not None}
+
+    def change(self, **changes: Any) -> Planned:
+        """Return the plan that is found after named changes.
+
+        Parameters
+        ----------
+        **changes
+            Keys of ``[limits]`` and ``[goal]``, such as ``total_time`` or ``target``, the names
+            that `Campaign.change` knows, a section, or any key with dots,
+            ``**{"noise.displacement": "5 mm"}``: what to write there. A mapping changes the keys
+            it has; None takes a key away. ``target`` takes the place of ``minimise``, and the other
+            way round.
+
+        Raises
+        ------
+        CampaignError
+            With every mistake, as of a file.
+        """
+        return plan(change_plan(self.source, changes))
+
+    def sweep(self, name: str, values: Iterable[Any]) -> list[Planned]:
+        """Return the plan for each value of a key, found one after the other.
+
+        Parameters
+        ----------
+        name
+            As of `change`, such as ``"total_time"``.
+        values
+            What stands there, such as ``["10 min", "20 min"]``.
+        """
+        return [self.change(**{name: value}) for value in values]
 
 
 @one_blas_thread()
@@ -124,7 +173,8 @@ def plan(
             "curves": curves_of(described, design, progress) if curves else None,
         }
     )
-    return Planned(result, write_document(search.document(design), _COMMENTS))
+    document = write_document(search.document(design), _COMMENTS)
+    return Planned(result, document, load_plan(where))
 
 
 def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Planned:
@@ -135,7 +185,8 @@ def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Pl
             str(plan_name(where)), ["curves are of plans with records, not of readings"]
         )
     result, readings = plan_readings(described)
-    return Planned(result, write_document(described.campaign_document(readings), _COMMENTS))
+    document = write_document(described.campaign_document(readings), _COMMENTS)
+    return Planned(result, document, load_plan(where))
 
 
 def _written(search: Search, design: Design) -> tuple[Design, Forecast]:

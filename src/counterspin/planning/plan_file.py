@@ -16,7 +16,8 @@ from counterspin.calibration.model import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.kinds import ESTIMATE
-from counterspin.campaign.memory.documents import plain
+from counterspin.campaign.memory.changes import SHORT
+from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.toml_file import load_document
@@ -79,6 +80,27 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
         return document
     advice = "`planning.plan.write_example` writes a plan to start from"
     return load_document(Path(path), advice, "plan")
+
+
+def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a plan's document with named changes; see `counterspin.Planned.change`."""
+    made = dict(document)
+    for name, value in changes.items():
+        if name in LimitsSettings.model_fields:
+            path: tuple[str | int, ...] = ("limits", name)
+        elif name in GoalSettings.model_fields:
+            path = ("goal", name)
+        else:
+            path = tuple(SHORT.get(name) or name.split("."))
+        patch = value
+        for part in reversed(path):
+            patch = {part: patch}
+        made = patched(made, patch)
+        # A plan either reaches a target or makes u least in the time there is.
+        other = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
+        if path[0] == "goal" and other is not None and value is not None:
+            made = patched(made, {"goal": {other: None}})
+    return made
 
 
 def plan_name(path: Mapping[str, Any] | Path | str) -> Path:

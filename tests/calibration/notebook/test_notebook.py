@@ -18,6 +18,7 @@ from counterspin.calibration.notebook.latex import (
     latex_unit,
 )
 from counterspin.calibration.result import Result, read_result
+from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.errors import CounterspinError
 from counterspin.reports.shown import LINES
@@ -70,6 +71,47 @@ def test_interval_is_student_s():
             c.interval(coverage)
     with pytest.raises(ValueError, match="do not determine"):
         c.model_copy(update={"value": None, "estimated": False}).interval()
+
+
+def test_a_result_is_asked_by_name(result):
+    assert result["Qx.K_F"] is result.coefficient("Qx.K_F")
+    assert result["slow.platform.tilt.north"].unit == "rad"
+    names = result._ipython_key_completions_()
+    assert [result[name] for name in names]
+    assert {"Qx.K_F", "Qx.K_II", "slow.platform.tilt.north"} <= set(names)
+    with pytest.raises(KeyError, match=r"Qx\.K_X; there are Qx\.K_F"):
+        result["Qx.K_X"]
+
+
+def test_table_value_and_text_agree_in_one_unit(result):
+    """A table's numbers are those of `in_units`, and its text is theirs."""
+    for row in result.table().iter_rows(named=True):
+        owner = f"{row['owner']}." if row["owner"] else ""
+        c = result[f"{owner}{row['term']}"]
+        shown = c.in_units()
+        assert (shown.value, shown.u, shown.unit) == (row["value"], row["u"], row["unit"])
+        assert f" {shown.unit}" in str(c)
+    c = result["Qx.K_II"]
+    assert c.in_units("g/g^2").value == c.value
+    assert c.in_units("ug/g^2").u == pytest.approx(1e6 * c.u, rel=1e-15)
+    with pytest.raises(ValueError, match="rad"):
+        c.in_units("rad")
+
+
+def test_plot_draws_data_and_fit_or_what_a_file_has_kept(result, folder):
+    assert [axes.get_ylabel() for axes in result.plot()] == 3 * ["recorded less reference, m"]
+    kept = Result.model_validate_json(result.to_json())
+    labels = [axes.get_ylabel() for axes in kept.plot()]
+    assert labels == [axes.get_ylabel() for axes in kept.plot_residuals()]
+    assert not {"recorded less reference, m"} & set(labels)
+
+
+def test_what_a_cell_shows_is_short(result, folder):
+    campaign = read_campaign(folder)
+    assert repr(campaign) == f"<campaign {campaign.title!r}: Qx, Qy; 3 runs, 0 readings>"
+    own = repr(result.accelerometers["Qx"]).splitlines()
+    assert own[0].startswith("Accelerometer, ")
+    assert len(own) == 1 + len(result.accelerometers["Qx"].coefficients)
 
 
 def test_si_value_needs_a_gravity_and_takes_that_of_its_result(result):

@@ -1,0 +1,124 @@
+"""The accelerometer that a result describes: its coefficients and their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from counterspin.arrays import Array, semidefinite_root
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.errors import CampaignError
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.correction import CalibratedAccelerometer
+from counterspin.physics.terms import TERMS
+
+if TYPE_CHECKING:
+    from counterspin.calibration.result import Result
+
+#: Axes of an accelerometer on its own, whose place on the platform then does not matter.
+_ALONE: Final = Mounting.from_axes("east", "north")
+
+#: Relative growth of a variance by which a covariance may miss being one: rounding.
+_ROUNDING: Final = 1e-6
+
+
+def with_unstated(
+    result: Result, given: Collection[str]
+) -> tuple[Result, dict[str, tuple[str, ...]]]:
+    r"""Return a result that knows its unstated terms, and of each accelerometer which it cannot.
+
+    What nothing states is taken as it was for the result: ideal, with its typical size. A product
+    with the force along another axis counts where that is given.
+
+    given: Factors of products that are known, of I, \|I\|, P and O.
+    """
+    accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
+    for row in result.rests_on:
+        name, _, symbol = row.name.partition(".")
+        if row.kind != "unstated" or name not in accelerometers or symbol not in TERMS:
+            continue
+        if set(TERMS[symbol].effect.factors) <= set(given):
+            own = accelerometers[name]
+            c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
+            accelerometers[name] = own.model_copy(update={"known": {**own.known, symbol: c}})
+        else:
+            lost[name] = (*lost.get(name, ()), symbol)
+    return result.model_copy(update={"accelerometers": accelerometers}), lost
+
+
+def instrument_of(result: Result, name: str, *, placed: bool = False) -> CalibratedAccelerometer:
+    """Return a calibrated accelerometer with the covariance of its coefficients.
+
+    What is not estimated but known beforehand is applied too. Where the result holds a budget,
+    its sensitivities say how such a prior has moved the estimates, so that errors which cancel
+    are seen to cancel; else it is taken as uncorrelated.
+
+    result: A calibration's result.
+    name: The accelerometer's name there.
+    placed: Whether its place on the platform is needed; else its axes are taken as the frame.
+    """
+    if name not in result.accelerometers:
+        there = ", ".join(result.accelerometers)
+        raise CampaignError("apply", [f"the result has no accelerometer {name!r}; it has {there}"])
+    accelerometer = result.accelerometers[name]
+    if placed and accelerometer.axes is None:
+        raise CampaignError(
+            "apply",
+            [
+                f"the result does not say where the axes of {name} point; it was written by an "
+                "earlier version. Calibrate again, or give the force along the axes instead"
+            ],
+        )
+    mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
+    terms = determined(accelerometer)
+    values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
+    if not values:
+        raise CampaignError("apply", [f"the result has no coefficient of {name} with a value"])
+    covariance = covariance_of(accelerometer, terms)
+    if not is_possible(covariance):
+        # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
+        covariance = len(terms) * np.diag(np.diag(covariance))
+    return CalibratedAccelerometer(name, mounting, values, covariance)
+
+
+def terms_of(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
+    """Return what is estimated or known of the products of an accelerometer."""
+    known = {**accelerometer.known, **accelerometer.coefficients}
+    return {symbol: c for symbol, c in known.items() if symbol in TERMS}
+
+
+def determined(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
+    """Return those that have a value."""
+    return {symbol: c for symbol, c in terms_of(accelerometer).items() if c.value is not None}
+
+
+def covariance_of(accelerometer: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
+    """Return the covariance of terms in their order, shape (t, t), as far as the result has it."""
+    symbols = list(terms)
+    u = np.array([c.u or 0.0 for c in terms.values()])
+    covariance = np.diag(u**2)
+    stated = accelerometer.correlation
+    related = stated.terms if stated else []
+    estimated = [s for s in symbols if terms[s].estimated]
+    for symbol in estimated:
+        i = symbols.index(symbol)
+        for other in estimated:
+            if stated and symbol != other and {symbol, other} <= {*related}:
+                j = symbols.index(other)
+                r = stated.matrix[related.index(symbol)][related.index(other)]
+                covariance[i, j] = r * u[i] * u[j]
+        for line in accelerometer.budget.get(symbol, []):
+            # An estimate and the prior that moved it: sensitivity x u^2.
+            source = line.source
+            if source in terms and source not in estimated and line.sensitivity is not None:
+                j = symbols.index(source)
+                covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
+    return covariance
+
+
+def is_possible(covariance: Array) -> bool:
+    """Return whether some coefficients could have a covariance, to rounding."""
+    root = semidefinite_root(covariance)
+    return bool(np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _ROUNDING)))
