@@ -154,10 +154,10 @@ $(DOCS): $(PINNED) requirements/docs.txt
 	@$(PIP) install --no-compile --require-hashes --requirement requirements/docs.txt
 	@touch $@
 
-# TypeScript, which checks the types of JavaScript. Where there is no node, or no registry that npm
-# reaches, nothing is made, and `make lint` goes on without it.
+# TypeScript, which checks the types of JavaScript, and axe-core, by which tests judge the pages.
+# Where there is no node, or no registry that npm reaches, nothing is made, and all goes on without.
 $(TYPESCRIPT): requirements/javascript/package-lock.json
 	@rm -rf $(@D) && mkdir -p $(@D) && cp requirements/javascript/*.json $(@D)
 	@cd $(@D) && { node --version && npm ci --ignore-scripts --no-audit --no-fund \
 	  --loglevel error --fetch-retries 0 --fetch-timeout 20000; } >/dev/null && touch $(@F) || \
-	  echo "Skipped: the types of JavaScript, for TypeScript could not be set up (node, npm)." >&2
+	  echo "Skipped: the types of JavaScript and axe-core, which could not be set up (node, npm)." >&2

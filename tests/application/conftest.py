@@ -4,7 +4,8 @@ import shutil
 import warnings
 
 import pytest
-from served import token_of, write_folder
+from chromium import chromium
+from served import serving, token_of, write_folder
 
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
@@ -57,3 +58,58 @@ def page(stranger, door):
     told = stranger.post("/api/session", json={"token": token_of(door)})
     stranger.headers["Authorization"] = f"Bearer {told.json()['key']}"
     return stranger
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def door_of_server(desk):
+    """Return the door of a server that runs."""
+    with serving(desk) as door:
+        yield door
+
+
+class Window:
+    """A window, what it asked for elsewhere, and what went wrong in it."""
+
+    def __init__(self, context, link):
+        self.away, self.wrong = [], []
+        self.tab = context.new_page()
+        own = link.partition("#")[0]
+        self.tab.on("request", lambda r: None if r.url.startswith(own) else self.away.append(r.url))
+        self.tab.on("pageerror", lambda error: self.wrong.append(str(error)))
+        self.tab.on("console", self.hear)
+        self.tab.goto(link)
+
+    def hear(self, said):
+        # That an answer was no is said on the page.
+        if said.type == "error" and "Failed to load resource" not in said.text:
+            self.wrong.append(said.text)
+
+
+@pytest.fixture
+def opened(browser, door_of_server):
+    """Return what opens windows; nothing may go wrong in any, and no request may leave."""
+    context, door = browser.new_context(), door_of_server
+    context.set_default_timeout(20_000)
+    windows = []
+
+    def open_window(place=None):
+        link = door.link
+        if place is not None:
+            # As one that has come by the link before.
+            key = door.key_for(token_of(door))
+            context.add_init_script(f"sessionStorage.setItem('counterspin-key', '{key}')")
+            link = f"{link.partition('#')[0]}#{place}"
+        windows.append(Window(context, link))
+        return windows[-1].tab
+
+    yield open_window
+    for window in windows:
+        assert window.wrong == []
+        assert [url for url in window.away if not url.startswith("data:")] == []
+    context.close()

@@ -9,10 +9,10 @@ import time
 import pypdf
 import pytest
 from campaigns import changed
-from chromium import chromium, needs_chromium
+from chromium import needs_chromium
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
-from served import InlineJobs, serving, token_of
+from served import InlineJobs, token_of
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_own
@@ -31,61 +31,6 @@ PLACE = (
     ("How far is the platform", "2.5 ± 1e-5 m"),
 )
 PHONE = {"width": 360, "height": 740}
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as started:
-        yield started
-
-
-@pytest.fixture
-def door_of_server(desk):
-    """Return the door of a server that runs."""
-    with serving(desk) as door:
-        yield door
-
-
-class Window:
-    """A window, what it asked for elsewhere, and what went wrong in it."""
-
-    def __init__(self, context, link):
-        self.away, self.wrong = [], []
-        self.tab = context.new_page()
-        own = link.partition("#")[0]
-        self.tab.on("request", lambda r: None if r.url.startswith(own) else self.away.append(r.url))
-        self.tab.on("pageerror", lambda error: self.wrong.append(str(error)))
-        self.tab.on("console", self.hear)
-        self.tab.goto(link)
-
-    def hear(self, said):
-        # That an answer was no is said on the page.
-        if said.type == "error" and "Failed to load resource" not in said.text:
-            self.wrong.append(said.text)
-
-
-@pytest.fixture
-def opened(browser, door_of_server):
-    """Return what opens windows; nothing may go wrong in any, and no request may leave."""
-    context, door = browser.new_context(), door_of_server
-    context.set_default_timeout(20_000)
-    windows = []
-
-    def open_window(place=None):
-        link = door.link
-        if place is not None:
-            # As one that has come by the link before.
-            key = door.key_for(token_of(door))
-            context.add_init_script(f"sessionStorage.setItem('counterspin-key', '{key}')")
-            link = f"{link.partition('#')[0]}#{place}"
-        windows.append(Window(context, link))
-        return windows[-1].tab
-
-    yield open_window
-    for window in windows:
-        assert window.wrong == []
-        assert [url for url in window.away if not url.startswith("data:")] == []
-    context.close()
 
 
 def test_from_exports_to_the_certificate(opened, desk, folder):

@@ -76,7 +76,17 @@ def test_without_a_time_rows_are_counted():
 
 def test_without_names_the_first_of_two_that_advance_is_the_time():
     guess = guess_file(seen(a=TIME, b=np.degrees(RATE * TIME) % 360, c=signal()))
-    assert (guess.time.column, guess.time.unit, guess.angle.column) == ("a", None, "b")
+    assert (guess.time.column, guess.time.unit, guess.angle.column) == ("a", "s", "b")
+
+
+@pytest.mark.parametrize(
+    ("rate", "factor", "unit"),
+    [(1.5, 1.0, "s"), (1.5, 1e3, "ms"), (0.05, 1.0, None), (1.5, 1e6, None)],
+)
+def test_the_unit_of_a_time_shows_in_how_fast_a_centrifuge_may_turn(rate, factor, unit):
+    t = 10.0 * TIME
+    guess = guess_file(seen(a=factor * t, b=rate * t, c=2.5 * np.cos(rate * t)))
+    assert guess.time.unit == unit
 
 
 def test_a_sampling_rate_beside_the_columns_shows_the_unit_of_the_time():

@@ -46,6 +46,9 @@ _TURNS: Final = {2.0 * np.pi: "rad", 360.0: "deg", 1.0: "rev"}
 _UNIT_TOLERANCE: Final = 0.02
 #: Time counts as even where nearly all steps are the usual one within this part of it.
 _EVEN_STEP_PART: Final = 0.5
+#: Unit of time -> rates of a centrifuge, rad per unit: so fast in s would be impossible in ms, so
+#: slow in ms useless in s.
+_TURNING_UNITS: Final = {"s": (0.1, 60.0), "ms": (1e-4, 1e-2)}
 #: Gravity by which g and m/s^2 are told from other units, m/s^2.
 STANDARD_GRAVITY: Final = 9.80665
 
@@ -153,6 +156,8 @@ def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> Fi
         rate = abs(float(np.polyfit(seconds[good], theta[good], 1)[0]))
     elif (time or sampling) and (per_minute := _number(look, _TURNING)):
         rate = per_minute * 2.0 * np.pi / 60.0
+    if time is not None and time.unit is None and (unit := _unit_by_turning(rate)):
+        return guess_file(look, {**told, "time unit": unit})
     signals = tuple(_signal(column, seconds, theta, rate, told) for column in swinging)
     taken = {signal.column for signal in signals}
     taken |= {part.column for part in (time, angle) if part}
@@ -188,6 +193,14 @@ def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:
     step = float(np.nanmedian(np.diff(time.values)))
     for unit in ("s", "ms", "us") if sampling else ():
         if abs(step * unit_factor(unit, "s") * (sampling or 0.0) - 1.0) < _UNIT_TOLERANCE:
+            return unit
+    return None
+
+
+def _unit_by_turning(rate: float | None) -> str | None:
+    """Return the unit of a time in which a spindle turns so fast, rad per unit; None: none."""
+    for unit, (slowest, fastest) in _TURNING_UNITS.items():
+        if rate is not None and slowest <= abs(rate) <= fastest:
             return unit
     return None
 

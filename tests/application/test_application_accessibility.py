@@ -1,0 +1,61 @@
+"""What axe-core says of every place of the page, in light and dark, on a desk and on a phone."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from chromium import needs_chromium
+
+#: `make setup` installs it beside TypeScript, where there is node.
+AXE = Path(sys.prefix) / "typescript" / "node_modules" / "axe-core" / "axe.min.js"
+
+pytestmark = [
+    needs_chromium,
+    pytest.mark.skipif(not AXE.is_file(), reason="no axe-core: make setup installs it, with npm"),
+]
+
+PLACES = (
+    "/",
+    "/campaign/three",
+    "/description/three",
+    "/runs/three",
+    "/live/three",
+    "/try/three",
+    "/plans",
+    "/compare",
+    "/history",
+    "/result/three%2Fresult.json",
+    "/certificate/three%2Fresult.json",
+    "/nowhere",
+)
+
+#: Complaints that keep somebody from using the page.
+SERIOUS = """async () => {
+  const rules = { type: "tag", values: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"] };
+  const { violations } = await axe.run(document, { runOnly: rules });
+  return violations
+    .filter((one) => ["serious", "critical"].includes(one.impact))
+    .flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`));
+}"""
+
+
+@pytest.mark.parametrize(
+    ("scheme", "width"), [("light", 1400), ("dark", 390)], ids=["light desk", "dark phone"]
+)
+def test_no_place_keeps_anybody_out(opened, desk, scheme, width):
+    desk.live.look = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
+    tab = opened("/")
+    tab.set_viewport_size({"width": width, "height": 900})
+    tab.emulate_media(color_scheme=scheme)
+    tab.evaluate(AXE.read_text(encoding="utf-8"))
+    complaints = {}
+    for place in PLACES:
+        tab.evaluate(f"location.hash = {place!r}")
+        tab.locator("main:not([aria-busy]) h1").wait_for()
+        tab.wait_for_function("document.querySelector('main').ariaBusy === null")
+        if found := tab.evaluate(SERIOUS):
+            complaints[place] = found
+    assert complaints == {}
+    # It would have said so.
+    tab.evaluate("document.querySelector('main').append(document.createElement('button'))")
+    assert [one.split(":")[0] for one in tab.evaluate(SERIOUS)] == ["button-name"]

@@ -1,0 +1,182 @@
+"""From a recorder's files to a signed certificate by mouse, and what it costs a person.
+
+Clicks, fields and letters are counted by the hand that makes them. Of time what a person needs is
+counted, at 60 words a minute; what the program needs is the benchmarks' subject.
+"""
+
+import re
+
+import numpy as np
+import polars as pl
+import pytest
+from chromium import needs_chromium
+from cryptography.hazmat.primitives.asymmetric import ec
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat
+from signing_keys import write_pkcs12
+from workbooks import write_workbook
+
+from certificates import write_own
+from counterspin.calibration.result import read_result
+from counterspin.certificates.issuing import check_certificate
+from exports import RUNS, campaign_folder
+
+pytestmark = needs_chromium
+
+MOST_CLICKS, MOST_FIELDS, MOST_SECONDS = 12, 9, 300.0
+
+#: 60 words a minute, five letters each; to point and press, and to think before a field: Card,
+#: Moran and Newell, The keystroke-level model, Comm. ACM 23 (1980) 396.
+SECONDS_A_LETTER, SECONDS_A_CLICK, SECONDS_A_FIELD = 0.2, 1.3, 2.7
+
+#: What a person knows that no file says: how a question begins -> the answer.
+KNOWN = {
+    "Which sheet is the table": "all",
+    "What is gravity": "9.8066 m/s^2",
+    "At which latitude": "45.75 deg",
+    "How far is the platform": "2.5 ± 1e-5 m",
+    "In which sense does the angle grow": "counterclockwise",
+    "How many samples a second": "20 Hz",
+    "Which column is the time": "column 1",
+    "Which column is the angle": "column 2",
+    "In which unit is the time": "s",
+    "In which unit is the angle": "rad",
+    "What is column": "displacement",
+    "In which unit is column": "m",
+    "Along which axis": "east",
+}
+
+
+def labview(frames, folder):
+    """Write LabVIEW measurement files with a head, decimal commas and Windows line ends."""
+    for name, frame in frames.items():
+        lines = [
+            "LabVIEW Measurement\t",
+            "Separator\tTab",
+            "***End_of_Header***\t",
+            "Channels\t2",
+            "Y_Unit_Label\trad\tm",
+            "X_Dimension\tTime\tTime",
+            "Delta_X\t0,05\t0,05",
+            "***End_of_Header***\t\t",
+            "X_Value\tAngle\tEast\tComment",
+        ]
+        lines += ["\t".join([repr(x).replace(".", ",") for x in row]) for row in frame.rows()]
+        (folder / f"{name}.lvm").write_text("\r\n".join(lines) + "\r\n", encoding="latin-1")
+
+
+def excel(frames, folder):
+    """Write one book with a sheet for each run, title and units above the numbers."""
+    write_workbook(
+        folder / "book.xlsx",
+        {
+            name: [
+                ["Run", name, None],
+                [*frame.columns],
+                ["s", "rad", "m"],
+                *map(list, frame.rows()),
+            ]
+            for name, frame in frames.items()
+        },
+    )
+
+
+def matlab(frames, folder):
+    """Write structs with a matrix of two columns."""
+    for name, frame in frames.items():
+        t, angle, east = frame.to_numpy().T
+        fields = {"t": t, "pos": np.column_stack([angle, east]), "fs": 20.0}
+        savemat(folder / f"{name}.mat", {"rec": fields})
+
+
+def tdms(frames, folder):
+    """Write waveforms, which have a step and no column of time."""
+    for name, frame in frames.items():
+        step = {"wf_increment": 0.05, "wf_start_offset": 0.0}
+        channels = [
+            ChannelObject("Run", column, frame[column].to_numpy(), step | {"unit_string": unit})
+            for column, unit in (("angle_rad", "rad"), ("east_m", "m"))
+        ]
+        with TdmsWriter(folder / f"{name}.tdms") as file:
+            file.write_segment(
+                [
+                    ChannelObject(one.group, one.channel, one.data, one.properties)
+                    for one in channels
+                ]
+            )
+
+
+def blanks(frames, folder):
+    """Write numbers in columns parted by blanks, without names."""
+    for name, frame in frames.items():
+        rows = ["".join(f"{x:20.12g}" for x in row) for row in frame.rows()]
+        (folder / f"{name}.dat").write_text("\n".join(rows) + "\n")
+
+
+class Hand:
+    """A hand that counts what it does."""
+
+    def __init__(self, tab):
+        self.tab, self.clicks, self.fields, self.letters = tab, 0, 0, 0
+
+    def click(self, found):
+        found.click()
+        self.clicks += 1
+
+    def bring(self, found, files):
+        found.set_input_files(files)
+        self.clicks += 2  # the button, and Open in the system's dialogue
+
+    def fill(self, found, text):
+        """Type into a field, or choose in it; from field to field a person tabs."""
+        self.fields += 1
+        if found.evaluate("field => field.tagName") == "SELECT":
+            found.select_option(text)
+        else:
+            found.fill(text)
+            self.letters += len(text)
+
+    @property
+    def seconds(self):
+        typed = SECONDS_A_LETTER * self.letters
+        return typed + SECONDS_A_CLICK * self.clicks + SECONDS_A_FIELD * self.fields
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    plain = campaign_folder(tmp_path_factory.mktemp("plain"))
+    return {name: pl.read_csv(plain / f"{name}.csv") for name in RUNS}
+
+
+@pytest.mark.parametrize("write", [labview, excel, matlab, tdms, blanks])
+def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, write):
+    files = tmp_path / "files"
+    files.mkdir()
+    write(frames, files)
+    write_own(folder / "LAB.toml")
+    key, cert = write_pkcs12(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"secret")
+    tab = opened()
+    hand = Hand(tab)
+    hand.fill(tab.get_by_label("Folder of the new campaign"), "mine")
+    hand.bring(tab.get_by_label("The recorder's files"), sorted(files.iterdir()))
+    tab.get_by_label("What is gravity").wait_for()
+    for question, answer in KNOWN.items():
+        for field in tab.get_by_label(question).all():
+            if field.input_value() == "":
+                hand.fill(field, answer)
+    hand.click(tab.get_by_role("button", name="Write the campaign"))
+    hand.click(tab.get_by_role("button", name="Calibrate"))
+    hand.click(tab.get_by_role("link", name="Certificate of this result"))
+    hand.fill(tab.get_by_label("Signature"), "With a key in a file")
+    hand.bring(tab.get_by_label("Key, PEM or PKCS #12"), key)
+    hand.fill(tab.get_by_label("Password of the key"), "secret")
+    hand.click(tab.get_by_role("button", name="Sign and issue"))
+    tab.get_by_text(re.compile("^Certificate .* signed: ")).wait_for()
+    for name in ("certificate.xml", "certificate.pdf"):
+        assert check_certificate(folder / "mine" / name, cert=cert).signature == "valid"
+    (found,) = read_result(folder / "mine" / "result.json").accelerometers.values()
+    k_ii = found.coefficients["K_II"]
+    assert abs(k_ii.value - 2.7e-5) < 4.0 * k_ii.u
+    assert hand.clicks <= MOST_CLICKS
+    assert hand.fields <= MOST_FIELDS
+    assert hand.seconds <= MOST_SECONDS
