@@ -116,7 +116,7 @@ NUMBERS = [
     ("methods", "the other noise is a {} times as much", [1 / wander._LEAST_WANDER_PART]),
     ("methods", "flicker above {} half-waves", [wander._FUNCTION_RANGE[1]]),
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
-    ("methods", "at least {} of its prior's variance", [1 - identifiability._PRIOR_LEFT]),
+    ("methods", "at least {} of its prior's variance", [1 - identifiability.PRIOR_LEFT]),
     ("methods", "off their neighbours by more than {} standard", [spikes.LIMIT_SDS]),
     ("methods", "reaches in one of a {} whole records", [1 / outliers.FALSE_ALARMS]),
     ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),

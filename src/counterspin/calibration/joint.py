@@ -12,7 +12,7 @@ from counterspin.calibration.diagnosis.credible import (
 )
 from counterspin.calibration.diagnosis.kinds import Kinds, compare_kinds
 from counterspin.calibration.diagnosis.mountings import other_mountings, unseen_axes
-from counterspin.calibration.diagnosis.pose_findings import pose_findings, too_few_poses
+from counterspin.calibration.diagnosis.pose_findings import too_few_poses
 from counterspin.calibration.diagnosis.reading_findings import (
     no_more_than_rounded,
     outliers_of_means,
@@ -46,7 +46,6 @@ from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.posed.triad import triad_result
 from counterspin.calibration.readings import (
     Fitted,
-    FittedPoses,
     in_output_units,
     only_at_rest,
     radii,
@@ -98,7 +97,6 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
     mountings = other_mountings(views)
     rests_on = knowledge(estimated, inputs_of(campaign))
     units = {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()}
-    posed = [part for part in read if isinstance(part, FittedPoses)]
     return Outcome(
         model="exact",
         triad=triad_result(campaign, estimated, read),
@@ -119,7 +117,6 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
             *large_tilts(campaign, terms, accelerometers),
             *beyond,
             *beyond_typical(rests_on),
-            *pose_findings(posed),
         ],
         causes=causes_of(views, accelerometers, mountings),
         remarks=(*unseen_axes(mountings), *no_more_than_rounded(views)),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from counterspin.calibration.diagnosis.pose_findings import pose_findings
 from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
     equivalent_deviations,
@@ -32,7 +33,7 @@ from counterspin.reports.numbers import format_number
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    findings = readings_fit(view)
+    findings = [*readings_fit(view), *pose_findings(view.poses)]
     if not view.has_records:
         return findings
     tests = view.diagnostics
@@ -205,7 +206,7 @@ def unseen_ripple(view: AccelerometerView) -> list[Finding]:
     index, campaign = view.k_ii, view.campaign
     if index is None or view.accelerometer.observable == "displacement":
         return []
-    if campaign.angle is not None or (view.readings and not view.has_records):
+    if campaign.angle is not None or (view.parts and not view.has_records):
         return []
     fastest = max(abs(run.rate) for run in campaign.runs)
     force = campaign.radius.value * fastest**2 / campaign.gravity.value

@@ -425,7 +425,7 @@ class _DescriptionReader:
                     problems,
                     setting=fixture.position,
                     recorded=bool(runs),
-                    posed=posed,
+                    poses=triad.count if triad else 0,
                 )
             model, priors = resolve_model(
                 settings,

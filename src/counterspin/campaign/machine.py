@@ -44,6 +44,9 @@ POSITION: Final = "fixture.position"
 _TERMS_AT_REST: Final = ["K_F", "K_I"]
 _TERMS_ON_A_MACHINE: Final = [*_TERMS_AT_REST, "K_II"]
 
+#: Fewest poses by which angles between axes are asked for: they are three of nine unknowns.
+_POSES_FOR_ANGLES: Final = 9
+
 
 class FixtureSettings(SettingsSection):
     """[fixture]: how well positions at rest are set."""
@@ -80,14 +83,14 @@ def resolve_machine(
     *,
     setting: Quantity | None = None,
     recorded: bool = False,
-    posed: bool = False,
+    poses: int = 0,
 ) -> tuple[ModelSettings, MachineModel]:
     """Take the machine's terms out of [model].
 
     centrifuge: The machine, if there is one; its stretch, droop and tilt are priors.
     setting: Error of setting a position, where one is stated.
     recorded: Whether there are records of a double turntable beside the readings.
-    posed: Whether there are poses at unknown attitudes.
+    poses: How many there are at unknown attitudes, as far as that is known.
     """
     known = symbols_shown(readings, recorded=recorded)
     terms = _expanded(settings.terms or (), "terms", known, problems)
@@ -112,7 +115,7 @@ def resolve_machine(
             )
     left = settings.model_copy(
         update={
-            "terms": _own_terms(settings, readings, recorded, posed),
+            "terms": _own_terms(settings, readings, recorded, poses),
             key: [name for name in names if not _is_machine(name)],
             "priors": {k: v for k, v in flat_keys(settings.priors).items() if not _is_machine(k)},
         }
@@ -121,7 +124,7 @@ def resolve_machine(
 
 
 def _own_terms(
-    settings: ModelSettings, readings: Sequence[Reading], recorded: bool, posed: bool
+    settings: ModelSettings, readings: Sequence[Reading], recorded: bool, poses: int
 ) -> list[str] | None:
     """Return the accelerometer's and platform's terms to estimate; None: the usual ones."""
     if settings.terms is not None:
@@ -130,7 +133,7 @@ def _own_terms(
     if "counter-rotating" in motions or recorded:
         return None
     terms = _TERMS_AT_REST if motions <= {"static"} else _TERMS_ON_A_MACHINE
-    if posed:
+    if poses >= _POSES_FOR_ANGLES:
         return [*terms, "delta_O", "delta_P"]
     return [*terms, *_misalignments(readings, len(terms))]
 

@@ -28,10 +28,12 @@ from counterspin.campaign.resolved import (
 )
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated.reading_simulation import (
+    Exact,
     filled_description,
     filled_table,
     simulate_mean_record,
     stream,
+    true_poses,
     true_readings,
 )
 from counterspin.campaign.simulated.simulable import (
@@ -107,9 +109,10 @@ def simulate(
     folder = Path(folder)
     targets = _targets(campaign, folder)
     readings, head_errors = true_readings(campaign)
-    noise = stream(campaign, 1)
-    text = filled_description(campaign, readings, noise) if readings else None
-    if (table := filled_table(campaign, readings, noise) if readings else None) is not None:
+    noise, exact = stream(campaign, 1), Exact(readings, true_poses(campaign))
+    read = bool(readings or exact.poses)
+    text = filled_description(campaign, exact, noise) if read else None
+    if (table := filled_table(campaign, exact, noise) if read else None) is not None:
         targets = (*targets, *_inside(campaign, folder, {"readings.file": table[0]}))
     if text is None and campaign.source is not None and campaign.source.in_memory:
         text = campaign.source.text
@@ -173,8 +176,9 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
             str(campaign.path), ["readings: a table of readings is simulated into a folder only"]
         )
     readings, head_errors = true_readings(campaign)
-    noise = stream(campaign, 1)
-    text = filled_description(campaign, readings, noise) if readings else None
+    noise, exact = stream(campaign, 1), Exact(readings, true_poses(campaign))
+    read = bool(readings or exact.poses)
+    text = filled_description(campaign, exact, noise) if read else None
     if text is not None:
         source = replace(source, document=tomllib.loads(text))
     files = dict.fromkeys(run.record for run in campaign.runs)

@@ -30,7 +30,7 @@ from counterspin.inference.least_squares import Solution
 _FLOOR: Final = 1e-12
 
 #: The data improve a prior where they take away at least a tenth of its variance.
-_PRIOR_LEFT: Final = 0.9
+PRIOR_LEFT: Final = 0.9
 
 #: What the words leave out of a combination is below this part of its u, for any credible size.
 _NEGLIGIBLE: Final = 0.1
@@ -121,7 +121,7 @@ def assess(
     variance[free] += np.sum(root**2, axis=1)
     if solution.covariance_unseen is not None:
         variance += np.diag(solution.covariance_unseen)[:p]
-    determined = (prior_sd > 0) & (variance < limits**2) & (variance <= _PRIOR_LEFT * prior_sd**2)
+    determined = (prior_sd > 0) & (variance < limits**2) & (variance <= PRIOR_LEFT * prior_sd**2)
 
     # A coefficient such as K_I = 1.002 is as large as what its unknown leaves out, and more.
     sizes = problem.limits + np.abs(offset[free])

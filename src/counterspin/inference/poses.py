@@ -9,7 +9,7 @@ accelerometer. The angles themselves are those that fit the three indications be
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Self
 
 import numpy as np
@@ -212,6 +212,34 @@ class PosesAt:
         )
 
 
+def indications_along(
+    poses: TriadPoses, coefficients: Sequence[Mapping[str, float]], direction: Array
+) -> Array:
+    """Return what a triad indicates in poses of given directions, g, shape (n, 3).
+
+    coefficients: Of each accelerometer, slopes included; those not named are nominal.
+    direction: Of the specific force in the triad's frame, unit vectors, shape (n, 3).
+    """
+    effective = np.tile([row.nominal for row in TERMS.values()], (poses.size, 3, 1))
+    for place, own in enumerate(coefficients):
+        for symbol, value in own.items():
+            if symbol in TERMS:
+                effective[:, place, _SYMBOLS.index(symbol)] += value - TERMS[symbol].nominal
+            elif (lever := _lever(poses, symbol)) is not None:
+                effective[:, place, lever[0]] += value * lever[1]
+    products, _ = _products(poses.axes, direction, effective)
+    return np.asarray(np.sum(products * effective, axis=2), np.float64)
+
+
+def _lever(poses: TriadPoses, symbol: str) -> tuple[int, Array] | None:
+    """Return of a slope which term changes, and by what it is multiplied; None if it is nothing."""
+    slope = CONDITION_TERMS[symbol].effect
+    levers = {"temperature": poses.temperature, "time": poses.time}
+    if slope.condition not in levers:
+        return None
+    return _SYMBOLS.index(slope.coefficient), levers[slope.condition]
+
+
 def _levers(
     poses: TriadPoses, everything: Sequence[Unknown]
 ) -> Iterator[tuple[int, int, int, Array]]:
@@ -223,11 +251,9 @@ def _levers(
         if symbol in TERMS:
             yield index, place, _SYMBOLS.index(symbol), np.ones(poses.size)
         elif symbol in CONDITION_TERMS:
-            slope = CONDITION_TERMS[symbol].effect
-            levers = {"temperature": poses.temperature, "time": poses.time}
-            if slope.condition in levers:
-                term = _SYMBOLS.index(slope.coefficient)
-                yield index, place, term, levers[slope.condition]
+            lever = _lever(poses, symbol)
+            if lever is not None:
+                yield index, place, *lever
 
 
 def _products(axes: Array, direction: Array, effective: Array) -> tuple[Array, Array]:

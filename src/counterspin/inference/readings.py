@@ -168,6 +168,8 @@ def _solved(
     # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
     # looks like it would leave its prior so far that derivatives there are not the machine's.
     relaxed, variance = bool(model.considered), None
+    alone = not beside and len(readings) == 1
+    free = sum(math.isinf(unknown.prior[1]) for unknown in everything) if alone else 0
     for _ in range(_ROUNDS):
         parts = [group.linearised(model, point, variance) for group in readings]
         # The columns hold while only the noise is another.
@@ -182,7 +184,7 @@ def _solved(
             if together is not None:
                 break
             noise = [
-                _noise_again(group, part, found, Unknowns(model.unknowns), own)
+                _noise_again(group, part, found, Unknowns(model.unknowns), own, free)
                 for group, part, own in zip(readings, followed, before, strict=True)
             ]
             changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
@@ -316,15 +318,20 @@ def _noise_again(
     solution: Solution,
     model: Unknowns,
     own: float,
+    free: int,
 ) -> float:
-    """Return the noise that the residuals show; its fixed point is the REML estimate."""
+    """Return the noise that the residuals show; its fixed point is the REML estimate.
+
+    free: Unknowns that nothing but the group can tell.
+    """
     if group.u is not None:
         return 1.0
     left_over = 1.0 - part.leverages(solution)
     again = group.freedom_of_repeats
-    if left_over.sum() + again < 0.5 and isinstance(group, TriadPoses):
+    few = left_over.sum() + again < 0.5
+    if isinstance(group, TriadPoses) and (few or group.size + again <= free):
         raise NotIdentifiableError(_too_few_poses(group, solution, model))
-    if left_over.sum() + again < 0.5:
+    if few:
         raise NotIdentifiableError(
             f"{group.accelerometer}: {group.size} readings ({group.motion}) without a stated "
             "uncertainty cannot tell their noise beside the unknowns; state it, or take more "

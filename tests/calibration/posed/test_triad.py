@@ -155,6 +155,26 @@ def test_faces_say_what_they_do_not_determine(tmp_path):
     assert "6 poses are fewer than the 9 unknowns" in subjects["Z.delta_P"]
 
 
+def test_faces_determine_biases_and_scale_factors_where_angles_are_not_asked_for(tmp_path):
+    faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
+    description = triads.head(model='typical = { K_II = "1 ug/g^2" }')
+    result = cs.calibrate(triads.table(tmp_path, faces, u=1e-5, description=description))
+    parameters = result.triad.parameters
+    for k, name in enumerate(triads.NAMES):
+        offset, size = parameters[f"offset.{name}"], parameters[f"sensitivity.{name}"]
+        assert abs(offset.value - triads.BIAS[k]) < 3.0 * offset.u
+        assert abs(size.value - triads.ROWS[k, k]) < 3.0 * size.u
+        assert size.u < 1e-3
+    # Of the angles nothing is found out: they are what they were, a right angle by 20 mrad.
+    angle = parameters["angle.X.Y"]
+    assert not angle.estimated
+    assert angle.u == pytest.approx(0.02, rel=0.01)
+    assert {accelerometer.state for accelerometer in result.accelerometers.values()} == {
+        "reservations"
+    }
+    assert [f.code for f in result.findings] == ["unjudged-readings"]
+
+
 def test_poses_on_one_side_say_so(tmp_path):
     generator = np.random.default_rng(9)
     along = triads.directions(40, generator)

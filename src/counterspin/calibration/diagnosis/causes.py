@@ -38,8 +38,8 @@ class Cause:
 
     def accounts_for(self, name: str, found: Finding) -> bool:
         """Return whether a finding of an accelerometer would be gone if this were put right."""
-        code = "lack-of-fit" if found.code == "methods-disagree" else found.code
-        subject = name if code == "lack-of-fit" else found.subject
+        by_method = found.code == "methods-disagree"
+        code, subject = ("lack-of-fit", name) if by_method else (found.code, found.subject)
         left = self.remaining.get((code, subject))
         if found.code not in ACCOUNTABLE:
             return False

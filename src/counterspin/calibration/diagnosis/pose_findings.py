@@ -16,6 +16,7 @@ from counterspin.calibration.readings import FittedPoses, residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.readings import FEWEST_FREEDOM
+from counterspin.reports.numbers import format_number
 
 #: What findings about the poses of a triad are about.
 TRIAD: Final = "triad"
@@ -30,6 +31,8 @@ def pose_findings(posed: Sequence[FittedPoses]) -> list[Finding]:
     for part in posed:
         if part.dof < FEWEST_FREEDOM:
             findings.append(unjudged(TRIAD, part))
+        elif part.freedom < FEWEST_FREEDOM:
+            findings.append(_few_left(part))
         residual = residual_of([part])
         p = residual.lack_of_fit_p
         if p is not None and p < 0.5 * SIGNIFICANCE / len(posed):
@@ -37,6 +40,15 @@ def pose_findings(posed: Sequence[FittedPoses]) -> list[Finding]:
             findings.append(lack_of_fit(TRIAD, [f"{said} (p = {p:.2g})."], residual))
         findings += lone_or_many(TRIAD, part)
     return findings
+
+
+def _few_left(part: FittedPoses) -> Finding:
+    left = format_number(part.freedom, 2) if part.freedom >= 0.05 else "no"
+    text = (
+        f"{part.readings.size} poses leave {left} degrees of freedom beside what is estimated: no "
+        "residual of theirs can be judged. Take more of them."
+    )
+    return Finding(code="unjudged-readings", subject=TRIAD, text=text)
 
 
 def too_few_poses(view: AccelerometerView) -> str:
@@ -58,4 +70,7 @@ def too_few_poses(view: AccelerometerView) -> str:
         never = [name for name, own in axes.items() if np.min(sign * np.concatenate(own)) > -_DOWN]
         if never:
             said.append(f" No pose has {' or '.join(never)} pointing {way}.")
-    return "".join(said) + " Take poses whose directions are spread over the whole sphere."
+    return (
+        "".join(said) + " Take poses whose directions are spread over the whole sphere, or ask for "
+        "fewer coefficients in model.terms: the others then count at their typical size."
+    )

@@ -27,6 +27,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import countable
+from counterspin.inference.identifiability import PRIOR_LEFT
 from counterspin.inference.joint.budget import by_kind_of
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.poses import LINEAR, PosesAt
@@ -184,6 +185,11 @@ def _coefficient(estimated: Estimate, one: _Parameter, read: Fitted) -> Coeffici
     combined = fit.solution.combine(one.slopes)
     if not combined.u < one.limit:
         return Coefficient(value=None, u=None, unit=one.unit, estimated=False)
+    own = np.flatnonzero(np.abs(one.slopes) > _NOTHING)
+    known = float(np.linalg.norm(one.slopes[own] * fit.solution.prior_sd[own]))
+    if combined.u**2 > PRIOR_LEFT * known**2:
+        # What is known beforehand is all there is.
+        return Coefficient(value=one.value, u=combined.u, unit=one.unit, estimated=False)
     noise, stated, unstated = by_kind_of(fit, combined)
     return Coefficient(
         value=one.value,

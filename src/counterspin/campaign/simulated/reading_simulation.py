@@ -6,7 +6,7 @@ import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -29,8 +29,12 @@ from counterspin.campaign.readings_table import (
 )
 from counterspin.campaign.resolved import sample_count
 from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.triads.declared import is_pose
+from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.inference.linear_readings import Readings
+from counterspin.inference.poses import indications_along
 from counterspin.input import read_file
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
@@ -127,12 +131,32 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     ), errors
 
 
+def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
+    """Return the poses at unknown attitudes with what would be read without noise.
+
+    Their directions are drawn from the seed, all over the sphere.
+    """
+    assert campaign.simulation is not None
+    if campaign.triad is None or not campaign.triad.poses:
+        return ()
+    poses, truth = campaign.triad.poses, campaign.simulation.truth.coefficients
+    group = one_group(campaign, poses)
+    along = stream(campaign, 0, 2).standard_normal((group.size, 3))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    values = indications_along(group, [truth.get(name, {}) for name in group.accelerometers], along)
+    return tuple(
+        tuple(replace(one, value=value) for one, value in zip(pose, own, strict=True))
+        for pose, own in zip(poses, values.tolist(), strict=True)
+    )
+
+
 def stream(campaign: Campaign, *which: int) -> np.random.Generator:
     """Return random numbers that no run of the double turntable has.
 
     So a run that is added changes no reading, and the other way round.
 
-    which: 0 of the head, 0 and 1 of positions, 1 of the readings' noise, from 2 on of records.
+    which: 0 of the head, 0 and 1 of positions, 0 and 2 of unknown attitudes, 1 of the readings'
+        noise, from 2 on of records.
     """
     assert campaign.simulation is not None
     return np.random.default_rng(
@@ -172,8 +196,16 @@ def _instantaneous(station: Station, group: Readings, effective: Array, angle: A
 # Files: the description and the table of readings
 
 
+@frozen
+class Exact:
+    """What would be read without noise."""
+
+    readings: tuple[Reading, ...]  #: At known attitudes, in the campaign's order.
+    poses: tuple[tuple[Reading, ...], ...]  #: At unknown ones.
+
+
 def filled_description(
-    campaign: Campaign, exact: Sequence[Reading], generator: np.random.Generator
+    campaign: Campaign, exact: Exact, generator: np.random.Generator
 ) -> str | None:
     """Return a campaign's description with values in place of those of its runs.
 
@@ -186,18 +218,19 @@ def filled_description(
     runs = [run for run in document.get("runs", []) if is_reading(run)]
     if not any("reading" in run for run in runs):
         return None
-    ready = iter(exact)
+    ready, posed = iter(exact.readings), iter(exact.poses)
     place, edited = 0, text
     for run in runs:
         if "reading" not in run:
-            # A record, of all accelerometers.
-            for _ in campaign.accelerometers:
+            # A record, of all accelerometers; that of poses is none of a reading.
+            for _ in () if is_pose(run) else campaign.accelerometers:
                 next(ready)
             continue
         old = _texts(run["reading"])
         new = []
+        own = _of_pose(next(posed), run["reading"]) if is_pose(run) else ready
         for texts in old:
-            reading = next(ready)
+            reading = next(own)
             new.append([_with_value(text, campaign, reading, generator) for text in texts])
         run["reading"] = _like(run["reading"], new)
         for before, after in zip(chain(*old), chain(*new), strict=True):
@@ -206,6 +239,12 @@ def filled_description(
                 edited = f'{edited[:where]}"{after}"{edited[where + len(before) + 2 :]}'
                 place = where + len(after)
     return edited if _reads_as(edited, document) else write_document(document)
+
+
+def _of_pose(pose: Sequence[Reading], names: Iterable[str]) -> Iterator[Reading]:
+    """Return the readings of a pose in the order in which accelerometers are named."""
+    by_name = {reading.accelerometer: reading for reading in pose}
+    return iter([by_name[name] for name in names])
 
 
 def _description(campaign: Campaign) -> str:
@@ -273,7 +312,7 @@ def _read(
 
 
 def filled_table(
-    campaign: Campaign, exact: Sequence[Reading], generator: np.random.Generator
+    campaign: Campaign, exact: Exact, generator: np.random.Generator
 ) -> tuple[Path, Any] | None:
     """Return the file that [readings] names, and the table, a polars frame, with values in it.
 
@@ -307,10 +346,14 @@ def filled_table(
         for own in columns.values()
         for column in own
     }
-    ready = iter(exact[len(exact) - len(rows) * len(columns) :])
-    for place, row in rows:
+    unknown = [is_pose(table.run(row, place, ())) for place, row in rows]
+    # The rows of the table come last.
+    start = len(exact.readings) - unknown.count(False) * len(columns)
+    ready, posed = iter(exact.readings[start:]), iter(exact.poses[-sum(unknown) or None :])
+    for (place, row), is_posed in zip(rows, unknown, strict=True):
+        taken = _of_pose(next(posed), columns) if is_posed else ready
         for name, own in columns.items():
-            reading = next(ready)
+            reading = next(taken)
             output = outputs[name]
             u: Any = row[beside[name][0]] if name in beside else None
             stated = 0.0 if is_empty(u) else float(u)

@@ -89,7 +89,11 @@ def unfit_readings(campaign: Campaign) -> list[str]:
         return []
     truth = campaign.simulation.truth
     problems = []
-    for reading in campaign.readings:
+    for record in campaign.triad.records if campaign.triad else ():
+        problems.append(
+            f'run "{record.name}": a record with poses is not simulated; write poses with readings'
+        )
+    for reading in campaign.all_readings:
         if reading.record is not None:
             if reading.motion == "static" and reading.duration is None:
                 problems.append(f'run "{reading.name}": {_NO_LENGTH}')

@@ -25,6 +25,9 @@ from counterspin.physics.accelerometer import Mounting
 #: Smallest volume that three input axes may span: below it they do not feel all directions.
 _LEAST_VOLUME: Final = 0.1
 
+#: How many poses a record is taken to have before it is read.
+MANY: Final = 1000
+
 #: A unit vector is along another, or at right angles to it, within this.
 _ALONG: Final = 1e-6
 
@@ -63,6 +66,11 @@ class Triad:
     #: Accelerometer and symbol of the misalignments that are nothing by the choice of the frame,
     #: where nothing but poses says how the triad stands.
     of_frame: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def count(self) -> int:
+        """How many poses there are; of a record as many as nobody asks for."""
+        return len(self.poses) if not self.records else MANY
 
     @property
     def posed(self) -> bool:

@@ -25,11 +25,14 @@ def poses_together(
         for known in (True, False)
     }
     return [
-        _together(campaign, own, 0.0 if known else within) for known, own in kinds.items() if own
+        one_group(campaign, own, 0.0 if known else within) for known, own in kinds.items() if own
     ]
 
 
-def _together(campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float) -> TriadPoses:
+def one_group(
+    campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float = 0.0
+) -> TriadPoses:
+    """Return poses as one group, whose noise is stated if that of all is."""
     origin = origin_of(campaign)
     warmth, start = origin.temperature, origin.time
     firsts = [pose[0] for pose in poses]
