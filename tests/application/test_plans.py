@@ -7,7 +7,7 @@ from campaigns import changed
 from planning_setups import PERFECT
 from served import wait
 
-from counterspin.application.plans import PLAN_KEYS
+from counterspin.application.plans import LONGEST_TIME, PLAN_KEYS
 from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings
 
@@ -94,6 +94,16 @@ def test_a_search_that_has_no_room_fails_in_a_sentence(planned, folder):
     assert "there is room to search" in refused(planned)
 
 
+def test_more_time_than_is_tabulated_is_searched_anew(planned, folder):
+    file = folder / "PLAN.toml"
+    text = file.read_text()
+    longer = tried(planned, total_time=7200.0)
+    assert longer["time"] <= 7200.0 * (1.0 + 1e-9)
+    file.write_text(text.replace('total_time = "700 s"', 'total_time = "7200 s"'))
+    (expected, found) = (tried(planned)["u"][0]["u"], longer["u"][0]["u"])
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
 def test_limits_move_less_far_where_runs_would_become_too_long(planned, folder):
     file = folder / "PLAN.toml"
     file.write_text(file.read_text().replace('"700 s"', '"20000 s"'))
@@ -101,7 +111,7 @@ def test_limits_move_less_far_where_runs_would_become_too_long(planned, folder):
     high = {
         limit["key"]: limit["high"] / limit["value"] for limit in told["limits"] if limit["value"]
     }
-    assert 1.1 < high["total_time"] < 2.0
+    assert high["total_time"] == pytest.approx(LONGEST_TIME / 20000.0)
     assert 1.1 < high["highest_rate"] < 1.2
 
 

@@ -8,11 +8,16 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.application.processes import Progress, Worker, tell_of
 from counterspin.errors import CounterspinError
 from counterspin.input import FileIdentity
+from counterspin.reports.numbers import field_unit
+from counterspin.reports.typography import typeset, typeset_block
+
+if TYPE_CHECKING:
+    from counterspin.monitoring.result import WatchState
 
 #: Seconds after which a process ends at whose words nobody looks any more.
 UNSEEN_SECONDS: Final = 15.0
@@ -135,17 +140,31 @@ class LiveViews:
             self._views.clear()
 
 
+def reached(state: WatchState) -> dict[str, Any]:
+    """Return how many minutes are recorded, and the u of each coefficient by then."""
+    units = {c.name: field_unit(c.unit) for c in state.coefficients}
+    return {
+        "minutes": sum(run.seconds or 0.0 for run in state.runs) / 60.0,
+        "u": [
+            {
+                "name": f"{c.name}, {typeset(units[c.name][0])}",
+                "u": None if c.u is None else c.u * units[c.name][1],
+            }
+            for c in state.coefficients
+        ],
+    }
+
+
 def follow_into(there: Connection, campaign: Path, goal: str) -> None:
     """Follow a campaign's records, and tell each new state."""
 
     def work(_: Progress) -> None:
         from counterspin.monitoring.watch import watch
         from counterspin.reports.html import part
-        from counterspin.reports.typography import typeset_block
 
         for state in watch(campaign, goals=[goal] if goal else []):
             blocks = list(map(typeset_block, state.blocks()))
-            told = {"events": state.events, "complete": state.complete}
+            told = {"events": state.events, "complete": state.complete, "reached": reached(state)}
             there.send(("told", {"html": part(blocks, title="Live"), **told}))
 
     tell_of(there, work)

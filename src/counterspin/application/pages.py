@@ -73,7 +73,7 @@ def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
 
     found = history([desk.file(name) for name in names], term=term)
     command = history_command(desk.folder.root, term)
-    return Page(f"History of {term}", list(history_blocks(found)), command)
+    return Page(f"History of {term}", _typeset(list(history_blocks(found))), command)
 
 
 def _plan(desk: Desk, names: Sequence[str], _: str) -> Calculation:

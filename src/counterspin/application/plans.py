@@ -41,6 +41,9 @@ from counterspin.workers import one_blas_thread
 #: How far limits on time and rate can be moved, as factors of what the plan says.
 LIMIT_FACTORS: Final = (4.0, 2.0)
 
+#: Longest time at the centrifuge that may be asked for, s: two days.
+LONGEST_TIME: Final = 172800.0
+
 #: A search looks no less far beyond its limits: so much more of them is tried by itself.
 _LEAST_FACTOR: Final = 1.11
 
@@ -154,9 +157,19 @@ def _highs(described: Plan) -> dict[str, float]:
     """Return the highest value to which each limit can be moved."""
     reach = dict(zip(("total_time", "highest_rate"), _reach(described), strict=True))
     values = _values(described.limits)
-    return {
+    highs = {
         key: values[key] * reach.get(key, limit.high) or 60.0 for key, limit in PLAN_KEYS.items()
     }
+    # Beyond the reach of what is tabulated, a search tabulates anew.
+    return highs | {"total_time": max(highs["total_time"], LONGEST_TIME)}
+
+
+def _longer(described: Plan, total: float) -> Search:
+    """Return a search that has more time than a usual one reaches."""
+    limits = described.limits
+    longest = limits.longest_run if limits.longest_run < limits.total_time else total
+    limits = replace(limits, total_time=total, longest_run=longest)
+    return Search(replace(described, limits=limits), (_LEAST_FACTOR, _reach(described)[1]))
 
 
 def tried_plan(
@@ -192,11 +205,15 @@ def search_into(there: Connection, file: Path) -> None:
     @one_blas_thread()
     def work(_: Progress) -> None:
         described = read_plan(file)
-        search = Search(described, _reach(described))
+        reach = _reach(described)
+        usual = Search(described, reach)
         while True:
             moved = there.recv()
             try:
-                found = _tried(search, dict(moved))
+                limits = dict(moved)
+                total = min(limits.get("total_time", 0.0), LONGEST_TIME)
+                far = total > described.limits.total_time * reach[0]
+                found = _tried(_longer(described, total) if far else usual, limits)
             except CounterspinError as error:
                 found = {"error": str(error)}
             there.send(("told", moved, found))

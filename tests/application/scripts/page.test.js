@@ -6,6 +6,8 @@ import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
 import { commandLine, make, say, stateMark, symbols, warning } from "./dom.js";
 import { knownTo, named, percent, size } from "./improving.js";
 import { follow } from "./job.js";
+import { columnsOf, withPoint } from "./live.js";
+import { inUnit } from "./plan.js";
 
 const KEY = "counterspin-key";
 
@@ -52,6 +54,19 @@ test("a source is named in words with its symbol, and its size is in its own uni
   assert.equal(size(source, knownTo(source, -2)), "0.02 µg/g²");
   assert.equal(size(source, knownTo(source, 1)), "20 µg/g²");
   assert.deepEqual([0.5, 0.012345, 0.0004].map(percent), ["50 %", "1.2 %", "< 0.1 %"]);
+});
+
+test("a time is in the largest unit of which there is one", () => {
+  assert.deepEqual([700, 3600, 5400, 172800].map(inUnit), [[11.67, "min"], [1, "h"], [1.5, "h"], [2, "days"]]);
+});
+
+test("what was reached is one point for each amount of records, the newest last", () => {
+  const at = (/** @type {number} */ minutes, /** @type {number|null} */ u) => ({ minutes, u: [{ name: "K_II", u }] });
+  let seen = [at(1, null), at(2, 3)].reduce(withPoint, []);
+  seen = withPoint(seen, at(2, 2));
+  assert.deepEqual(columnsOf(seen), [[1, 2], [null, 2]]);
+  // Records that are made anew begin again.
+  assert.deepEqual(columnsOf(withPoint(seen, at(0.5, 9))), [[0.5], [9]]);
 });
 
 test("a listener listens, and a value is a property", () => {

@@ -4,7 +4,8 @@
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { exportsPart } from "./exports.js";
-import { labelled, make, say, stateMark, warning } from "./dom.js";
+import { labelled, make, say, stateMark, symbols, warning } from "./dom.js";
+import { pagePart } from "./result.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
  *   answers?: {name: string, text: string}[]}} ResultLine */
@@ -15,7 +16,7 @@ import { labelled, make, say, stateMark, warning } from "./dom.js";
  */
 export const resultLines = (result) => [
   ...(result.answers ?? []).map(({ name, text }) =>
-    make("p", { class: "answer-line" }, `${name} = ${text}`)),
+    make("p", { class: "answer-line" }, ...symbols(`${name} = ${text}`))),
   make("p", {}, stateMark(result.state, result.words), " ",
     make("a", { href: resultAddress(result.name) }, result.name)),
 ];
@@ -35,7 +36,7 @@ function campaignCard(campaign) {
       campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
       campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : ""),
     ...(result?.answers ?? []).map(/** @param {any} a */ (a) =>
-      make("p", { class: "answer-line" }, `${a.name} = ${a.text}`)));
+      make("p", { class: "answer-line" }, ...symbols(`${a.name} = ${a.text}`))));
 }
 
 /** What campaigns are sorted by -> what a campaign has of it, the first one least. */
@@ -99,6 +100,23 @@ function newCampaign() {
   ];
 }
 
+/**
+ * The history of each instrument as a chart, once there are results to be followed.
+ * @param {string[]} names of results
+ */
+function instruments(names) {
+  const place = make("section", { class: "instruments" });
+  if (names.length > 1) {
+    pagePart("history", names).then(({ part }) => {
+      const charts = [...part?.querySelectorAll("figure") ?? []];
+      if (!charts.length) return;
+      place.append(make("h2", {}, "Instruments"), make("div", { class: "charts report" }, ...charts));
+      globalThis.counterspin.draw(place);
+    }, () => {}); // Without serial numbers or dates there is none; History says why.
+  }
+  return place;
+}
+
 /** The list of campaigns. */
 export async function folderView() {
   const folder = await get("folder");
@@ -108,6 +126,8 @@ export async function folderView() {
     ...folder.campaigns.length
       ? campaignList(folder.campaigns)
       : [make("p", {}, "There is no campaign in this folder yet.")],
+    instruments([...folder.campaigns.flatMap(/** @param {any} c */ (c) => c.results), ...folder.results]
+      .filter(/** @param {any} r */ (r) => r.state !== "damaged").map(/** @param {any} r */ (r) => r.name)),
     make("section", {}, ...newCampaign()),
   ];
   if (results.length) {

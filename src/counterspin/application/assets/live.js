@@ -6,6 +6,68 @@ import { commandLine, labelled, make, warning } from "./dom.js";
 import { campaignTabs } from "./tabs.js";
 
 const PAUSE = 1000;
+const HEIGHT = 220;
+
+/** @typedef {{minutes: number, u: {name: string, u: number|null}[]}} Reached */
+
+/** The u of each coefficient over the minutes that are recorded, as far as this page has seen. */
+class UncertaintyChart {
+  constructor() {
+    this.seen = /** @type {Reached[]} */ ([]);
+    this.box = make("div", { class: "canvas", role: "img", "aria-label": "Standard uncertainty over recorded minutes" });
+    this.element = make("figure", { hidden: true }, make("figcaption", {},
+      "Standard uncertainty over recorded minutes, since this page was opened"), this.box);
+    /** @type {any} */
+    this.chart = null;
+    new ResizeObserver(() => {
+      const width = this.box.clientWidth;
+      if (width && this.chart && this.chart.width !== width) this.chart.setSize({ width, height: HEIGHT });
+    }).observe(this.box);
+    globalThis.counterspin.redraws.push(() => this.chart?.redraw(false));
+  }
+
+  /** @param {Reached} reached */
+  add(reached) {
+    this.seen = withPoint(this.seen, reached);
+    // A point alone is said in the table.
+    if (this.seen.length < 2) return;
+    this.element.hidden = false;
+    if (!this.chart) this.make();
+    this.chart.setData(columnsOf(this.seen));
+  }
+
+  make() {
+    const { axis, colour } = globalThis.counterspin;
+    this.chart = new /** @type {any} */ (globalThis).uPlot({
+      width: this.box.clientWidth,
+      height: HEIGHT,
+      cursor: { y: false },
+      scales: { x: { time: false }, y: { distr: 3 } },
+      axes: [axis("recorded, min", 34), axis("u", 70)],
+      series: [{ label: "recorded, min" }, ...this.seen[0].u.map(({ name }, place) =>
+        ({ label: name, stroke: () => colour(`--series-${(place % 6) + 1}`), width: 2 }))],
+    }, columnsOf(this.seen), this.box);
+  }
+}
+
+/**
+ * What was reached with one more look; a look at the same minutes takes the place of the last.
+ * @param {Reached[]} seen
+ * @param {Reached} reached
+ */
+export function withPoint(seen, reached) {
+  const before = seen.filter(({ minutes }) => minutes < reached.minutes);
+  return [...before, reached];
+}
+
+/**
+ * Minutes, then the u of each coefficient; a logarithmic axis has no place for none and for 0.
+ * @param {Reached[]} seen
+ */
+export const columnsOf = (seen) => [
+  seen.map(({ minutes }) => minutes),
+  ...seen[0].u.map((_, place) => seen.map(({ u }) => u[place].u || null)),
+];
 
 /**
  * The live view of a campaign.
@@ -17,6 +79,7 @@ export async function liveView(name) {
   const place = make("div", {}, make("p", { class: "quiet" }, "Looking at the records."));
   const events = make("ul", { class: "quiet", "aria-live": "polite" });
   const command = make("div");
+  const chart = new UncertaintyChart();
   const wrong = make("div", { id: "goal-mistake" });
   let shown = "";
   let wanted = "";
@@ -34,6 +97,7 @@ export async function liveView(name) {
       }
       if (told.html && told.html !== shown) {
         shown = told.html;
+        chart.add(told.reached);
         // Escaped by the report's own templates.
         place.innerHTML = told.html;
         place.querySelector("h1")?.remove();
@@ -73,7 +137,7 @@ export async function liveView(name) {
     title: `${campaign.title}, live`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live"),
-      make("div", { class: "row" }, labelled("Goal", goal)), wrong, place, events, command,
+      make("div", { class: "row" }, labelled("Goal", goal)), wrong, chart.element, place, events, command,
     ],
   };
 }

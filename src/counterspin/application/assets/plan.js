@@ -35,7 +35,44 @@ const short = (value) => Number(value.toPrecision(4)).toString();
 
 /** @param {number} seconds */
 const duration = (seconds) =>
-  seconds >= 7200 ? `${short(seconds / 3600)} h` : seconds >= 120 ? `${short(seconds / 60)} min` : `${short(seconds)} s`;
+  seconds >= 2 * 86400 ? `${short(seconds / 86400)} days` : seconds >= 7200 ? `${short(seconds / 3600)} h` : seconds >= 120 ? `${short(seconds / 60)} min` : `${short(seconds)} s`;
+
+/** Unit of time -> seconds. */
+const UNITS = { min: 60, h: 3600, days: 86400 };
+
+/**
+ * A time as number and unit, in the largest unit of which there is one.
+ * @param {number} seconds
+ * @returns {[number, keyof typeof UNITS]}
+ */
+export function inUnit(seconds) {
+  const unit = seconds >= UNITS.days ? "days" : seconds >= UNITS.h ? "h" : "min";
+  return [Number((seconds / UNITS[unit]).toPrecision(4)), unit];
+}
+
+/**
+ * The time of a plan: a number to type, since a slider ends too early for a day.
+ * @param {string} id
+ * @param {any} limit
+ * @param {(seconds: number) => void} moved
+ */
+function timeField(id, limit, moved) {
+  const [value, first] = inUnit(limit.value);
+  const number = make("input", { id, type: "number", min: 0, step: "any", value, required: true });
+  const unit = make("select", { "aria-label": `Unit of ${limit.words}` },
+    ...Object.keys(UNITS).map((one) => make("option", { value: one, selected: one === first }, one)));
+  const wrong = make("p", { class: "wrong", role: "alert" });
+  const change = () => {
+    const seconds = Number(number.value) * UNITS[/** @type {keyof typeof UNITS} */ (unit.value)];
+    const good = seconds >= limit.low && seconds <= limit.high;
+    wrong.textContent = good ? "" : `From ${duration(limit.low)} to ${duration(limit.high)}.`;
+    number.setAttribute("aria-invalid", String(!good));
+    if (good) moved(seconds);
+  };
+  number.addEventListener("change", change);
+  unit.addEventListener("change", change);
+  return make("div", {}, make("label", { for: id }, limit.words), make("div", { class: "quantity" }, number, unit), wrong);
+}
 
 /**
  * The page of a plan.
@@ -119,6 +156,10 @@ export async function planView(name) {
     const id = `limit-${limit.key}`;
     // The slider itself says its value.
     const words = make("output", { for: id, "aria-live": "off" }, `${short(limit.value)} ${limit.unit}`);
+    if (limit.key === "total_time") return timeField(id, limit, (seconds) => {
+      moved[limit.key] = seconds;
+      ask();
+    });
     const range = make("input", {
       id, type: "range", min: limit.low, max: limit.high, step: limit.whole ? 1 : "any", value: limit.value,
       "aria-valuetext": words.textContent,
