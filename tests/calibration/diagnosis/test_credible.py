@@ -64,6 +64,13 @@ def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
     assert result.findings[0] == finding
 
 
+def test_where_a_grade_leaves_several_causes_all_are_named(tmp_path):
+    result = tumbled(tmp_path, lambda g: 9.9 * g, accelerometer='grade = "consumer"')
+    assert (
+        "Check a unit, m/s^2 against g, or a unit off by a power of ten, 1e1." in only(result).text
+    )
+
+
 def test_the_size_says_by_how_many_standard_uncertainties(tmp_path):
     result = tumbled(tmp_path, lambda g: 1.3 * g)
     c = result.accelerometers["A"].coefficients["K_I"]

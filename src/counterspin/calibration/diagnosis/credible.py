@@ -146,15 +146,16 @@ def _likely(symbol: str) -> str:
 
 def _of_scale(value: float, limit: float) -> str:
     """Return what makes a scale factor what it is: a sign, a unit, a column."""
-    factors = {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
-    factors |= dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
-    near = min([1.0, *factors], key=lambda factor: abs(abs(value) / factor - 1.0))
-    explained = abs(abs(value) / near - 1.0) <= _ALIKE
+    factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
+    factors |= {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
+    # The true one may be as far from 1 as instruments of its grade are.
+    alike = max(_ALIKE, 0.1 * limit)
+    near = [factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= alike]
     causes = []
-    if value < -limit or (value < 0.0 and explained):
+    if value < -limit or (value < 0.0 and near):
         causes.append("the sign of the output, the sense of the input axis and of the attitudes")
-    if explained and near in factors:
-        causes.append(factors[near])
-    elif abs(value) <= limit:
+    if 1.0 not in near and near:
+        causes.append(", or ".join(factors[factor] for factor in near))
+    elif not near and abs(value) <= limit:
         causes.append("another column, or another accelerometer, than is stated")
     return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"
