@@ -20,6 +20,7 @@ from counterspin.campaign.kinds import known
 from counterspin.comparisons.result import Compared, Repeated
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, WatchState
+from counterspin.monitoring.result_noise import NoiseResult
 from counterspin.physics.terms import OWN_TERMS
 from counterspin.toml_text import write_value
 from counterspin.validation.result import Dossier
@@ -32,7 +33,16 @@ FIELDS_HEAD = "| key | kind | meaning |\n|---|---|---|\n"
 #: Name -> class, of every part of the results that have a page of their own.
 PARTS = {
     name: part
-    for result in (Result, Compared, Repeated, History, CheckedRun, WatchState, Dossier)
+    for result in (
+        Result,
+        Compared,
+        Repeated,
+        History,
+        CheckedRun,
+        WatchState,
+        NoiseResult,
+        Dossier,
+    )
     for name, part in schemas.parts_of(result).items()
 }
 

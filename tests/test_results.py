@@ -114,6 +114,7 @@ def test_every_result_of_the_package_is_written_so():
         "Compared",
         "Dossier",
         "History",
+        "NoiseResult",
         "PlanResult",
         "Repeated",
         "Reproduction",

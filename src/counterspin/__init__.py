@@ -23,6 +23,7 @@ The commands, as functions:
 - `rerun`: a result's calibration made again (`Repeated`)
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
+- `noise`: what a record at rest says of its noise (`NoiseResult`)
 - `reproduce`: the paper's numbers compared with recomputed ones (`Reproduction`)
 - `validate`: reference cases, run on what is installed (`Dossier`); `write_dossier`: as files
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
@@ -119,8 +120,10 @@ if TYPE_CHECKING:
     from counterspin.inference.two_stage.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
     from counterspin.inference.two_stage.strobes import strobe_angle as strobe_angle
     from counterspin.monitoring.check import check as check
+    from counterspin.monitoring.noise import noise as noise
     from counterspin.monitoring.result import CheckedRun as CheckedRun
     from counterspin.monitoring.result import WatchState as WatchState
+    from counterspin.monitoring.result_noise import NoiseResult as NoiseResult
     from counterspin.monitoring.watch import Pace as Pace
     from counterspin.monitoring.watch import watch as watch
     from counterspin.physics.accelerometer import QX as QX
@@ -168,6 +171,8 @@ _OFFERED = {
     "comparisons.rerun": ("rerun",),
     "comparisons.result": ("Compared", "Repeated"),
     "monitoring.check": ("check",),
+    "monitoring.noise": ("noise",),
+    "monitoring.result_noise": ("NoiseResult",),
     "monitoring.result": ("CheckedRun", "WatchState"),
     "monitoring.watch": ("Pace", "watch"),
     "correction.apply": ("ApplyOptions", "Correction", "apply"),

@@ -4,7 +4,7 @@ Each command has a module of its own, and imports what it uses when it runs, so 
 answers at once.
 
 - `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `rerun`,
-  `check`, `watch`, `apply`, `plan`, `study`, `schema`, `serve`, `demo`, `reproduce`,
+  `check`, `watch`, `noise`, `apply`, `plan`, `study`, `schema`, `serve`, `demo`, `reproduce`,
   `validate`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
@@ -31,6 +31,7 @@ from counterspin.cli import (
     history,
     init,
     ledger,
+    noise,
     plan,
     report,
     reproduce,
@@ -77,6 +78,7 @@ for _command in (
     rerun.rerun,
     check.check,
     watch.watch,
+    noise.noise,
     apply.apply,
     plan.plan,
     study.study,

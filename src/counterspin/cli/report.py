@@ -20,6 +20,7 @@ _KINDS: Final = (
     ("comparisons.result", "Repeated"),
     ("monitoring.result", "CheckedRun"),
     ("monitoring.result", "WatchState"),
+    ("monitoring.result_noise", "NoiseResult"),
     ("calibration.batch", "BatchResult"),
     ("validation.result", "Dossier"),
     ("reproduction.result", "Reproduction"),

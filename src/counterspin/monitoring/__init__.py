@@ -1,4 +1,4 @@
-"""Runs judged while the centrifuge turns.
+"""Records judged: runs while the centrifuge turns, and sensors at rest.
 
 - `check`: one record: clock, angle, rate, residuals, and what the campaign's u will be with it
 - `watch`: the states of a campaign whose records grow
@@ -8,4 +8,5 @@
 - `reaching`: the fit of what is there; goals, and whether they are met
 - `result`: what both say, and its JSON
 - `page`: both as a person reads them
+- `noise`, `result_noise`, `noise_page`: the noise of a record at rest, its JSON, its page
 """

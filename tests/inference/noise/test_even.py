@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from counterspin.inference.noise import even
-from counterspin.inference.noise.even import EvenData
+from counterspin.inference.noise.even import EvenData, SampleKind
 from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
 from counterspin.inference.noise.wander import flicker_autocovariance
 
@@ -65,7 +65,7 @@ def test_likelihood_is_the_dense_one_but_for_a_constant(order):
     recorded = force
     for _ in range(order):
         recorded = np.concatenate([[0.0], np.cumsum(recorded) * STEP])
-    data = EvenData.of(recorded, STEP, order, ramp[:, None], 1)
+    data = EvenData.of(recorded, STEP, SampleKind(order, order), ramp[:, None], 1)
     likelihood = RestrictedLikelihood.of([data], None, None)
     design = np.column_stack([np.ones(n), data.design])
     found = np.array([likelihood.value(0.0, unit) for unit in UNITS])
@@ -82,7 +82,9 @@ def test_groups_say_what_their_rows_say(monkeypatch):
     sizes = [(1e-3, 1.0, 1e-3, 1e-6), (1e-2, 0.9, 1e-2, 1e-5)]
 
     def gain():
-        likelihood = RestrictedLikelihood.of([EvenData.of(values, STEP, 1, ramp, 1)], None, None)
+        likelihood = RestrictedLikelihood.of(
+            [EvenData.of(values, STEP, SampleKind(1, 1), ramp, 1)], None, None
+        )
         return likelihood.value(0.0, sizes[1]) - likelihood.value(0.0, sizes[0]), likelihood
 
     grouped, likelihood = gain()

@@ -33,8 +33,18 @@ _DEPENDENT: Final = 64
 _POINTS: Final = 2048
 
 #: Rows beyond which neighbours within this part of their number are one group.
-_SINGLE: Final = 2000
+_SINGLE: Final = 400
 _GROUP_PART: Final = 0.02
+
+
+@frozen
+class SampleKind:
+    """What samples of the specific force are made of."""
+
+    order: int  #: They are differences of this order of what has white noise.
+    #: 2: second differences of a displacement, 1: differences of a velocity, which are means over a
+    #: step; 0: points.
+    means: int
 
 
 @frozen(eq=False)
@@ -42,25 +52,26 @@ class EvenData:
     """A record at rest: means of the specific force from sample to sample."""
 
     step: float  #: s.
-    order: int  #: How often the recorded observable integrates acceleration.
+    kind: SampleKind
     design: Array  #: (n, k) columns of unknowns; not their common constant.
     observations: Array  #: (n,) m/s^2: differences of that order, over step^order.
     places: NDArray[np.intp]  #: (k,) of the columns among the unknowns of all records.
 
     @classmethod
-    def of(cls, values: Array, step: float, order: int, slow: Array, first: int) -> EvenData:
+    def of(cls, values: Array, step: float, kind: SampleKind, slow: Array, first: int) -> EvenData:
         """Return a record of an observable without gaps.
 
         values: (n,) as recorded, SI.
         slow: (n - order, k) columns of what all records share, of the specific force.
         first: Number that this record's own unknowns begin with.
         """
+        order = kind.order
         force = np.diff(values, n=order) / step**order
         ends = np.zeros((force.size, 2 * order))
         for place in range(order):
             ends[place, place] = ends[-1 - place, order + place] = 1.0
         places = [*range(slow.shape[1]), *range(first, first + 2 * order)]
-        return cls(step, order, np.column_stack([slow, ends]), force, np.array(places, np.intp))
+        return cls(step, kind, np.column_stack([slow, ends]), force, np.array(places, np.intp))
 
     def reduced(self) -> EvenRecord:
         """Return its transform."""
@@ -69,7 +80,7 @@ class EvenData:
         n = self.observations.size
         rows = np.column_stack([self.design, self.observations])
         rows = dct(rows, type=2, norm="ortho", axis=0)[1:]
-        parts = _parts(np.arange(1.0, n), n, self.step, self.order)
+        parts = _parts(np.arange(1.0, n), n, self.step, self.kind)
         edges = [min(n - 1, _SINGLE)]
         while edges[-1] < n - 1:
             edges.append(min(n - 1, math.ceil(edges[-1] * (1.0 + _GROUP_PART))))
@@ -83,7 +94,7 @@ class EvenData:
         places = np.append(np.arange(edges[0]), first).astype(np.intp)
         return EvenRecord(
             self.step,
-            self.order,
+            self.kind,
             n,
             np.concatenate(stack),
             np.concatenate(variances, axis=1),
@@ -97,7 +108,7 @@ class EvenRecord:
     """Rows of the cosine transform, the fast ones in groups."""
 
     step: float  #: s.
-    order: int
+    kind: SampleKind
     samples: int  #: Of the specific force.
     stack: Array  #: [design | observations], (m, k + 1).
     parts: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
@@ -105,6 +116,11 @@ class EvenRecord:
     places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
     before: float = 0.0
     added: float = 0.0
+
+    @property
+    def order(self) -> int:
+        """How often what has white noise integrates acceleration."""
+        return self.kind.order
 
     @property
     def rows(self) -> int:
@@ -141,7 +157,7 @@ class EvenRecord:
         log_det = float(self.counts @ np.log(variance[self.places]))
         if unit[2] > 0.0:
             slow = slice(0, min(_DEPENDENT, self.rows))
-            inside = unit[2] * flicker_of_waves(self.samples, self.order)
+            inside = unit[2] * flicker_of_waves(self.samples, self.kind.means)
             inside.flat[:: len(inside) + 1] = variance[slow]
             factor = np.linalg.cholesky(inside)
             rows[slow] = np.linalg.solve(factor, self.stack[slow])
@@ -150,35 +166,46 @@ class EvenRecord:
         return rows, log_det
 
 
-def _parts(k: Array, n: int, step: float, order: int) -> Array:
+def _parts(k: Array, n: int, step: float, kind: SampleKind) -> Array:
     """Return the variance of each row of the transform per unit of each of `COMPONENTS`.
 
     k: Number of each row, from 1, shape (m,).
     n: Samples of the specific force.
     Returns: (4, m).
     """
-    angle = math.pi * k / n
+    parts = sample_spectrum(math.pi * k / n, step, kind)
+    slow = slice(0, min(_DEPENDENT, k.size))
+    parts[2, slow] = np.diagonal(flicker_of_waves(n, kind.means))
+    return parts
+
+
+def sample_spectrum(angle: Array, step: float, kind: SampleKind) -> Array:
+    """Return the spectrum of samples of the specific force per unit of each of `COMPONENTS`.
+
+    angle: 2 pi f step, above 0 and up to pi, shape (m,).
+    step: s.
+    Returns: Two-sided density over the step, so that white samples have their variance, (4, m).
+    """
     wave = 4.0 * np.sin(angle / 2.0) ** 2
     once = (2.0 + np.cos(angle)) / 3.0
     twice = 11.0 / 20.0 + 13.0 / 30.0 * np.cos(angle) + np.cos(2.0 * angle) / 60.0
-    white = (wave / step**2) ** order
-    velocity_walk = (once if order == 2 else np.ones(k.size)) / step
-    flicker = n / (math.pi * k) * _shown(k, n, order) ** 2
-    slow = slice(0, min(_DEPENDENT, k.size))
-    flicker[slow] = np.diagonal(flicker_of_waves(n, order))
-    bias_walk = step / wave * [np.ones(k.size), once, twice][order]
+    ones = np.ones(angle.size)
+    white = (wave / step**2) ** kind.order
+    velocity_walk = (once if kind.order == 2 else ones) / step
+    flicker = _shown(angle, kind.means) ** 2 / angle
+    bias_walk = step / wave * [ones, once, twice][kind.means]
     return np.stack([white, velocity_walk, flicker, bias_walk])
 
 
-def _shown(k: Array, n: int, order: int) -> Array:
+def _shown(angle: Array, means: int) -> Array:
     """Return which part of a wave shows in means over a step (velocity), or a triangle of two."""
-    return np.asarray(np.sinc(k / (2.0 * n)) ** order)
+    return np.asarray(np.sinc(angle / (2.0 * math.pi)) ** means)
 
 
-def flicker_of_waves(n: int, order: int) -> Array:
+def flicker_of_waves(n: int, means: int) -> Array:
     """Return the covariance of the slowest rows of the transform of n samples, for B = 1."""
     covariance = _flicker_covariance(min(n, _POINTS))
-    shown = _shown(np.arange(1.0, len(covariance) + 1.0), n, order)
+    shown = _shown(math.pi / n * np.arange(1.0, len(covariance) + 1.0), means)
     return (n / min(n, _POINTS)) * shown[:, None] * covariance * shown
 
 

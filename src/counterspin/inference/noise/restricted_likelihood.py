@@ -51,10 +51,10 @@ class RestrictedLikelihood:
         """Difference the records; arguments as of `search.find_noise`."""
         if not records:
             raise ValueError("noise cannot be estimated from no records")
-        if len({record.order for record in records}) > 1:
-            raise ValueError("records of different observables do not share noise components")
         rows = [np.asarray(r.design, float) for r in records]
         reduced = [r.reduced() for r in records]
+        if len({record.order for record in reduced}) > 1:
+            raise ValueError("records of different observables do not share noise components")
         places = [
             np.arange(design.shape[1]) if r.places is None else np.asarray(r.places, np.intp)
             for r, design in zip(records, rows, strict=True)
@@ -163,6 +163,12 @@ class RestrictedLikelihood:
     def freedom(self, log_scale: float, unit: Variances) -> float:
         """Rows less the unknowns that the rows themselves determine."""
         return self._freedom_and_rss(log_scale, unit)[0]
+
+    def estimate(self, log_scale: float, unit: Variances) -> tuple[Array, Array]:
+        """Return the unknowns at a noise, those kept in their order, and their covariance."""
+        joined, _ = self._joined(log_scale, unit)
+        inverse = np.linalg.inv(joined[:-1, :-1])
+        return inverse @ joined[:-1, -1], inverse @ inverse.T
 
     def best_scale(self, unit: Variances) -> float:
         """Log scale at which `slope` is zero."""

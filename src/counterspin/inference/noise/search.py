@@ -132,23 +132,24 @@ def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLik
 
 
 @frozen(eq=False)
-class _Maximum:
+class Maximum:
     """A maximum of the restricted likelihood."""
 
-    names: tuple[str, ...]  # what was varied
+    names: tuple[str, ...]  #: What was varied.
     log_scale: float
     unit: Variances
     value: float
-    covariance: Array  # of the variances, (4, 4)
+    covariance: Array  #: Of the variances, (4, 4).
 
     @property
     def variances(self) -> Variances:
+        """Where it is."""
         return _times(math.exp(self.log_scale), self.unit)
 
 
 def _best(
-    likelihood: RestrictedLikelihood, noise: Noise, base: _Maximum | None
-) -> tuple[_Maximum, dict[tuple[str, ...], float]]:
+    likelihood: RestrictedLikelihood, noise: Noise, base: Maximum | None
+) -> tuple[Maximum, dict[tuple[str, ...], float]]:
     """Return the best choice of components, and the likelihoods of all.
 
     base: The best without a wander; None where nothing wanders.
@@ -158,7 +159,7 @@ def _best(
     always += [name for name in wanted if name in COMPONENTS[2:]][:1]
     others = [name for name in wanted if name not in always]
     chosen = [
-        _Choice(likelihood, noise, tuple(n for n in COMPONENTS if n in (*always, *some)))
+        Choice(likelihood, noise, tuple(n for n in COMPONENTS if n in (*always, *some)))
         for size in range(len(others), -1, -1)
         for some in combinations(others, size)
     ]
@@ -170,7 +171,7 @@ def _best(
 
 
 @frozen(eq=False)
-class _Choice:
+class Choice:
     """The restricted likelihood of some variances, what else is wanted being zero."""
 
     likelihood: RestrictedLikelihood
@@ -207,17 +208,26 @@ class _Choice:
         """Return the likelihood there."""
         return self.likelihood.value(*self.point(x))
 
-    def maximum(self, base: _Maximum | None) -> _Maximum:
-        """Return where the likelihood is greatest."""
-        x = self._climbed(self._start(base))
+    def greatest(self, start: Variances) -> tuple[float, Variances]:
+        """Return the greatest likelihood, climbed to from a start, and the variances there."""
+        x = self._climbed(self._logs(start))
+        log_scale, unit = self.point(x)
+        return self.likelihood.value(log_scale, unit), _times(math.exp(log_scale), unit)
+
+    def maximum(self, base: Maximum | None, start: Variances | None = None) -> Maximum:
+        """Return where the likelihood is greatest.
+
+        start: Where to climb from, if that is known.
+        """
+        x = self._climbed(self._start(base) if start is None else self._logs(start))
         covariance = self._covariance(x)
         if x.size:
             x = _polished(self.value, x)
         log_scale, unit = self.point(x)
         value = self.likelihood.value(log_scale, unit)
-        return _Maximum(self.names, log_scale, unit, value, covariance)
+        return Maximum(self.names, log_scale, unit, value, covariance)
 
-    def _start(self, base: _Maximum | None) -> Array:
+    def _start(self, base: Maximum | None) -> Array:
         """Return where to climb from: by a scan of a walk's size where nothing is known of it."""
         first = _first_guess(self.likelihood, self.noise, base)
         if "random_walk" not in self.names or base is not None:
@@ -302,9 +312,7 @@ def _point(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[floa
     return math.log(scale), _times(1.0 / scale, variances)
 
 
-def _first_guess(
-    likelihood: RestrictedLikelihood, noise: Noise, base: _Maximum | None
-) -> Variances:
+def _first_guess(likelihood: RestrictedLikelihood, noise: Noise, base: Maximum | None) -> Variances:
     """Return variances to begin with: slow noise as it begins to show beside what is faster."""
     added, (white, walk, *_) = _added(likelihood), noise.known.variances
     if base is not None:
@@ -321,7 +329,7 @@ def _first_guess(
 
 
 def _averaged(
-    likelihood: RestrictedLikelihood, best: _Maximum, first: Variances
+    likelihood: RestrictedLikelihood, best: Maximum, first: Variances
 ) -> tuple[Variances, Array]:
     """Return variances, those of a wander averaged over what the records allow, and covariance.
 
@@ -352,9 +360,9 @@ def _averaged(
     return tuple(variances), covariance
 
 
-def _unseen(likelihood: RestrictedLikelihood, noise: Noise, best: _Maximum) -> Unseen:
+def _unseen(likelihood: RestrictedLikelihood, noise: Noise, best: Maximum) -> Unseen:
     """Return the sizes of the walk that was dropped, the white noise as it would be beside it."""
-    choice = _Choice(likelihood, noise, (*best.names, "random_walk"))
+    choice = Choice(likelihood, noise, (*best.names, "random_walk"))
     white = best.variances[0]
 
     def at(log_ratio: float) -> tuple[float, float]:

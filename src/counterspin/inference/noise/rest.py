@@ -1,0 +1,274 @@
+"""What a record at rest says of its noise: each component with an interval, and the drift.
+
+The likelihood and its search are those of every other record. Beside the sizes the drift of the
+bias, a straight line, is unknown; the bias itself is. A component is kept where the records ask for
+it (`KEEPING_GAIN`). Intervals are those of the profile likelihood: sizes at which the best of all
+else is no less likely than chi-square with one degree of freedom allows (Venzon and Moolgavkar,
+Applied Statistics 37 (1988) 87), whose ends are as uneven as what a short record says. All else is
+every other component, shown or not: what a record does not show may be a part of what it does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
+from counterspin.inference.noise.even import EvenData, EvenRecord
+from counterspin.inference.noise.model import COMPONENTS, WANTED, Noise
+from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
+from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
+from counterspin.inference.noise.wander import Variances
+
+#: Changes of 2 log L at the ends of a 95 % interval, and at the upper limit of what is not seen.
+_TWO_SIDED: Final = 3.841458820694124
+_ONE_SIDED: Final = KEEPING_GAIN
+
+#: Passes in which first sizes are found, and steps in which an end of an interval is.
+_PASSES: Final = 60
+_END_STEPS: Final = 12
+
+#: Part of sqrt(2 log L) to which an end is found.
+_END_TOLERANCE: Final = 0.05
+
+#: Bands of the spectrum, a decade, in which the noise found is held against the record.
+_BANDS_A_DECADE: Final = 4.0
+
+
+@frozen
+class SizedComponent:
+    """One component of a noise: its variance, as in `Noise.variances`, and a 95 % interval."""
+
+    variance: float  #: Zero where the records do not show it.
+    low: float  #: Zero: they may be without it.
+    high: float  #: Of what is not shown: an upper limit at 95 %.
+
+
+@frozen(eq=False)
+class Band:
+    """How the record's spectrum stands to that of the noise found, in a band."""
+
+    low: float  #: Hz.
+    high: float  #: Hz.
+    ratio: float  #: Power over what the noise lets expect.
+    count: float  #: Degrees of freedom.
+
+
+@frozen(eq=False)
+class RestNoise:
+    """The noise of records at rest."""
+
+    components: dict[str, SizedComponent]  #: By the names of `COMPONENTS`.
+    covariance: Array  #: Of the variances, (4, 4): inverse observed information.
+    drift: float  #: Of the bias, m/s^2/s.
+    u_drift: float
+    bands: tuple[Band, ...]
+
+    @property
+    def variances(self) -> Variances:
+        """Those of all components."""
+        return tuple(one.variance for one in self.components.values())
+
+
+def find_rest_noise(records: Sequence[EvenData]) -> RestNoise:
+    """Estimate the noise that records at rest share.
+
+    records: Their first unknown is the drift, by a column of time in s.
+    """
+    if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
+        raise NotIdentifiableError("the record is too short to tell any noise")
+    likelihood = RestrictedLikelihood.of(records, None, None)
+    best, every, without = _eliminated(likelihood)
+    components: dict[str, SizedComponent] = {}
+    for name in COMPONENTS:
+        if name in best.names:
+            components[name] = _interval(likelihood, best, every, name, without[name])
+        else:
+            components[name] = SizedComponent(0.0, 0.0, _limit(likelihood, every, name))
+    estimate, covariance = likelihood.estimate(best.log_scale, best.unit)
+    return RestNoise(
+        components,
+        best.covariance,
+        float(estimate[0]),
+        math.sqrt(covariance[0, 0]),
+        _bands(likelihood, best),
+    )
+
+
+def _eliminated(
+    likelihood: RestrictedLikelihood,
+) -> tuple[Maximum, Maximum, dict[str, float]]:
+    """Return the best noise of what the records ask for, that of all, and that without each."""
+    every = _choice(likelihood, COMPONENTS).maximum(None, _first_sizes(likelihood))
+    names, value, start = every.names, every.value, every.variances
+    without: dict[str, float] = {}
+    while True:
+        smaller: dict[str, tuple[float, Variances]] = {}
+        for name in names:
+            rest = tuple(other for other in names if other != name)
+            # Something has to be white, in the record or in its sensor.
+            if set(rest) & set(COMPONENTS[:2]):
+                smaller[name] = _choice(likelihood, rest).greatest(start)
+        without = without or {name: one for name, (one, _) in smaller.items()}
+        least = max(smaller, key=lambda name: smaller[name][0], default="")
+        if not smaller or 2.0 * (value - smaller[least][0]) >= KEEPING_GAIN:
+            best = every if names == every.names else None
+            return best or _choice(likelihood, names).maximum(None, start), every, without
+        names = tuple(name for name in names if name != least)
+        value, start = smaller[least]
+
+
+def _choice(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> Choice:
+    return Choice(likelihood, replace(Noise(0.0), **dict.fromkeys(names, WANTED)), names)
+
+
+def _first_sizes(likelihood: RestrictedLikelihood) -> Variances:
+    """Return sizes near the most likely ones, the unknowns being none.
+
+    Multiplicative steps uphill, whose sizes stay positive (Fevotte, Bertin and Durrieu, Neural
+    Computation 21 (2009) 793, eq. 2.13 and 2.14).
+    """
+    parts, power, count = [], [], []
+    for record in likelihood.records:
+        assert isinstance(record, EvenRecord)
+        first = record.places
+        parts.append(record.parts[:, first])
+        power.append(np.add.reduceat(record.stack[:, -1] ** 2, first))
+        count.append(record.counts)
+    part, energy, rows = np.concatenate(parts, axis=1), np.concatenate(power), np.concatenate(count)
+    sizes = energy.sum() / (part @ rows) / len(part)
+    for _ in range(_PASSES):
+        expected = sizes @ part
+        sizes = sizes * np.sqrt((part @ (energy / expected**2)) / (part @ (rows / expected)))
+    # From nothing no step leads back.
+    floor = 1e-6 * (energy.sum() / (part @ rows))
+    return tuple(np.maximum(sizes, floor).tolist())
+
+
+def _interval(
+    likelihood: RestrictedLikelihood, best: Maximum, every: Maximum, name: str, without: float
+) -> SizedComponent:
+    """Return a component that is kept, with the ends of its interval."""
+    place = COMPONENTS.index(name)
+    size = best.variances[place]
+    spread = math.sqrt(best.covariance[place, place]) / size
+    profile = _profile(likelihood, every, name)
+    middle, step = math.log(max(size, every.variances[place])), min(1.96 * spread, 2.0)
+    top = max(every.value, profile(middle))
+    high = _end(profile, top, middle, step, _TWO_SIDED)
+    low = None
+    if 2.0 * (top - without) >= _TWO_SIDED:
+        low = _end(profile, top, math.log(min(size, every.variances[place])), -step, _TWO_SIDED)
+    return SizedComponent(
+        size, 0.0 if low is None else math.exp(low), math.inf if high is None else math.exp(high)
+    )
+
+
+def _limit(likelihood: RestrictedLikelihood, every: Maximum, name: str) -> float:
+    """Return the size above which a component that is not kept would show."""
+    place = COMPONENTS.index(name)
+    first = math.log(max(_least(likelihood, every)[place], every.variances[place]))
+    profile = _profile(likelihood, every, name)
+    top = max(every.value, profile(first))
+    end = _end(profile, top, first, 1.0, _ONE_SIDED)
+    return math.inf if end is None else math.exp(end)
+
+
+def _least(likelihood: RestrictedLikelihood, every: Maximum) -> Variances:
+    """Return a hundredth of the noise where each component is most of it: that shows nowhere."""
+    shares = [
+        np.min(np.asarray(every.variances) @ record.parts / record.parts, axis=1)
+        for record in likelihood.records
+        if isinstance(record, EvenRecord)
+    ]
+    return tuple((0.01 * np.min(shares, axis=0)).tolist())
+
+
+def _profile(
+    likelihood: RestrictedLikelihood, every: Maximum, name: str
+) -> Callable[[float], float]:
+    """Return the likelihood at the log of a component's variance, at the best of all others.
+
+    Those that the records do not ask for are among them: they may be there.
+    """
+    others = tuple(other for other in COMPONENTS if other != name)
+    # From where nothing of it shows no step leads back.
+    least = _least(likelihood, every)
+    wanted = replace(Noise(0.0), **dict.fromkeys(others, WANTED))
+    start = [every.variances]
+
+    def value(log_size: float) -> float:
+        given = replace(wanted, **{name: math.exp(0.5 * log_size)})
+        begin = tuple(map(max, start[0], least))
+        found, start[0] = Choice(likelihood, given, others).greatest(begin)
+        return found
+
+    return value
+
+
+def _end(
+    profile: Callable[[float], float], top: float, middle: float, step: float, change: float
+) -> float | None:
+    """Return where 2 log L is less than its top by a change; None: nowhere.
+
+    sqrt(2 log L) goes nearly as the distance from the top: false position in that.
+    """
+    wanted = math.sqrt(change)
+
+    def away(x: float) -> float:
+        return math.sqrt(max(2.0 * (top - profile(x)), 0.0)) - wanted
+
+    inner, below = middle, -wanted
+    outer = middle + step
+    above = away(outer)
+    for _ in range(_END_STEPS):
+        if above > 0.0:
+            break
+        inner, below = outer, above
+        step *= 2.0
+        outer = inner + step
+        above = away(outer)
+    else:
+        return None
+    for _ in range(_END_STEPS):
+        if above < _END_TOLERANCE:
+            return outer
+        if below > -_END_TOLERANCE:
+            return inner
+        part = min(max(-below / (above - below), 0.1), 0.9)
+        between = inner + part * (outer - inner)
+        value = away(between)
+        if value > 0.0:
+            outer, above = between, value
+        else:
+            inner, below = between, value
+    return 0.5 * (inner + outer)
+
+
+def _bands(likelihood: RestrictedLikelihood, best: Maximum) -> tuple[Band, ...]:
+    """Return how the records' spectrum stands to that of the noise, band by band."""
+    estimate, _ = likelihood.estimate(best.log_scale, best.unit)
+    frequency, power, count = [], [], []
+    for record, places in zip(likelihood.records, likelihood.places, strict=True):
+        assert isinstance(record, EvenRecord)
+        rows, _ = record.whitened(best.variances)
+        left = rows[:, -1] - rows[:, :-1] @ estimate[places]
+        power.append(np.add.reduceat(left**2, record.places))
+        count.append(record.counts)
+        number = np.cumsum(record.counts) - 0.5 * (record.counts - 1.0)
+        frequency.append(number / (2.0 * record.length))
+    at, energy, rows = map(np.concatenate, (frequency, power, count))
+    bin_of = np.floor(_BANDS_A_DECADE * np.log10(at / at.min())).astype(int)
+    bands = []
+    for number in np.unique(bin_of):
+        own = bin_of == number
+        total = float(rows[own].sum())
+        ratio = float(energy[own].sum()) / total
+        bands.append(Band(float(at[own].min()), float(at[own].max()), ratio, total))
+    return tuple(bands)

@@ -1,0 +1,188 @@
+"""The spectrum of a record at rest, with intervals, and the lines in it.
+
+Welch's method (IEEE Trans. Audio Electroacoust. 15 (1967) 70) with Hann windows that overlap by
+half, neighbouring frequencies joined so that there are a few a decade. A line is a maximum of the
+windowed transform of the whole record that stands above what its neighbourhood's median lets expect
+of noise; its wave is fitted by least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+
+#: Values of the spectrum, a decade.
+_A_DECADE: Final = 12.0
+
+#: Segments of the record, without overlap, for the lowest frequencies.
+_SEGMENTS: Final = 6
+
+#: By how much shorter the segments of the next higher frequencies are, the first frequency of each
+#: that the window leaves apart from zero, in steps, and the fewest samples of one.
+_SHORTER: Final = 4
+_FIRST: Final = 3
+_FEWEST_IN_SEGMENT: Final = 64
+
+#: Independent values of a Hann window's spectrum, of two neighbouring ones.
+_INDEPENDENT: Final = 0.66
+
+#: Probability of one line too many in a whole record of noise.
+_FALSE_ALARM: Final = 1e-3
+
+#: Most lines that are looked for, and neighbours on either side whose median is the noise there.
+_MOST_LINES: Final = 20
+_NEIGHBOURS: Final = 64
+
+#: A window of Hann's has its maximum over this many values: none of them is another line.
+_WIDTH: Final = 3
+
+#: What a Hann window's weights lose in the variance of an amplitude and of a frequency: its second
+#: moments over those of a constant, sum w^2/(sum w)^2 and sum w^2 t^2/(sum w t^2)^2.
+_AMPLITUDE_LOSS: Final = 1.5
+_FREQUENCY_LOSS: Final = 2.341
+
+#: Fewest samples in which lines are looked for.
+_FEWEST: Final = 256
+
+#: Lines slower than so many of a record's periods are its wander.
+_FEWEST_PERIODS: Final = 8
+
+
+@frozen
+class SpectrumPoint:
+    """The two-sided power spectral density of the specific force in a band."""
+
+    frequency: float  #: Of its middle, Hz.
+    density: float  #: (m/s^2)^2/Hz.
+    low: float  #: Ends of its 95 % interval.
+    high: float
+    dof: float  #: Degrees of freedom.
+
+
+@frozen
+class Line:
+    """A wave in a record."""
+
+    frequency: float  #: Hz.
+    u_frequency: float
+    amplitude: float  #: m/s^2.
+    u: float  #: Of the amplitude.
+
+
+def spectrum(force: Array, step: float) -> list[SpectrumPoint]:
+    """Return the spectrum of a record, from its lowest frequencies to half the sampling rate."""
+    from scipy.signal import welch
+    from scipy.stats import chi2
+
+    length = max(_FEWEST_IN_SEGMENT, force.size // _SEGMENTS)
+    points: list[SpectrumPoint] = []
+    above = 0.0
+    # Shorter segments, of which there are more, serve higher frequencies.
+    while length >= _FEWEST_IN_SEGMENT:
+        frequency, density = welch(
+            force, 1.0 / step, nperseg=min(length, force.size), scaling="density"
+        )
+        last = length // _SHORTER < _FEWEST_IN_SEGMENT
+        inside = frequency >= max(above, _FIRST * frequency[1])
+        upper = frequency[-1] if last else _SHORTER * _FIRST * frequency[1]
+        # Not half the sampling rate itself, whose density is one-sided as it stands.
+        inside &= frequency < upper
+        count = max(1.0, 2.0 * force.size / length - 1.0)
+        each = 36.0 * count**2 / (19.0 * count - 1.0) if count > 1.0 else 2.0
+        number = np.floor(_A_DECADE * np.log10(frequency[inside] * force.size * step)).astype(int)
+        for bin_number in np.unique(number):
+            own = number == bin_number
+            mean = 0.5 * float(np.mean(density[inside][own]))
+            dof = each * max(1.0, _INDEPENDENT * np.count_nonzero(own))
+            low, high = (float(mean * dof / chi2.ppf(part, dof)) for part in (0.975, 0.025))
+            middle = float(np.exp(np.mean(np.log(frequency[inside][own]))))
+            points.append(SpectrumPoint(middle, mean, low, high, dof))
+        if last:
+            break
+        above, length = upper, length // _SHORTER
+    return points
+
+
+def find_lines(force: Array, step: float) -> tuple[list[Line], Array]:
+    """Return the lines of a record, the largest against its noise first, and it without them."""
+    n = force.size
+    if n < _FEWEST:
+        return [], force
+    window = np.hanning(n + 2)[1:-1]
+    found: list[float] = []
+    rest = force - force.mean()
+    background = _background(np.abs(np.fft.rfft(window * rest)) ** 2)
+    limit = math.log(0.5 * n / _FALSE_ALARM)
+    waves: list[complex] = []
+    while len(found) < _MOST_LINES:
+        power = np.abs(np.fft.rfft(window * rest)) ** 2
+        ratio = power / background
+        ratio[:_FEWEST_PERIODS] = ratio[-_WIDTH:] = 0.0
+        top = int(np.argmax(ratio))
+        if ratio[top] < limit:
+            break
+        # The logarithm of a Hann window's maximum is a parabola to a hundredth of a step.
+        left, middle, right = np.log(power[top - 1 : top + 2])
+        shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+        near = (top + float(np.clip(shift, -0.5, 0.5))) / (n * step)
+        if any(abs(near - other) * n * step < _WIDTH for other in found):
+            break  # what is left of a line that is none of constant frequency
+        found, waves, rest = _fitted(force, step, [*found, near])
+    if not found:
+        return [], force
+    background = _background(np.abs(np.fft.rfft(window * rest)) ** 2) / float(window @ window)
+    lines = []
+    for frequency, wave in zip(found, waves, strict=True):
+        place = min(round(frequency * n * step), background.size - 1)
+        spread = math.sqrt(float(background[place]) / n)
+        # Rife and Boorstyn, IEEE Trans. Inf. Theory 20 (1974) 591, for the window's weights.
+        u = math.sqrt(2.0 * _AMPLITUDE_LOSS) * spread
+        u_frequency = math.sqrt(6.0 * _FREQUENCY_LOSS) * spread / (math.pi * n * step * abs(wave))
+        lines.append(Line(frequency, u_frequency, abs(wave), u))
+    return lines, rest + force.mean()
+
+
+def _fitted(
+    force: Array, step: float, frequencies: list[float]
+) -> tuple[list[float], list[complex], Array]:
+    """Return waves of a record, their frequencies one of Newton's steps better, and what is left.
+
+    The rows are weighted by a Hann window, so that a slow wander does not leak into the waves.
+    """
+    n, count = force.size, len(frequencies)
+    root = np.sqrt(np.hanning(n + 2)[1:-1])
+    time = step * (np.arange(n) - 0.5 * (n - 1))
+    sizes: Array = np.zeros(0)
+    columns: Array = np.zeros((n, 0))
+    for last in (False, True):
+        phase = 2.0 * math.pi * np.outer(time, frequencies)
+        cosine, sine = np.cos(phase), np.sin(phase)
+        columns = np.column_stack([np.ones(n), cosine, sine])
+        sizes = np.asarray(np.linalg.lstsq(columns * root[:, None], force * root)[0], float)
+        if not last:
+            a, b = sizes[1 : 1 + count], sizes[1 + count :]
+            change = 2.0 * math.pi * time[:, None] * (b * cosine - a * sine)
+            moved = np.column_stack([columns, change]) * root[:, None]
+            shift = np.linalg.lstsq(moved, force * root, rcond=None)[0][-count:]
+            most = 0.5 / (n * step)
+            frequencies = (np.asarray(frequencies) + np.clip(shift, -most, most)).tolist()
+    waves = [complex(a, b) for a, b in zip(sizes[1 : 1 + count], sizes[1 + count :], strict=True)]
+    return frequencies, waves, force - columns @ sizes
+
+
+def _background(power: Array) -> Array:
+    """Return what noise alone would make of a spectrum: its running median over ln 2."""
+    from scipy.ndimage import median_filter
+
+    width = min(2 * _NEIGHBOURS + 1, (power.size // 2) | 1)
+    # Near zero the neighbourhood narrows with the frequency, as the spectrum may go with it.
+    median = median_filter(power, width, mode="reflect")
+    for near in range(min(4 * _NEIGHBOURS, power.size)):
+        half = max(2, min(near // 4, _NEIGHBOURS))
+        median[near] = np.median(power[max(0, near - half) : near + half + 1])
+    return np.asarray(np.maximum(median, 1e-300) / math.log(2.0))

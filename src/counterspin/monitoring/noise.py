@@ -1,0 +1,401 @@
+"""`counterspin noise`: what a record at rest says of the noise of its sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.observed import rest_signals
+from counterspin.campaign.checksums import Checksums
+from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.kinds import exact
+from counterspin.campaign.settings import OBSERVABLES
+from counterspin.errors import CampaignError, RecordError
+from counterspin.exports.guessing import STANDARD_GRAVITY, FileGuess, converts, guess_file
+from counterspin.exports.looking import FileColumn, Look, look
+from counterspin.inference.noise.allan import allan_points
+from counterspin.inference.noise.even import sample_spectrum
+from counterspin.inference.noise.model import COMPONENTS
+from counterspin.inference.noise.rest import Band
+from counterspin.inference.noise.spectrum import Line, spectrum
+from counterspin.inference.noise.stretches import RestRecord, RestSignal, at_rest
+from counterspin.monitoring.result_noise import (
+    AllanValue,
+    NoiseLineFound,
+    NoiseResult,
+    NoiseSize,
+    SignalNoise,
+    SpectrumValue,
+    shown_unit,
+)
+from counterspin.physics import observation
+from counterspin.records.dialect import file_unit
+from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.reports.numbers import format_number
+from counterspin.units import base_unit, unit_factor
+from counterspin.workers import one_blas_thread
+
+#: Frequencies of mains, Hz, and the part of them by which they wander.
+_MAINS: Final = (50.0, 60.0)
+_MAINS_WANDER: Final = 2e-3
+
+#: Harmonics of mains and of the spindle by which a line is named.
+_MAINS_HARMONICS: Final = 20
+_SPINDLE_HARMONICS: Final = 8
+
+#: Probability of a misfit of the spectrum, in all bands, below which it is told.
+_MISFIT: Final = 1e-3
+
+#: An interval wider than this factor on either side is told.
+_WIDE: Final = 2.0
+
+#: Key of [noise] -> SI unit, of those that all observables have.
+_SI_UNITS: Final = {
+    "acceleration": "m/s^2/Hz^0.5",
+    "flicker": "m/s^2",
+    "bias_walk": "m/s^2/s^0.5",
+}
+
+#: Component -> key of [noise]; white noise has that of its observable.
+_KEYS: Final = {"random_walk": "acceleration", "flicker": "flicker", "bias_walk": "bias_walk"}
+
+
+def noise(
+    record: object,
+    *,
+    campaign: Campaign | Path | str | None = None,
+    columns: Sequence[str] = (),
+    unit: str | None = None,
+    sampling_rate: str | None = None,
+    gravity: str | None = None,
+    rate: str | None = None,
+) -> NoiseResult:
+    """Tell the noise of a record at rest: spectrum, Allan deviation, components and lines.
+
+    Parameters
+    ----------
+    record
+        A file of any format that records have, or a frame as `make_campaign` takes it.
+    campaign
+        A campaign, its folder or its description, which says what the columns are; None: the file
+        says it, and the names of its columns.
+    columns
+        Those to be taken; empty: all whose unit is known.
+    unit
+        Of columns of which the file states none, such as ``"g"`` or ``"m/s"``.
+    sampling_rate
+        Where there is no column of time, such as ``"100 Hz"``.
+    gravity
+        By which g and m/s^2 are converted; None: the campaign's, or 9.80665 m/s^2.
+    rate
+        Of a spindle that turned beside, such as ``"1 rev/s"``, by which lines are named.
+
+    Returns
+    -------
+    NoiseResult
+
+    Raises
+    ------
+    CampaignError
+        If what is asked does not fit the record or the campaign.
+    RecordError
+        If the record cannot be used: too short, uneven, or without a unit.
+    """
+    file = Path(record).absolute() if isinstance(record, Path | str) else None
+    if file is not None and not file.exists():
+        raise RecordError(f"{file}: there is no such file.")
+    source = file if file is not None else memory_table("record in memory", record)
+    g = _quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
+    turning = _quantity("rate", rate, "rad/s")
+    unused: list[str] = []
+    with one_blas_thread():
+        if campaign is not None:
+            whole = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
+            if gravity is not None:
+                raise CampaignError("noise", ["`gravity`: the campaign states it"])
+            g = whole.gravity.value
+            signals = _chosen(rest_signals(whole, source), columns)
+        else:
+            signals, unused = _guessed(source, columns, unit, sampling_rate, g)
+        found = [at_rest(source, signal) for signal in signals]
+        parts = [_stated(one, turning) for one in found]
+    checksum = None
+    if file is not None:
+        with Checksums() as checksums:
+            (checksum,) = checksums.of([file])
+    return NoiseResult(
+        record=str(record) if file is not None else str(source),
+        checksum=checksum,
+        gravity=g,
+        signals=parts,
+        unused=unused,
+        table=noise_table(parts, g),
+    )
+
+
+def _quantity(name: str, text: str | None, unit: str) -> float | None:
+    if text is None:
+        return None
+    try:
+        return abs(exact(text, unit))
+    except ValueError as error:
+        raise CampaignError("noise", [f"`{name}`: {error}"]) from error
+
+
+def _chosen(signals: list[RestSignal], columns: Sequence[str]) -> list[RestSignal]:
+    chosen = [s for s in signals if not columns or s.column in columns or s.name in columns]
+    if not chosen:
+        there = ", ".join(signal.column for signal in signals)
+        raise CampaignError("noise", [f"`columns`: the campaign's accelerometers have {there}"])
+    return chosen
+
+
+def _guessed(
+    source: Path | MemoryTable,
+    columns: Sequence[str],
+    unit: str | None,
+    sampling_rate: str | None,
+    gravity: float,
+) -> tuple[list[RestSignal], list[str]]:
+    """Return the signals of a file by its own words, and the names of other columns."""
+    told = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
+    if isinstance(source, MemoryTable):
+        held = tuple(FileColumn(name, "", values) for name, values in source.columns.items())
+        seen = Look(Path(source.name), held, source.others, "")
+    else:
+        seen = look(source)
+    guess = guess_file(seen, told)
+    missing = [name for name in columns if name not in {c.name for c in seen.columns}]
+    if missing:
+        there = ", ".join(column.name for column in seen.columns)
+        raise CampaignError("noise", [f"`columns`: there is no {missing[0]!r} among {there}"])
+    time = _time(source, guess, seen.columns)
+    own = guess.time.column if guess.time else None
+    rest = [c for c in seen.columns if c.name != own and not c.stamps]
+    taken: list[RestSignal] = []
+    unused: list[str] = []
+    for column in rest:
+        if columns and column.name not in columns:
+            continue
+        known = _unit_of(column) or unit
+        observable = next(
+            (name for name, si in OBSERVABLES.items() if known and converts(known, si)), None
+        )
+        if known is None or observable is None or len(column.values) != time.size:
+            if columns:
+                why = f"is in {known!r}" if known else "has no unit; give `unit`"
+                wanted = "a length, a velocity or a specific force is wanted"
+                raise CampaignError("noise", [f"column {column.name!r} {why}; {wanted}"])
+            unused.append(column.name)
+            continue
+        factor = unit_factor(known, OBSERVABLES[observable], gravity=gravity)
+        in_g = base_unit(known)[1]["[gravity]"] != 0.0
+        values = column.values * factor
+        order = observation.ORDERS[observable]
+        taken.append(RestSignal(column.name, column.name, order, in_g, time, values))
+    if not taken:
+        raise RecordError(
+            f"{source}: no column has a unit of length, velocity or specific force "
+            f"({', '.join(unused) or 'there is none beside the time'}). Name it with `columns`, "
+            "and its unit with `unit`."
+        )
+    return taken, unused
+
+
+def _time(source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileColumn]) -> Array:
+    """Return the time of each row, s."""
+    if guess.time is not None:
+        if guess.time.unit is None:
+            raise RecordError(
+                f"{source}: column '{guess.time.column}' seems to be the time, but nothing says "
+                "in which unit; name it such as 'time_s', or give `campaign`."
+            )
+        column = next(c for c in columns if c.name == guess.time.column)
+        return np.asarray(column.values * guess.time.factor)
+    if guess.sampling is None:
+        raise RecordError(f'{source}: no column is a time; give `sampling_rate`, such as "100 Hz".')
+    return np.arange(max(len(column.values) for column in columns)) / guess.sampling
+
+
+def _unit_of(column: FileColumn) -> str | None:
+    """Return the unit of a column by the file, or else by the end of its name, `east_m`."""
+    ending = column.name.rpartition("_")[2] if "_" in column.name else ""
+    return column.unit or file_unit(ending) or None
+
+
+def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
+    """Return what a column says of its noise."""
+    signal, stretches, analysis = found.signal, found.stretches, found.analysis
+    rest, kind, step = analysis.noise, analysis.kind, analysis.step
+    key, unit = ("quantisation", "m/s")
+    observable = next(name for name, order in observation.ORDERS.items() if order == signal.order)
+    if signal.order:
+        key, unit = observable, OBSERVABLES[observable]
+    sizes = {
+        _KEYS.get(name, key): NoiseSize(
+            value=math.sqrt(one.variance) if one.variance > 0.0 else None,
+            low=math.sqrt(one.low),
+            high=math.sqrt(one.high) if math.isfinite(one.high) else None,
+            unit=_SI_UNITS.get(_KEYS.get(name, ""), unit),
+        )
+        for name, one in ((name, rest.components[name]) for name in COMPONENTS)
+    }
+    _, longest = stretches.longest
+    own = kind.means
+    force = np.diff(longest, n=own) / stretches.step**own
+    points = spectrum(force, stretches.step)
+    angle = 2.0 * math.pi * stretches.step * np.array([point.frequency for point in points])
+    expected = np.asarray(rest.variances) @ sample_spectrum(angle, stretches.step, kind)
+    seconds = stretches.step * sum(part.size for _, part in stretches.parts)
+    lines = [
+        NoiseLineFound(
+            frequency=line.frequency,
+            u_frequency=line.u_frequency,
+            amplitude=line.amplitude,
+            u=line.u,
+            name=_line_name(line, 1.0 / step, turning),
+        )
+        for line in analysis.lines
+    ]
+    stated = SignalNoise(
+        name=signal.name,
+        column=signal.column,
+        observable=observable,  # type: ignore[arg-type]
+        in_g=signal.in_g,
+        rows=stretches.rows,
+        sampling_rate=1.0 / stretches.step,
+        seconds=seconds,
+        outliers=stretches.outliers,
+        filled=stretches.filled,
+        gaps=stretches.gaps,
+        resolution=stretches.resolution or None,
+        components=sizes,
+        drift=rest.drift,
+        u_drift=rest.u_drift,
+        lines=lines,
+        allan=[
+            AllanValue(**vars(point))
+            for point in allan_points(analysis.velocity, step, kind, rest.variances)
+        ],
+        spectrum=[
+            SpectrumValue(**vars(point), expected=float(own))
+            for point, own in zip(points, expected * stretches.step, strict=True)
+        ],
+        remarks=[],
+    )
+    return stated.model_copy(update={"remarks": list(_remarks(stated, found))})
+
+
+def _line_name(line: Line, sampling: float, turning: float | None) -> str | None:
+    """Return what a line may be: mains or the spindle, or one that the sampling folds down."""
+    close = 3.0 * line.u_frequency
+    spindle = None if turning is None else turning / (2.0 * math.pi)
+    for number in range(1, _SPINDLE_HARMONICS + 1) if spindle else ():
+        assert spindle is not None
+        if abs(_folded(number * spindle, sampling) - line.frequency) <= close + 1e-4 * spindle:
+            return "spindle" if number == 1 else f"spindle, harmonic {number}"
+    for number in range(1, _MAINS_HARMONICS + 1):
+        for mains in _MAINS:
+            seen = number * mains
+            if abs(_folded(seen, sampling) - line.frequency) <= close + _MAINS_WANDER * seen:
+                name = f"{mains:g} Hz mains" + ("" if number == 1 else f", harmonic {number}")
+                return name if seen <= 0.5 * sampling else f"{name}, folded by the sampling"
+    return None
+
+
+def _folded(frequency: float, sampling: float) -> float:
+    """Return the frequency at which samples show a wave."""
+    return abs(frequency - sampling * round(frequency / sampling))
+
+
+def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
+    """Yield what to know before the figures are used."""
+    names = {"acceleration": "white noise of the accelerometer", "flicker": "flicker"}
+    names |= {"bias_walk": "random walk of the bias", "quantisation": "quantisation noise"}
+    for key, size in stated.components.items():
+        name = names.get(key, f"white noise of the {key}")
+        if size.value is None:
+            if key in ("flicker", "bias_walk"):
+                growth = "as the square root of its length" if key == "flicker" else "as its length"
+                yield (
+                    f"The record does not show {name}; the limit that is stated falls about "
+                    f"{growth}. A longer record, of hours, shows smaller sizes."
+                )
+            continue
+        wide = size.high is None or size.high > _WIDE * size.value or size.low * _WIDE < size.value
+        if wide and size.low == 0.0:
+            yield (
+                f"The interval of the {name} is open below: the record is too short to tell it "
+                "from none."
+            )
+        elif wide:
+            yield (
+                f"The {name} rests on the few slowest periods of this record, and its interval "
+                f"shows it: a record some times longer than {stated.seconds:.4g} s tells more."
+            )
+    if stated.outliers:
+        yield f"{stated.outliers} samples stand off from their neighbours and were left out."
+    if stated.gaps:
+        yield (
+            f"The record is cut at {stated.gaps} gaps; spectrum and Allan deviation are of its "
+            "longest part, the components of all parts."
+        )
+    thin = round(found.analysis.step / found.stretches.step)
+    if thin > 1:
+        yield (
+            f"Components, lines and Allan deviation are found in velocities {thin} samples apart; "
+            "the spectrum is of all samples."
+        )
+    if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _scatter(found) ** 2:
+        yield (
+            f"The samples are multiples of {stated.resolution:.3g} {OBSERVABLES[stated.observable]}"
+            ": rounding to it is a good part of what is white here, and no white noise where the "
+            "signal stays within one step."
+        )
+    yield from _misfit(found.analysis.noise.bands)
+
+
+def _scatter(found: RestRecord) -> float:
+    """Return the standard deviation of samples about their neighbours."""
+    _, longest = found.stretches.longest
+    second = longest[2:] - 2.0 * longest[1:-1] + longest[:-2]
+    return float(np.std(second)) / math.sqrt(6.0)
+
+
+def _misfit(bands: Sequence[Band]) -> Iterator[str]:
+    """Yield where the spectrum is not that of the components."""
+    from scipy.stats import chi2
+
+    worst: tuple[float, Band] | None = None
+    for band in bands:
+        power = band.ratio * band.count
+        p = 2.0 * min(chi2.sf(power, band.count), chi2.cdf(power, band.count)) * len(bands)
+        if p < _MISFIT and (worst is None or abs(math.log(band.ratio)) > worst[0]):
+            worst = abs(math.log(band.ratio)), band
+    if worst is not None:
+        band = worst[1]
+        yield (
+            f"From {band.low:.3g} to {band.high:.3g} Hz the record has {band.ratio:.3g} times the "
+            "power that these components make: a filter, a resonance or a disturbance that is no "
+            "noise of the sensor. Intervals do not hold it; look at the spectrum."
+        )
+
+
+def noise_table(signals: Sequence[SignalNoise], gravity: float) -> str:
+    """Return the [noise] table of the noisiest of some columns, ready to be pasted."""
+    largest: dict[str, tuple[float, bool]] = {}
+    for signal in signals:
+        for key, size in signal.components.items():
+            if size.value is not None and key != "quantisation":
+                before = largest.get(key, (0.0, False))
+                largest[key] = max(before, (size.value, signal.in_g))
+    lines = ["[noise]"]
+    for key, (value, in_g) in largest.items():
+        unit, factor = shown_unit(_SI_UNITS.get(key) or OBSERVABLES[key], in_g, gravity)
+        lines.append(f'{key} = "{format_number(value * factor)} {unit}"')
+    return "\n".join(lines) + "\n"

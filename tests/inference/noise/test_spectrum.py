@@ -1,0 +1,66 @@
+"""Spectrum and lines of records whose spectrum and lines are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.inference.noise.spectrum import find_lines, spectrum
+from counterspin.physics.simulation import bias_wander
+
+STEP = 0.01
+
+
+def noise(seed, n=20_000):
+    return 1e-3 * np.random.default_rng(seed).standard_normal(n)
+
+
+def test_white_noise_has_its_density():
+    """Of some forty intervals of 95 % at most 6 miss: 1.5 % of such records have more."""
+    points = spectrum(noise(1), STEP)
+    density = 1e-6 * STEP
+    missed = [point for point in points if not point.low <= density <= point.high]
+    assert len(points) > 25
+    assert len(missed) <= 6
+    assert points[0].frequency < 0.2
+    assert points[-1].frequency > 40.0
+    total = sum(point.density * point.dof for point in points) / sum(p.dof for p in points)
+    assert total == pytest.approx(density, rel=0.03)
+
+
+def test_noise_has_no_lines():
+    for seed in range(8):
+        wander = bias_wander(np.random.default_rng(seed), np.arange(20_000) * STEP, 5e-4, 1e-5, 0)
+        record = noise(seed) + wander
+        lines, rest = find_lines(record, STEP)
+        assert lines == []
+        assert rest is record
+
+
+def test_lines_are_found_with_their_uncertainty():
+    """z of 40 amplitudes and frequencies: mean within 4 of its sd, rms within 0.7 and 1.4."""
+    time = np.arange(20_000) * STEP
+    z = []
+    for seed in range(20):
+        record = noise(100 + seed) + bias_wander(np.random.default_rng(seed), time, 2e-4, 0.0, 0)
+        record += 2e-4 * np.cos(2.0 * math.pi * 12.3456 * time + seed)
+        record += 5e-4 * np.sin(2.0 * math.pi * 49.98 * time)
+        lines, rest = find_lines(record, STEP)
+        first, second = sorted(lines, key=lambda line: line.frequency)
+        z.append(
+            [
+                (first.frequency - 12.3456) / first.u_frequency,
+                (first.amplitude - 2e-4) / first.u,
+                (second.frequency - 49.98) / second.u_frequency,
+                (second.amplitude - 5e-4) / second.u,
+            ]
+        )
+        assert find_lines(rest, STEP)[0] == []
+    assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / math.sqrt(20.0))
+    rms = np.sqrt(np.mean(np.square(z), axis=0))
+    assert np.all((rms > 0.55) & (rms < 1.5))
+
+
+def test_a_short_record_has_no_lines():
+    record = np.cos(np.arange(100.0))
+    assert find_lines(record, STEP) == ([], record)

@@ -1,0 +1,87 @@
+"""Records at rest as recorders write them: gaps, spikes, rounded and uneven clocks."""
+
+import numpy as np
+import pytest
+
+from counterspin.inference.noise.stretches import MOST_SAMPLES, analyse, stretches_of
+
+STEP = 0.01
+
+
+def record(n=4000, seed=1):
+    rng = np.random.default_rng(seed)
+    return np.round(np.arange(n) * STEP, 4), 9.8 + 1e-3 * rng.standard_normal(n)
+
+
+def test_a_clean_record_is_one_part():
+    time, values = record()
+    found = stretches_of(time, values)
+    ((start, part),) = found.parts
+    assert start == 0.0
+    np.testing.assert_allclose(part, values, atol=1e-12)
+    assert (found.rows, found.outliers, found.filled, found.gaps) == (4000, 0, 0, 0)
+    assert found.step == pytest.approx(STEP, rel=1e-9)
+
+
+def test_spikes_and_lone_gaps_are_filled_and_long_ones_cut():
+    time, values = record()
+    values[[500, 900]] += 0.1
+    values[700] = np.nan
+    keep = np.ones(4000, bool)
+    keep[1000:1002] = False
+    keep[2000:2300] = False
+    found = stretches_of(time[keep], values[keep])
+    assert (found.outliers, found.filled, found.gaps) == (2, 5, 1)
+    assert [(start, part.size) for start, part in found.parts] == [(0.0, 2000), (23.0, 1700)]
+    between = 0.5 * (values[499] + values[501])
+    assert found.parts[0][1][500] == pytest.approx(between)
+
+
+def test_repeated_rows_count_once():
+    time, values = record()
+    again = np.insert(np.arange(4000), 100, 100)
+    found = stretches_of(time[again], values[again])
+    assert found.parts[0][1].size == 4000
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, v: (t[::-1], v), "runs backwards"),
+        (lambda t, v: (np.cumsum(np.random.default_rng(1).uniform(0.2, 1.8, t.size)), v), "evenly"),
+        (lambda t, v: (t[:20], v[:20]), "too few"),
+        (lambda t, v: (t, np.where(np.arange(t.size) % 10 < 5, np.nan, v)), "without a gap"),
+    ],
+)
+def test_what_cannot_be_used_is_said(change, message):
+    with pytest.raises(ValueError, match=message):
+        stretches_of(*change(*record()))
+
+
+def test_parts_share_their_noise():
+    """N of both parts lies in the interval, and they tell more than the longer one alone."""
+    time, values = record(8000)
+    keep = (time < 50.0) | (time > 51.0)
+    both = analyse(stretches_of(time[keep], values[keep]), 0).noise.components["random_walk"]
+    alone = analyse(stretches_of(time[:5000], values[:5000]), 0).noise.components["random_walk"]
+    density = 1e-6 * STEP
+    assert both.low < density < both.high
+    assert both.high / both.low < alone.high / alone.low
+
+
+def test_long_records_are_thinned_without_bias():
+    rng = np.random.default_rng(2)
+    n = MOST_SAMPLES + 10_000
+    found = analyse(stretches_of(np.arange(n) * STEP, 1e-3 * rng.standard_normal(n)), 0)
+    assert found.step == pytest.approx(2.0 * STEP)
+    size = found.noise.components["random_walk"]
+    assert size.low < 1e-6 * STEP < size.high
+
+
+def test_a_line_is_taken_out_before_noise_is_looked_for():
+    time, values = record()
+    found = analyse(stretches_of(time, values + 1e-3 * np.sin(2.0 * np.pi * 7.3 * time)), 0)
+    (line,) = found.lines
+    assert abs(line.frequency - 7.3) < 4.0 * line.u_frequency
+    size = found.noise.components["random_walk"]
+    assert size.low < 1e-6 * STEP < size.high

@@ -1,0 +1,201 @@
+"""The noise of records at rest, from files as recorders write them to table, report and plot."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import counterspin as cs
+from counterspin.campaign.toml_file import load_document
+from counterspin.cli import main
+from counterspin.errors import CampaignError, RecordError
+from counterspin.physics.simulation import accelerometer_walk, bias_wander
+
+STEP, G = 0.01, 9.80665
+N, B = 5e-5, 3e-4
+
+
+def columns(n=6_000, order=0, seed=1):
+    rng = np.random.default_rng(seed)
+    time = np.arange(n) * STEP
+    values = accelerometer_walk(rng, time, N, order) + bias_wander(rng, time, B, 0.0, order)
+    return np.round(time, 4), values
+
+
+def written(folder, name="rest.csv", **more):
+    time, values = columns()
+    file = folder / name
+    pl.DataFrame({"time_s": time, "Qx_g": 1.0 + values / G, **more}).write_csv(file)
+    return file
+
+
+def size(signal, key):
+    return signal.components[key]
+
+
+def test_components_are_found_in_a_file_and_in_a_frame(tmp_path):
+    file = written(tmp_path, temperature_degC=np.full(6_000, 23.0))
+    found = cs.noise(file)
+    (signal,) = found.signals
+    assert (signal.name, signal.observable, signal.in_g) == ("Qx_g", "specific_force", True)
+    assert found.unused == ["temperature_degC"]
+    assert found.checksum.startswith("sha256:")
+    for key, true in (("acceleration", N), ("flicker", B)):
+        assert size(signal, key).low < true < size(signal, key).high
+    assert size(signal, "bias_walk").value is None
+    assert size(signal, "bias_walk").low == 0.0
+    assert any("random walk of the bias" in remark for remark in signal.remarks)
+    time, values = columns()
+    (same,) = cs.noise({"time_s": time, "Qx_g": 1.0 + values / G}).signals
+    assert size(same, "flicker").value == pytest.approx(size(signal, "flicker").value, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("observable", "unit", "order", "white"),
+    [("velocity", "m/s", 1, 2e-5), ("displacement", "mm", 2, 2e-6)],
+)
+def test_velocities_and_displacements_are_differenced(observable, unit, order, white):
+    time, values = columns(order=order)
+    values = values + white * np.random.default_rng(9).standard_normal(time.size)
+    frame = {"time_s": time, "channel": values * (1e3 if unit == "mm" else 1.0)}
+    (signal,) = cs.noise(frame, columns=["channel"], unit=unit).signals
+    assert signal.observable == observable
+    assert size(signal, observable).low < white < size(signal, observable).high
+    assert size(signal, observable).unit == {"velocity": "m/s", "displacement": "m"}[observable]
+    assert size(signal, "acceleration").low < N < size(signal, "acceleration").high
+
+
+def test_spectrum_and_allan_deviation_are_those_of_the_components():
+    """Nearly all of the intervals of 95 % hold what the components make."""
+    time, values = columns()
+    (signal,) = cs.noise(
+        {"time_s": time, "a_m/s^2": values}, columns=["a_m/s^2"], unit="m/s^2"
+    ).signals
+    for points, name in ((signal.allan, "deviation"), (signal.spectrum, "density")):
+        held = [p.low <= p.expected <= p.high for p in points]
+        assert sum(held) >= 0.8 * len(held)
+        assert all(p.low < getattr(p, name) < p.high for p in points)
+    longest = signal.allan[-1]
+    assert longest.expected == pytest.approx(math.sqrt(2.0 * math.log(2.0) / math.pi) * B, rel=0.3)
+
+
+def test_lines_have_names():
+    time, values = columns()
+    values = values + 1e-3 * np.cos(2 * np.pi * 10.0 * time)
+    values += 1e-3 * np.cos(2 * np.pi * 7.77 * time)
+    # Harmonic 2 of 60 Hz, of which samples at 100 Hz show 20 Hz.
+    values += 1e-3 * np.cos(2 * np.pi * 120.0 * time)
+    frame = {"time_s": time, "a": values}
+    (signal,) = cs.noise(frame, columns=["a"], unit="m/s^2", rate="2.59 rev/s").signals
+    names = {round(line.frequency, 2): line.name for line in signal.lines}
+    assert names[7.77] == "spindle, harmonic 3"
+    assert names[10.0] is None
+    assert "mains" in names[20.0]
+    assert size(signal, "acceleration").low < N < size(signal, "acceleration").high
+
+
+def test_the_table_is_one_that_campaigns_read(tmp_path, folder):
+    found = cs.noise(written(tmp_path))
+    (tmp_path / "noise.toml").write_text(found.table, encoding="utf-8")
+    stated = load_document(tmp_path / "noise.toml")["noise"]
+    assert set(stated) == {"acceleration", "flicker"}
+    campaign = cs.read_campaign(folder).change(noise=None)
+    campaign = campaign.change(noise=stated)
+    assert campaign.noise.flicker == pytest.approx(
+        size(found.signals[0], "flicker").value, rel=6e-3
+    )
+
+
+def test_a_campaign_says_what_the_columns_are(folder, tmp_path):
+    time, values = columns(order=2)
+    values += 1e-5 * np.random.default_rng(3).standard_normal(time.size)
+    pl.DataFrame({"time_s": time, "east_m": values}).write_csv(tmp_path / "rest.csv")
+    found = cs.noise(tmp_path / "rest.csv", campaign=folder)
+    (signal,) = found.signals
+    assert (signal.name, signal.column, signal.observable) == ("Qx", "east_m", "displacement")
+    assert found.gravity == cs.read_campaign(folder).gravity.value
+    assert size(signal, "displacement").low < 1e-5 < size(signal, "displacement").high
+
+
+def test_gaps_spikes_and_rounding_are_told():
+    time, values = columns()
+    rounded = 2e-3 * np.round(values / 2e-3)
+    rounded[500] += 0.5
+    keep = (time < 40.0) | (time > 41.0)
+    (signal,) = cs.noise(
+        {"time_s": time[keep], "a": rounded[keep]}, columns=["a"], unit="m/s^2"
+    ).signals
+    assert (signal.outliers, signal.gaps) == (1, 1)
+    assert signal.resolution == pytest.approx(2e-3)
+    told = " ".join(signal.remarks)
+    for words in ("1 samples stand off", "cut at 1 gaps", "multiples of 0.002"):
+        assert words in told
+
+
+def test_a_filter_is_told():
+    time, values = columns()
+    smooth = np.convolve(values, np.full(4, 0.25), mode="valid")
+    (signal,) = cs.noise({"time_s": time[3:], "a": smooth}, columns=["a"], unit="m/s^2").signals
+    assert any("times the power" in remark for remark in signal.remarks)
+
+
+@pytest.mark.parametrize(
+    ("frame", "words", "message"),
+    [
+        ({"a": np.arange(100.0) % 7}, {}, "no column is a time"),
+        ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
+        ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all its samples are the same"),
+        ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(frame, words, message):
+    with pytest.raises(RecordError, match=message):
+        cs.noise(frame, **words)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"columns": ["Qy"]}, "there is no 'Qy'"),
+        ({"columns": ["temp"]}, "has no unit"),
+        ({"columns": ["temp"], "unit": "degC"}, "is in 'degC'"),
+        ({"rate": "1 Hz"}, "rate"),
+        ({"gravity": "9.8 s"}, "gravity"),
+    ],
+)
+def test_what_is_asked_wrongly_is_refused(words, message):
+    frame = {"time_s": np.arange(100.0), "Qx_g": np.arange(100.0) % 7, "temp": np.arange(100.0)}
+    with pytest.raises(CampaignError, match=message):
+        cs.noise(frame, **words)
+
+
+def test_rows_may_be_counted():
+    _, values = columns()
+    frame = {"Qx_g": values / G}
+    (signal,) = cs.noise(frame, sampling_rate="100 Hz").signals
+    assert size(signal, "acceleration").low < N < size(signal, "acceleration").high
+
+
+def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
+    file = written(tmp_path)
+    names = [tmp_path / name for name in ("n.json", "n.html", "n.svg")]
+    words = ["noise", str(file), "--json", names[0], "--report", names[1], "--plot", names[2]]
+    assert main([str(word) for word in words]) == 0
+    shown = capsys.readouterr().out
+    assert "[noise]" in shown
+    assert "ug/Hz^0.5" in shown
+    read = cs.NoiseResult.read(names[0])
+    assert read.signals[0].components["flicker"].value is not None
+    assert json.loads(names[0].read_text())["table"] == read.table
+    assert "Allan deviation" in names[1].read_text(encoding="utf-8")
+    assert main(["report", str(names[0])]) == 0
+    assert main([str(word) for word in words]) == 1  # nothing is replaced unasked
+    assert main([*(str(word) for word in words), "--overwrite"]) == 0
+
+
+def test_a_file_that_is_not_there(tmp_path, capsys):
+    assert main(["noise", str(Path(tmp_path) / "none.csv")]) != 0
+    assert "there is no such file" in capsys.readouterr().err
