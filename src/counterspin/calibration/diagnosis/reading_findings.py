@@ -263,7 +263,7 @@ def _outlying(part: JudgedReadings, name: str, reading: str, residual: float, z:
     return Finding(
         code="outlying-reading",
         subject=f"{name}.{reading}",
-        text=f'The {what} "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
+        text=f'The {what} "{reading}" reads {format_number(residual * 1e6, 3)} ug off the model, '
         f"{deviations} of its standard deviations: look at it, or at what the model lacks.",
         size=abs(z),
         contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
