@@ -32,8 +32,8 @@ TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-calls --no-warn-return-any \
   --disable-error-code import-untyped --disable-error-code import-not-found
 
-.PHONY: help setup demo test quick slow lint format bench fuzz docs pictures violations coverage alarms \
-  coverage-of-tests mutants lock clean
+.PHONY: help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
+  coverage alarms coverage-of-tests mutants lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-17s %s\n", $$1, $$2 }'
@@ -68,7 +68,11 @@ bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the s
 	$(BIN)/python benchmarks $(FULL) $(if $(KEEP),--keep)
 
 docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
-	$(BIN)/sphinx-build $(SPHINX) -b html -j $$((4 * $(JOBS))) docs build/site
+	@echo "Building the site, which takes a minute."
+	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j $$((4 * $(JOBS))) docs build/site
+	@echo "Open build/site/index.html."
+
+docs-tests: docs ## Try the site: its examples, its links, a browser that goes through it
 	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest -q tests/test_docs_browser.py
 

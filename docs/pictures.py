@@ -5,13 +5,19 @@ only what has changed becomes another file. The screenshots need Chromium and Pl
 them the rest is made and the lack is said.
 """
 
+import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
+import threading
+from contextlib import chdir
 from pathlib import Path
+from typing import Any
 
 from counterspin.cli import main
+from counterspin.reports.drawing import COLOURS
 from counterspin.reports.machine.drawings import DRAWINGS, machine_svg
 
 DOCS = Path(__file__).parent
@@ -21,6 +27,14 @@ DATE = "2026-03-01"
 
 #: What the README shows of the report: the part of the page that is seen first.
 VIEW = {"width": 1000, "height": 1180}
+#: Of the application's window.
+WINDOW = {"width": 1100, "height": 860}
+
+GALLERY = DOCS / "gallery"
+#: A cell of a page of the gallery.
+CELL = re.compile(
+    r"^```\{code-cell\} python3\n(?:---\n.*?^---\n)?(.*?)^```$", re.MULTILINE | re.DOTALL
+)
 
 
 def run(*words: str | Path) -> None:
@@ -72,23 +86,134 @@ def write_the_examples() -> None:
         run("certificate", result, lab, "-o", EXAMPLES / name)
 
 
-def photograph_the_report() -> None:
-    """Take pictures of the example report as a browser shows it, light and dark."""
+def draw_the_tutorial() -> None:
+    """Draw a record, and what the uncertainty of its result consists of, for the tutorial."""
+    import numpy as np
+
+    import counterspin as cs
+    from counterspin.calibration.pages.pictures import budget_bars
+    from counterspin.reports.blocks import Plot, PlotSeries
+    from counterspin.reports.charts import save
+
+    campaign = cs.simulate(cs.read_campaign(EXAMPLES / "campaign.toml"))
+    result = cs.calibrate(campaign)
+    columns = dict(campaign.record_at(campaign.runs[-1].record).columns)
+    time, east = (np.asarray(columns[name]) for name in ("time_s", "east_m"))
+    seconds = time <= 5.0
+    recorded = Plot(
+        title="Five seconds of a record: the displacement to the east, one revolution a second",
+        x_label="time, s",
+        y_label="displacement, m",
+        series=(PlotSeries("recorded", tuple(time[seconds]), tuple(east[seconds])),),
+    )
+    (left,) = result.residuals("Qx", campaign.runs[-1].name)
+    some = slice(None, None, max(1, left.time.size // 100))
+    error = Plot(
+        title="The whole record less the true motion, and the fit through it",
+        x_label="time, s",
+        y_label="error, m",
+        series=(
+            PlotSeries("recorded", tuple(left.time[some]), tuple(left.error[some]), kind="points"),
+            PlotSeries("fitted", tuple(left.time[some]), tuple(left.fitted[some]), colour=1),
+        ),
+    )
+    save([recorded, error], IMAGES / "record.svg", overwrite=True)
+    bars = budget_bars("Qx", result.accelerometers["Qx"], "K_II")
+    assert bars is not None
+    save([bars], IMAGES / "budget.svg", overwrite=True)
+
+
+def cells_of(page: Path) -> list[str]:
+    """Return the code of a gallery page's cells."""
+    return CELL.findall(page.read_text(encoding="utf-8"))
+
+
+def mark_of(page: Path) -> str:
+    """Return what a page's thumbnail carries: it shows whether the page has changed since."""
+    return hashlib.sha256("\0".join(cells_of(page)).encode()).hexdigest()[:16]
+
+
+def draw_the_thumbnails() -> None:
+    """Run the pages of the gallery, and keep the first picture of each, small."""
+    import matplotlib as mpl
+    from cycler import cycler
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    plt.rcParams["figure.constrained_layout.use"] = True
+    plt.rcParams["axes.prop_cycle"] = cycler(color=COLOURS)
+    for page in sorted(set(GALLERY.glob("*.md")) - {GALLERY / "index.md"}):
+        space: dict[str, Any] = {}
+        with chdir(GALLERY):
+            for cell in cells_of(page):
+                exec(compile(cell, page.name, "exec"), space)
+                if plt.get_fignums():
+                    break
+        plt.figure(plt.get_fignums()[0])
+        plt.gcf().set_size_inches(6.0, 3.4)
+        place = IMAGES / f"gallery-{page.stem}.png"
+        said = {"Software": None, "Comment": mark_of(page)}
+        plt.savefig(place, dpi=60, bbox_inches="tight", metadata=said)
+        plt.close("all")
+
+
+def photograph() -> None:
+    """Take pictures of report and application as a browser shows them."""
     chromium = os.environ.get("COUNTERSPIN_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
         print("No screenshots: there is no Chromium (COUNTERSPIN_CHROMIUM may name one).")
         return
     from playwright.sync_api import sync_playwright
 
-    page_of_report = (EXAMPLES / "report.html").as_uri()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        for scheme in ("light", "dark"):
-            page = browser.new_page(viewport=VIEW, color_scheme=scheme)  # type: ignore[arg-type]
-            page.goto(page_of_report)
-            page.screenshot(path=IMAGES / f"report-{scheme}.png")
-            page.close()
+        photograph_the_report(browser)
+        photograph_the_application(browser)
         browser.close()
+
+
+def photograph_the_report(browser: Any) -> None:
+    """Take pictures of the example report, light and dark."""
+    page_of_report = (EXAMPLES / "report.html").as_uri()
+    for scheme in ("light", "dark"):
+        page = browser.new_page(viewport=VIEW, color_scheme=scheme)
+        page.goto(page_of_report)
+        page.screenshot(path=IMAGES / f"report-{scheme}.png")
+        page.close()
+
+
+def photograph_the_application(browser: Any) -> None:
+    """Take pictures of the application: an import before it is written, and a result."""
+    from counterspin.application.desk import Desk
+    from counterspin.application.folder import ServedFolder
+    from counterspin.application.guard import Door
+    from counterspin.application.server import listening, server_of
+
+    with tempfile.TemporaryDirectory() as place, listening(0) as listener:
+        folder = Path(place) / "campaigns"
+        run("simulate", EXAMPLES / "campaign.toml", "-o", folder / "first")
+        run("calibrate", folder / "first", "--json", folder / "first" / "result.json")
+        desk, door = Desk(ServedFolder(folder)), Door(listener.getsockname()[1])
+        server = server_of(desk, door)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        try:
+            page = browser.new_page(viewport=WINDOW)
+            page.goto(door.link)
+            page.get_by_label("Folder of the new campaign").fill("mine")
+            records = sorted((folder / "first").glob("*.csv"))
+            page.get_by_label("The recorder's files").set_input_files(records)
+            page.get_by_role("img", name="Double turntable").wait_for()
+            page.locator(".drop").screenshot(path=IMAGES / "application-import.png")
+            page.goto(door.link.partition("#")[0] + "#/result/first%2Fresult.json")
+            page.get_by_role("heading", name="Is it good?").wait_for()
+            page.screenshot(path=IMAGES / "application-result.png")
+            page.close()
+        finally:
+            server.should_exit = True
+            thread.join()
+            desk.close()
 
 
 if __name__ == "__main__":
@@ -99,4 +224,6 @@ if __name__ == "__main__":
     draw_the_plan()
     calibrate_the_example()
     write_the_examples()
-    photograph_the_report()
+    draw_the_tutorial()
+    draw_the_thumbnails()
+    photograph()

@@ -1,6 +1,6 @@
 """A built site: no broken link, words for pictures, nothing fetched.
 
-COUNTERSPIN_SITE names its folder, as `make docs` does when it has built it; else these are skipped.
+COUNTERSPIN_SITE names its folder, as `make docs-tests` does; else these are skipped.
 """
 
 import os
@@ -15,7 +15,7 @@ SITE = Path(os.environ.get("COUNTERSPIN_SITE", "no-site")).resolve()
 PAGES = sorted(path for path in SITE.rglob("*.html") if "_" not in path.relative_to(SITE).parts[0])
 
 pytestmark = pytest.mark.skipif(
-    "COUNTERSPIN_SITE" not in os.environ, reason="no site is built: make docs"
+    "COUNTERSPIN_SITE" not in os.environ, reason="no site is built: make docs-tests"
 )
 
 PHONE = {"width": 360, "height": 740}

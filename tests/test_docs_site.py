@@ -3,6 +3,7 @@
 import math
 import re
 import runpy
+import struct
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import counterspin as cs
 from counterspin import cli
 from counterspin.validation.cases import case
+from pictures import mark_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 NAVIGATION = runpy.run_path(str(DOCS / "extensions" / "navigation.py"))
@@ -30,6 +32,17 @@ def test_every_page_of_the_gallery_is_listed_once():
     (pages,) = NAVIGATION["sections"]((GALLERY / "index.md").read_text(encoding="utf-8")).values()
     assert sorted(pages) == sorted(page.stem for page in GALLERY.glob("*.md") if page != OWN_INDEX)
     assert len(pages) >= 10
+
+
+@pytest.mark.parametrize("page", QUESTIONS, ids=lambda page: page.stem)
+def test_a_page_s_thumbnail_is_of_its_cells_and_has_its_words(page):
+    """`make pictures` runs the cells and keeps the first picture."""
+    name = f"gallery-{page.stem}.png"
+    marked = struct.pack(">I", 8 + 16) + b"tEXtComment\0" + mark_of(page).encode()
+    assert marked in (DOCS / "images" / name).read_bytes()
+    (words,) = re.findall(rf"!\[(.*?)\]\(\.\./images/{name}\)", OWN_INDEX.read_text("utf-8"))
+    first = re.search(r"alt: >-\n((?:      .+\n)+)", page.read_text(encoding="utf-8"))[1]
+    assert words == " ".join(first.split())
 
 
 @pytest.mark.parametrize("page", QUESTIONS, ids=lambda page: page.stem)

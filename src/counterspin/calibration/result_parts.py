@@ -307,8 +307,8 @@ class TriadResult(ResultPart):
     #: the nominal sensitivities, g; null where the matrix is not determined.
     matrix: list[list[float]] | None = None
     bias: list[float] | None = None  #: The three offsets, g; null with the matrix.
-    #: Root mean square of |f| - g over the poses by the nominal sensitivities, m/s^2; null without
-    #: poses.
+    #: Root mean square over the poses of the size of f less g, by the nominal sensitivities, m/s^2;
+    #: null without poses.
     rms_before: float | None = None
     #: The same by matrix and bias, once second-order terms that were asked for are taken away.
     rms_after: float | None = None
