@@ -206,6 +206,27 @@ def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
     assert tab.evaluate(drawing) != whole
 
 
+def test_a_table_of_readings_is_pasted_and_becomes_a_campaign(opened, folder):
+    tab = opened()
+    tab.get_by_label("Folder of the new campaign").fill("pasted")
+    tab.get_by_text("Type or paste a table").click()
+    rows = [(angle, 1.25 * (0.002 + math.cos(math.radians(angle)))) for angle in range(0, 360, 30)]
+    # As a spreadsheet gives it where numbers have a decimal comma.
+    lines = ["position_deg\treading_mA", *(f"{a}\t{v:.6f}".replace(".", ",") for a, v in rows)]
+    tab.get_by_label("Names of the columns").fill("\r\n".join(lines))
+    tab.get_by_role("button", name="Look at this table").click()
+    circle = tab.get_by_role("img", name="The input axis at 12 positions")
+    circle.wait_for()
+    assert circle.locator("path").count() == 12
+    for words, answer in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
+        tab.get_by_label(re.compile(words)).fill(answer)
+    tab.get_by_role("button", name="Write the campaign").click()
+    tab.wait_for_url("**#/campaign/pasted")
+    assert (folder / "pasted" / "readings.txt").is_file()
+    tab.get_by_role("button", name="Calibrate", exact=True).click()
+    tab.get_by_text("K_F").first.wait_for()
+
+
 def test_a_plan_answers_while_its_slider_moves(opened, folder):
     example = write_example(folder / "PLAN.toml")
     example.write_text(changed(example.read_text(), ("runs = 14", "runs = 3"), *PERFECT))

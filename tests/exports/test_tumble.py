@@ -46,6 +46,21 @@ def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
     assert abs(values["delta_O"].value) < 1e-5
 
 
+@pytest.mark.parametrize("start", [0.0, 90.0, 180.0, -90.0])
+def test_directions_are_those_in_which_the_readings_are_greatest_upwards(tmp_path, start):
+    path = write_table(tmp_path / "t.csv", table(start))
+    directions = np.array(tumble_draft(look_at([path])).directions)
+    assert np.cos(np.radians(directions)) == pytest.approx(np.cos(np.radians(ANGLES - start)))
+    # Right-handed about north, up goes to the east.
+    assert np.sin(np.radians(directions)) == pytest.approx(np.sin(np.radians(ANGLES - start)))
+
+
+def test_without_an_axis_at_zero_no_direction_is_known(tmp_path):
+    path = write_table(tmp_path / "t.csv", table(45.0))
+    assert tumble_draft(look_at([path])).directions == []
+    assert len(tumble_draft(look_at([path]), {"axis at 0": "up"}).directions) == len(ANGLES)
+
+
 def test_a_workbook_with_title_and_units(tmp_path):
     rows = [["Tumble", None], [None, "deg", "V", "V"], *table()]
     rows.insert(1, ["Name", "Position", "Output 1", "Output 2"])

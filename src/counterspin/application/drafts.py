@@ -89,6 +89,7 @@ def drafted(
         "problems": list(found.problems),
         "file": found.look.path.name,
         "columns": [_preview(column) for column in found.look.columns],
+        "directions": found.directions if isinstance(found, TumbleDraft) else [],
     }
 
 

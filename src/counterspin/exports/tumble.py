@@ -66,6 +66,21 @@ class TumbleDraft(AnsweredExport):
         """Return the columns of a role."""
         return [column for column in self.look.columns if self.roles[column.name] == role]
 
+    @property
+    def directions(self) -> list[float]:
+        """Where the input axis points at each position, in deg from up by east; empty: not known.
+
+        As it is seen from the south, where a head that turns about north turns clockwise.
+        """
+        said = {question.key: question.guess for question in self.questions} | dict(self.answers)
+        axis, unit, here = (said.get(key) for key in ("axis at 0", "position unit", "position"))
+        column = next((c for c in self.look.columns if c.name == here), None)
+        if axis not in _UP_AT or unit not in _ANGLES or column is None:
+            return []
+        angles = column.values[np.isfinite(column.values)] * unit_factor(unit, "rad")
+        turned = np.degrees(angles) - _UP_AT[axis]
+        return [float(angle) for angle in turned % 360.0]
+
     def document(self, folder: Path) -> dict[str, Any]:
         """Return the description that guesses and answers make; CampaignError if one is missing.
 

@@ -4,6 +4,7 @@ import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
 import { commandLine, make, say, stateMark, symbols, warning } from "./dom.js";
+import { asTable, tipOf } from "./exports.js";
 import { knownTo, named, percent, size } from "./improving.js";
 import { follow } from "./job.js";
 import { columnsOf, withPoint } from "./live.js";
@@ -54,6 +55,14 @@ test("a source is named in words with its symbol, and its size is in its own uni
   assert.equal(size(source, knownTo(source, -2)), "0.02 µg/g²");
   assert.equal(size(source, knownTo(source, 1)), "20 µg/g²");
   assert.deepEqual([0.5, 0.012345, 0.0004].map(percent), ["50 %", "1.2 %", "< 0.1 %"]);
+});
+
+test("a pasted table is lines without empty ones, its tabs and commas as they are", () => {
+  assert.equal(asTable("pos\treading\r\n0\t1,25\r\n\r\n30\t1,08\t\n"), "pos\treading\n0\t1,25\n30\t1,08\n");
+});
+
+test("arrows on the circle begin at up and turn clockwise", () => {
+  assert.deepEqual([0, 90, 180, 270].map((angle) => tipOf(angle, 10).map((one) => one + 0)), [[0, -10], [10, 0], [0, 10], [-10, 0]]);
 });
 
 test("a time is in the largest unit of which there is one", () => {

@@ -50,9 +50,13 @@ export function exportsPart() {
     }
   };
   files.addEventListener("change", () => take([...files.files ?? []]));
+  const pasted = pastedTable(async (file) => {
+    test.value = "tumble";
+    await take([file]);
+  });
   const zone = make("div", { class: "drop" },
     make("div", { class: "row" }, labelled("Folder of the new campaign", folder), labelled("What the files are", test),
-      labelled("The recorder's files, one for each run, or the table; or drag them here", files)), place);
+      labelled("The recorder's files, one for each run, or the table; or drag them here", files)), pasted, place);
   zone.addEventListener("dragover", (event) => {
     event.preventDefault();
     zone.classList.add("over");
@@ -65,6 +69,30 @@ export function exportsPart() {
   });
   return zone;
 }
+
+/**
+ * A table that is typed or pasted, as a file that is brought as any other.
+ * @param {(file: File) => Promise<void>} take
+ */
+function pastedTable(take) {
+  const text = make("textarea", { rows: 6, spellcheck: "false", autocomplete: "off",
+    placeholder: "position_deg\treading_mA\n0\t1.2503\n30\t1.0825" });
+  let looks = 0;
+  return make("details", {}, make("summary", {}, "Type or paste a table, as copied from a spreadsheet"),
+    labelled("Names of the columns, then a line for each reading", text),
+    make("button", {
+      type: "button",
+      // A table that was changed is another file: none is replaced.
+      onclick: () => take(new File([asTable(text.value)], `readings${looks++ ? `-${looks}` : ""}.txt`)),
+    }, "Look at this table"));
+}
+
+/**
+ * A text as lines of a file: those that are empty say nothing.
+ * @param {string} text
+ */
+export const asTable = (text) =>
+  `${text.split(/\r\n?|\n/).map((line) => line.trimEnd()).filter(Boolean).join("\n")}\n`;
 
 /** What is in the files, with a field for all that may be answered. */
 class Preview {
@@ -118,7 +146,7 @@ class Preview {
     this.place.replaceChildren(
       make("h3", {}, `What is in ${told.file}${this.names.length > 1 ? " and the others" : ""}`),
       make("div", { class: "scroll", tabindex: "0" }, table.element),
-      this.drawing,
+      ...(told.directions.length ? [circleOf(told.directions)] : []), this.drawing,
       make("form", { onsubmit: (/** @type {Event} */ event) => this.write(event, told), novalidate: true },
         make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
         wrong.has("") ? warning(/** @type {string} */ (wrong.get(""))) : null,
@@ -266,22 +294,55 @@ function withMistake(element, mistake, control = element) {
   return mistake ? make("div", {}, element, make("p", { class: "wrong", role: "alert" }, mistake)) : element;
 }
 
+/** @type {(name: string, attributes: Record<string, string|number>, ...children: Node[]) => SVGElement} */
+const draw = (name, attributes, ...children) => {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, String(value));
+  element.append(...children);
+  return element;
+};
+
+/**
+ * The tip of an arrow on a circle about 0.
+ * @param {number} degrees from up, clockwise
+ * @param {number} radius
+ */
+export const tipOf = (degrees, radius) => {
+  const angle = degrees * Math.PI / 180;
+  return [Number((radius * Math.sin(angle)).toFixed(2)), Number((-radius * Math.cos(angle)).toFixed(2))];
+};
+
+/**
+ * Where the input axis points at each position, as arrows on a circle.
+ * @param {number[]} directions from up, clockwise, deg
+ */
+function circleOf(directions) {
+  const label = `The input axis at ${directions.length} positions, seen from the south, in degrees from up by east: ` +
+    directions.map((one) => Number(one.toFixed(1))).join(", ");
+  const arrows = directions.map((one) => {
+    const [x, y] = tipOf(one, 80);
+    return draw("g", {}, draw("path", { d: `M0 0L${x} ${y}` }), draw("circle", { cx: x, cy: y, r: 4 }));
+  });
+  const words = [["up", 0], ["east", 90], ["down", 180], ["west", 270]].map(([word, angle]) => {
+    const [x, y] = tipOf(Number(angle), 98);
+    return draw("text", { x, y: y + 4, "text-anchor": "middle" }, document.createTextNode(String(word)));
+  });
+  return make("figure", {}, make("figcaption", {}, "The input axis at each position, seen from the south"),
+    draw("svg", { viewBox: "-120 -112 240 224", class: "circle", role: "img", "aria-label": label },
+      draw("circle", { cx: 0, cy: 0, r: 80, class: "rim" }), ...arrows, ...words));
+}
+
 /**
  * A small drawing of a column.
  * @param {string} name
  * @param {([number, number]|null)[]} extent least and greatest value of each part
  */
 function picture(name, extent) {
-  const space = "http://www.w3.org/2000/svg";
-  const drawing = document.createElementNS(space, "svg");
   const known = extent.flatMap((part) => part ?? []);
   const [low, high] = [Math.min(...known), Math.max(...known)];
   const height = (/** @type {number} */ value) => 30 - 28 * (high > low ? (value - low) / (high - low) : 0.5);
-  const line = document.createElementNS(space, "path");
-  line.setAttribute("d", extent.map((part, place) =>
-    part ? `M${place} ${height(part[0]) + 0.5}L${place} ${height(part[1]) - 0.5}` : "").join(""));
-  for (const [key, value] of Object.entries({ viewBox: `0 0 ${extent.length} 32`, role: "img", preserveAspectRatio: "none",
-    "aria-label": `${name}, from ${low.toPrecision(4)} to ${high.toPrecision(4)}` })) drawing.setAttribute(key, value);
-  drawing.append(line);
-  return drawing;
+  const d = extent.map((part, place) =>
+    part ? `M${place} ${height(part[0]) + 0.5}L${place} ${height(part[1]) - 0.5}` : "").join("");
+  return draw("svg", { viewBox: `0 0 ${extent.length} 32`, role: "img", preserveAspectRatio: "none",
+    "aria-label": `${name}, from ${low.toPrecision(4)} to ${high.toPrecision(4)}` }, draw("path", { d }));
 }
