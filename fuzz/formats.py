@@ -42,6 +42,7 @@ from counterspin.campaign.simulation import simulate
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import read_lab
+from counterspin.certificates.pdf_signature import sign_pages
 from counterspin.certificates.signature import sign
 from counterspin.certificates.signers import read_signer
 from counterspin.cli import main
@@ -332,6 +333,40 @@ def certificate_pdf(place: Path) -> Format:
     return Format(".pdf", make, check_certificate)
 
 
+def signed_pdf(place: Path) -> Format:
+    """Return a certificate's PDF whose XML and pages are signed, verified."""
+    key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
+    signer, given = read_signer(key, cert), results.result()
+    lab_read = certificates.lab_of(place, given)
+    xml = to_bytes(sign(certificate(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer))
+    writer = pypdf.PdfWriter()
+    writer.add_blank_page(100, 100)
+    writer.add_attachment("c.xml", xml)
+    writer.generate_file_identifiers()
+    file = io.BytesIO()
+    writer.write(file)
+    plain = file.getvalue()
+    whole = sign_pages(plain, signer, certificates.ISSUE.date)
+    begin = whole.index(b"/Contents <", len(plain)) + 11
+    end = whole.index(b">", begin)
+    (place / "whole.pdf").write_bytes(whole)
+    true = repr(check_certificate(place / "whole.pdf", cert=cert).certified)
+
+    def make(rng: Random) -> bytes:
+        where = rng.choice((None, (len(plain), len(whole)), (begin, end)))
+        return native.damaged(rng, whole, where)
+
+    def use(path: Path) -> None:
+        found, content = check_certificate(path, cert=cert), path.read_bytes()
+        assert repr(found.certified) == true
+        if found.pages == "valid":
+            # Not a byte differs but those of the signature itself.
+            assert content[:begin] == whole[:begin]
+            assert content[end:] == whole[end:]
+
+    return Format(".pdf", make, use)
+
+
 # Tables
 
 _READING_CAMPAIGN = "".join(
@@ -535,6 +570,7 @@ FORMATS: dict[str, Entry] = {
     "requests": Entry(requests.application, 0.3),
     "connections": Entry(connections.connections, 0.1),
     "certificate-pdf": Entry(certificate_pdf, 0.5, native=True),
+    "certificate-pdf-signed": Entry(signed_pdf, 0.2, native=True),
     "readings-parquet": Entry(readings_parquet, native=True),
     "readings-excel": Entry(readings_excel, native=True),
     "record-parquet": Entry(_native(".parquet", native.parquet), 3.0, native=True),

@@ -3,6 +3,7 @@
 import shlex
 import sys
 from base64 import b64encode
+from dataclasses import replace
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
@@ -11,7 +12,7 @@ from signing_keys import write_pair, write_pkcs12
 from certificates import write_own
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import write_example
-from counterspin.certificates.signers import command_signer
+from counterspin.certificates.signers import command_signer, read_signer
 
 SAID = {"result": "three/result.json", "lab": "LAB.toml", "output": "three/certificate.xml"}
 
@@ -159,6 +160,22 @@ def test_the_server_s_own_command_signs(with_own_lab, folder, desk, tmp_path):
     told = with_own_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
     assert check_certificate(folder / "three/certificate.xml", cert=cert).signature == "valid"
     assert shlex.split(told["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
+
+
+def test_pictures_are_drawn_while_a_command_signs(with_own_lab, desk, tmp_path):
+    """A card waits for its PIN."""
+    signer = read_signer(*write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1())))
+    held = []
+
+    def sign(data):
+        held.append(desk.drawing.locked())
+        return signer.signed(data)
+
+    desk.signer = replace(signer, signed=sign)
+    said = SAID | {"signing": {}, "both": True}
+    assert with_own_lab.post("/api/certificate", json=said).status_code == 200
+    assert held == [False, False]  # of the XML, and of the pages
+    assert not desk.drawing.locked()
 
 
 def test_records_are_not_given_away(page):

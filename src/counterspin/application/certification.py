@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -50,13 +52,23 @@ class Signing(BaseModel):
                 raise CounterspinError(
                     "This server was started without a command that signs; bring a key."
                 )
-            return desk.signer
+            return replace(desk.signer, signed=partial(_while_others_draw, desk))
         own = None if self.certificate is None else self.certificate.read()
         secret = None if self.password is None else self.password.get_secret_value() or None
         try:
             return read_signer(self.key.read(), own, secret)
         except PasswordNeededError as error:
             raise CounterspinError(f"{self.key.name}: is encrypted; type its password") from error
+
+
+def _while_others_draw(desk: Desk, data: bytes) -> bytes:
+    """Return what the server's command signs: somebody may have to type the PIN of a card first."""
+    assert desk.signer is not None
+    desk.drawing.release()
+    try:
+        return desk.signer.signed(data)
+    finally:
+        desk.drawing.acquire()
 
 
 def begin_certificate(
