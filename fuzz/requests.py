@@ -221,7 +221,8 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST way": [
             {"name": "three", "result": result, "accelerometer": "Qx", "way": "state"},
         ],
-        "GET record-about": [run],
+        "POST fit": [{"name": "three"}],
+        "GET record-about": [run, run | {"fit": "true"}],
         "GET record": [
             run | {"low": "0", "high": "5"},
             run | {"low": "1", "high": "2", "parts": "3"},

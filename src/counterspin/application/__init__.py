@@ -17,7 +17,7 @@ is done by a click is a command too, and the page says which.
   simulations, forecasts, plans
 - `pages`: results, comparisons and histories as the reports' words and pictures
 - `improving`: what an uncertainty would be if more were known, and campaigns prepared for that
-- `record_plots`: records through a window of time
+- `record_plots`, `fits`: records through a window of time; what a fit says of them
 - `drafts`: exports that are dragged in, and the campaigns that they make
 - `live`, `judging`: processes kept while somebody looks: campaigns that are followed while their
   records grow, plans whose limits are moved; runs that are judged

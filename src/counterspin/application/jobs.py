@@ -36,7 +36,7 @@ class Job:
     output: str
     command: str  #: The same as a command.
     #: What it is.
-    kind: Literal["calibration", "study", "simulation", "forecast", "plan"] = "calibration"
+    kind: Literal["calibration", "study", "simulation", "forecast", "plan", "fit"] = "calibration"
     state: JobState = "waiting"  #: Where it stands.
     progress: tuple[int, int] = (0, 0)  #: Runs or trials that are done, and all of them.
     error: str = ""  #: Why it failed.

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import FiniteFloat
 
 from counterspin.application.desk import Desk, Remembered
+from counterspin.application.fits import SeenRecord, fitted_run
 from counterspin.application.folder import NotThereError
 from counterspin.arrays import Array
 from counterspin.calibration.observed import record_columns
@@ -21,7 +22,6 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CounterspinError
-from counterspin.frozen import frozen
 from counterspin.records.tables import read_scaled
 
 #: Most parts that a window is shown in.
@@ -32,22 +32,15 @@ _MAX_RECORDS: Final = 4
 _RECORDS: Final = Remembered(_MAX_RECORDS)
 
 
-@frozen(eq=False)
-class SeenRecord:
-    """A record's columns in SI."""
+def record_overview(desk: Desk, name: str, run: str, fit: bool = False) -> dict[str, Any]:
+    """Return a record's columns, rows, first and last time, and what is used of it.
 
-    time: Array  #: s, increasing, shape (n,); rows without a time are left out.
-    #: Of the columns.
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: tuple[Array, ...]  #: The columns, each of shape (n,); NaN where a cell is empty.
-
-
-def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
-    """Return a record's columns, rows, first and last time, and what is used of it."""
+    fit: Whether its columns are data and fit of each accelerometer, as of `fits.begin_fit`.
+    """
     campaign, found = _run(desk, name, run)
-    record = _record(campaign, found)
+    record = fitted_run(desk, name, run) if fit else _record(campaign, found)
     return {
+        "together": 2 if fit else 1,
         "columns": [
             {"name": column, "unit": unit}
             for column, unit in zip(record.names, record.units, strict=True)
@@ -61,14 +54,21 @@ def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
 
 
 def record_window(
-    desk: Desk, name: str, run: str, low: FiniteFloat, high: FiniteFloat, parts: int = 1000
+    desk: Desk,
+    name: str,
+    run: str,
+    low: FiniteFloat,
+    high: FiniteFloat,
+    parts: int = 1000,
+    fit: bool = False,
 ) -> dict[str, Any]:
     """Return the values of a record between two times, row by row or as extremes of parts.
 
     name, run: The campaign's folder, and the run.
     low, high: First and last time, s.
+    fit: As of `record_overview`.
     """
-    record = _record(*_run(desk, name, run))
+    record = fitted_run(desk, name, run) if fit else _record(*_run(desk, name, run))
     # One more on either side, so that lines leave the window.
     first = max(int(np.searchsorted(record.time, low)) - 1, 0)
     last = int(np.searchsorted(record.time, high, side="right")) + 1

@@ -14,6 +14,7 @@ const WORDS = /** @type {Record<string, [string, string]>} */ ({
   simulation: ["Simulating", "Simulating"],
   forecast: ["Forecasting", "Forecasting"],
   plan: ["Planning", "Planning"],
+  fit: ["Fitting", "Fitting"],
 });
 
 const PAUSE = 250;

@@ -1,8 +1,9 @@
 // @ts-check
 // The runs of a campaign, and their records through a window of time.
 
-import { get } from "./api.js";
+import { get, Refused, send } from "./api.js";
 import { commandLine, labelled, make, warning } from "./dom.js";
+import { follow } from "./job.js";
 import { campaignTabs } from "./tabs.js";
 
 const HEIGHT = 190;
@@ -22,12 +23,15 @@ class RecordPlots {
     this.name = name;
     this.run = run;
     this.about = about;
+    // Columns that share a chart: data and fit.
+    this.together = about.together;
+    this.first = about.columns.filter((/** @type {any} */ _, /** @type {number} */ i) => i % about.together === 0);
     this.whole = [about.first, about.last];
     this.window = [...this.whole];
     this.charts = /** @type {any[]} */ ([]);
     this.asked = 0;
     this.words = make("p", { class: "quiet", "aria-live": "polite" });
-    this.boxes = about.columns.map(/** @param {any} c */ (c) =>
+    this.boxes = this.first.map(/** @param {any} c */ (c) =>
       make("div", { class: "canvas", role: "img", "aria-label": `${c.name}, ${c.unit}, over time` }));
     this.element = make("div", {}, this.tools(), ...this.boxes, this.words);
     new ResizeObserver(() => {
@@ -75,6 +79,7 @@ class RecordPlots {
       told = await get("record", {
         name: this.name, run: this.run, low, high,
         parts: Math.max(this.element.clientWidth, 300),
+        fit: this.together > 1,
       });
     } catch (error) {
       this.words.replaceChildren(warning(/** @type {Error} */ (error).message));
@@ -85,7 +90,7 @@ class RecordPlots {
     if (!this.charts.length) this.make();
     this.charts.forEach((chart, i) => {
       chart.batch(() => {
-        chart.setData([told.time, told.columns[i]], false);
+        chart.setData([told.time, ...told.columns.slice(i * this.together, (i + 1) * this.together)], false);
         chart.setScale("x", { min: low, max: high });
       });
     });
@@ -98,16 +103,21 @@ class RecordPlots {
   make() {
     const { axis, colour } = globalThis.counterspin;
     this.charts = this.boxes.map((/** @type {HTMLElement} */ box, /** @type {number} */ i) => {
-      const { name, unit } = this.about.columns[i];
+      const { name, unit } = this.first[i];
       const stroke = () => colour(`--series-${(i % 6) + 1}`);
+      const series = this.about.columns.slice(i * this.together, (i + 1) * this.together).map(
+        (/** @type {any} */ column, /** @type {number} */ place) => ({
+          label: column.name, points: { show: false }, width: place + 1,
+          stroke: place ? () => colour("--warning") : stroke,
+        }));
       const chart = new /** @type {any} */ (globalThis).uPlot({
         width: this.element.clientWidth,
         height: HEIGHT,
-        legend: { show: false },
+        legend: { show: this.together > 1 },
         cursor: { y: false, sync: { key: "record" }, drag: { x: true, y: false, dist: 4, setScale: false } },
         scales: { x: { time: false } },
-        axes: [axis("time, s", 34), axis(`${name}, ${unit}`, 70)],
-        series: [{}, { stroke, width: 1, points: { show: false } }],
+        axes: [axis("time, s", 34), axis(`${this.together > 1 ? name.split(":")[0] : name}, ${unit}`, 70)],
+        series: [{ label: "time, s" }, ...series],
         hooks: {
           setSelect: [(/** @type {any} */ u) => {
             if (u.select.width < 4) return;
@@ -151,12 +161,20 @@ export async function runsView(name) {
       judgement.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   };
+  const fitted = make("input", { type: "checkbox" });
+  const fitFirst = async () => {
+    try {
+      follow(await send("POST", "fit", { name }), place, show);
+    } catch (error) {
+      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+  };
   const show = async () => {
     const mine = ++turn;
     judgement.replaceChildren();
     place.replaceChildren(make("p", { class: "quiet" }, "Reading."));
     try {
-      const about = await get("record-about", { name, run: select.value });
+      const about = await get("record-about", { name, run: select.value, fit: fitted.checked });
       // Another run was chosen meanwhile.
       if (mine !== turn) return;
       const plots = new RecordPlots(name, select.value, about);
@@ -167,10 +185,14 @@ export async function runsView(name) {
         make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows${used}`), plots.element);
       await plots.show(plots.whole);
     } catch (error) {
-      if (mine === turn) place.replaceChildren(warning(/** @type {Error} */ (error).message));
+      if (mine !== turn) return;
+      // Once fitted, all runs are.
+      if (fitted.checked && error instanceof Refused && error.status === 404) fitFirst();
+      else place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   };
   select.addEventListener("change", show);
+  fitted.addEventListener("change", show);
   if (runs.length) setTimeout(show);
   const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Not there: ${file}`));
   return {
@@ -180,7 +202,8 @@ export async function runsView(name) {
       ...missing,
       ...(runs.length
         ? [make("div", { class: "row" }, labelled("Run", select),
-          make("button", { type: "button", onclick: check }, "Check this run")), judgement, place]
+          make("button", { type: "button", onclick: check }, "Check this run"),
+          make("label", { class: "choice" }, fitted, "Data and fit, less the parabola of the bias")), judgement, place]
         : [make("p", {}, "There is no record to show.")]),
     ],
   };
