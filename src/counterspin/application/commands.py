@@ -80,7 +80,7 @@ def export_command(
 ) -> str:
     """Return the command that makes a campaign of a recorder's files."""
     said = [f"--answer={key}={answer}" for key, answer in answers.items()]
-    kind = [] if test == "double-turntable" else [f"--test={test}"]
+    kind = [f"--test={test}"]
     return _typed(["init", str(folder), *kind, "--from", *map(str, files), *said])
 
 

@@ -14,9 +14,10 @@ from counterspin.application.commands import export_command
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.starter import Test
-from counterspin.exports.description import Draft, write_description
+from counterspin.exports.description import Draft, guessed_test, write_description
 from counterspin.exports.description import drafted as described_as
 from counterspin.exports.looking import FileColumn, look_at
+from counterspin.exports.poses import PosesDraft
 from counterspin.exports.tumble import TumbleDraft
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
@@ -66,24 +67,26 @@ def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
 
 
 def _draft(
-    desk: Desk, names: Sequence[str], answers: dict[str, str] | None, test: Test
-) -> Draft | TumbleDraft:
+    desk: Desk, names: Sequence[str], answers: dict[str, str] | None, stated: Test | None
+) -> tuple[Draft | TumbleDraft | PosesDraft, Test]:
     files = [desk.file(name) for name in names]
     said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     sheet = said.get("sheet", "")
     looks = _LOOKS.get((sheet, *files), files, lambda: look_at(files, said))
-    return described_as(looks, said, test)
+    test = stated or guessed_test(looks)
+    return described_as(looks, said, test), test
 
 
 def drafted(
     desk: Desk,
     names: list[str],
     answers: dict[str, str] | None = None,
-    test: Test = "double-turntable",
+    test: Test | None = None,
 ) -> dict[str, Any]:
     """Return what files show, in sentences and columns, what may be answered, and what is wrong."""
-    found = _draft(desk, names, answers, test)
+    found, test = _draft(desk, names, answers, test)
     return {
+        "test": test,
         "statements": list(found.statements),
         "questions": [vars(question) for question in found.questions],
         "problems": list(found.problems),
@@ -109,11 +112,11 @@ def begin_drafted(
     folder: str,
     names: list[str],
     answers: dict[str, str] | None = None,
-    test: Test = "double-turntable",
+    test: Test | None = None,
 ) -> dict[str, Any]:
     """Write the campaign that files and answers make; return its name and the command."""
     place = desk.place(folder)
-    found = _draft(desk, names, answers, test)
+    found, test = _draft(desk, names, answers, test)
     write_description(found, place)
     files = [desk.file(name) for name in names]
     command = export_command(place, files, dict(found.answers), test)

@@ -12,7 +12,7 @@ from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text
 
 #: The kinds of test there is an example of.
-Test = Literal["double-turntable", "tumble", "arm"]
+Test = Literal["double-turntable", "tumble", "arm", "poses"]
 
 #: Of each kind its description, and the table of readings beside it.
 _EXAMPLES: Final[Mapping[str, tuple[str, str | None]]] = {

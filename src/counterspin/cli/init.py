@@ -20,7 +20,7 @@ def init(
     directory: Path,
     /,
     *,
-    test: Test = "double-turntable",
+    test: Test | None = None,
     from_: Annotated[list[Path] | None, Parameter(name="--from", consume_multiple=True)] = None,
     yes: bool = False,
     answer: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
@@ -32,8 +32,9 @@ def init(
     directory
         Folder for campaign.toml; made if it is not there.
     test
-        Kind of test: records of a double turntable, readings of a multi-position tumble, or
-        readings on the arm of a centrifuge (an example only).
+        Kind of test: records of a double turntable, readings of a multi-position tumble, readings on
+        the arm of a centrifuge (an example only), or a record of a sensor with three axes in many
+        poses. Without it an example of the first; of files, what they show.
     from_
         Files of a recorder, one for each run, or the table of a tumble's readings: what is in them
         is guessed and said, what they do not say is asked.
@@ -49,7 +50,7 @@ def init(
         raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
     from counterspin.campaign.starter import init as run
 
-    written = run(directory, test)
+    written = run(directory, test or "double-turntable")
     _write_schema(directory)
     say(
         f"Wrote {written}. Edit it, or try it:",
@@ -69,16 +70,17 @@ def _write_schema(directory: Path) -> None:
 
 
 def _from_files(
-    directory: Path, files: list[Path], given: list[str], test: Test, *, asks: bool
+    directory: Path, files: list[Path], given: list[str], stated: Test | None, *, asks: bool
 ) -> None:
     """Write a campaign of a recorder's files."""
-    from counterspin.exports.description import drafted, write_description
+    from counterspin.exports.description import drafted, guessed_test, write_description
     from counterspin.exports.looking import look_at
     from counterspin.reports.progress import work_progress
 
     answers = _answers(given)
     with work_progress("Files") as advance:
         looks = look_at(files, answers, progress=advance)
+    test = stated or guessed_test(looks)
     found = drafted(looks, answers, test)
     asks = asks and sys.stdin is not None and sys.stdin.isatty()
     say("Guessed from the files:", *(f"  {statement}" for statement in found.statements))

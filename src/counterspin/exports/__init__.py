@@ -5,5 +5,6 @@
 - `guessing`: which column is what, of every file
 - `questions`: what is asked, and what an answer means
 - `tumble`: a table of readings of a tumble
+- `poses`: a record of a sensor with three axes, set down in many poses
 - `description`: the description that guesses and answers make
 """

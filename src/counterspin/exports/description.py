@@ -19,6 +19,7 @@ from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.guessing import FileGuess, agreed, guess_file
 from counterspin.exports.looking import Look
+from counterspin.exports.poses import PosesDraft, poses_draft, shows_poses
 from counterspin.exports.questions import (
     SENSES,
     AnsweredExport,
@@ -110,10 +111,15 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
     return Draft(statements, questions, taken, problems, guesses, common)
 
 
+def guessed_test(looks: Sequence[Look]) -> Test:
+    """Return of which kind of test files are, as they show it."""
+    return "poses" if shows_poses(looks) else "double-turntable"
+
+
 def drafted(
-    looks: Sequence[Look], answers: Mapping[str, str], test: Test = "double-turntable"
-) -> Draft | TumbleDraft:
-    """Return what the files of a test show; RecordError for a test whose tables nobody guesses."""
+    looks: Sequence[Look], answers: Mapping[str, str], test: Test
+) -> Draft | TumbleDraft | PosesDraft:
+    """Return what the files of a test show; CampaignError for a test whose tables nobody guesses."""
     if test == "arm":
         raise CampaignError(
             "init",
@@ -122,10 +128,12 @@ def drafted(
                 "this kind of test, and put your table in the place of its readings.csv"
             ],
         )
+    if test == "poses":
+        return poses_draft(looks, answers)
     return tumble_draft(looks, answers) if test == "tumble" else draft(looks, answers)
 
 
-def write_description(draft: Draft | TumbleDraft, folder: Path) -> Path:
+def write_description(draft: Draft | TumbleDraft | PosesDraft, folder: Path) -> Path:
     """Write the description into the campaign's folder, with what was guessed as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():

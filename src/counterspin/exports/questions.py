@@ -170,7 +170,7 @@ def questions_of(
     yield from place_questions(common.look, ALL_SHEETS)
     text = f"How far is the platform from the spindle's axis?{_size_seen(common)}"
     yield ExportQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
-    yield from _time_questions(common, names)
+    yield from time_questions(common, names)
     yield from _angle_questions(common, names, sense)
     if common.rate is None:
         text = "At which rate does the centrifuge turn?"
@@ -204,7 +204,8 @@ def _size_seen(common: FileGuess) -> str:
     return ""
 
 
-def _time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[ExportQuestion]:
+def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[ExportQuestion]:
+    """Yield the questions about the time of each row."""
     time = common.time
     text = "Which column is the time?"
     yield ExportQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)

@@ -12,10 +12,14 @@ import { drawingOf } from "./drawings.js";
  * @typedef {{key: string, text: string, example: string, choices: string[], guess: string|null}} Question
  */
 
-/** Kind of test -> what only one column may be, and what else a column may be. */
+/**
+ * Kind of test -> what only one column may be, what else a column may be, and what is said of one
+ * that is neither.
+ */
 const ROLES = {
-  "double-turntable": { parts: ["time", "angle"], others: ["displacement", "velocity", "specific_force", "unused"] },
-  "tumble": { parts: ["position"], others: ["reading", "uncertainty", "temperature", "time", "unused"] },
+  "double-turntable": { parts: ["time", "angle"], others: ["displacement", "velocity", "specific_force", "unused"], blank: "choose" },
+  "tumble": { parts: ["position"], others: ["reading", "uncertainty", "temperature", "time", "unused"], blank: "choose" },
+  "poses": { parts: ["time", "X", "Y", "Z"], others: [], blank: "unused" },
 };
 const NONE = "none";
 
@@ -23,11 +27,26 @@ const NONE = "none";
 export function exportsPart() {
   const folder = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
   const test = make("select", {},
+    make("option", { value: "" }, "To be guessed"),
     make("option", { value: "double-turntable" }, "Records of a double turntable"),
-    make("option", { value: "tumble" }, "Table of a tumble's readings"));
+    make("option", { value: "tumble" }, "Table of a tumble's readings"),
+    make("option", { value: "poses" }, "Record of a sensor in many poses"));
   const files = make("input", { type: "file", multiple: true, id: "exports" });
   const place = make("div");
 
+  /** @type {string[]} those that were brought */
+  let names = [];
+  const look = async () => {
+    place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
+    try {
+      const preview = new Preview(place, names, () => folder.value, test.value);
+      await preview.update();
+      test.value = preview.test;
+    } catch (error) {
+      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+  };
+  test.addEventListener("change", () => names.length ? look() : null);
   /** @param {File[]} some */
   const take = async (some) => {
     if (!some.length) return;
@@ -37,17 +56,16 @@ export function exportsPart() {
       return;
     }
     try {
-      const names = [];
+      names = [];
       for (const file of some) {
         place.replaceChildren(make("p", { class: "quiet" }, `Bringing ${file.name}.`));
         names.push((await bring(`${folder.value.trim()}/${file.name}`, file)).name);
       }
-      place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
-      const kind = /** @type {keyof typeof ROLES} */ (test.value);
-      await new Preview(place, names, () => folder.value, kind).update();
     } catch (error) {
       place.replaceChildren(warning(/** @type {Error} */ (error).message));
+      return;
     }
+    await look();
   };
   files.addEventListener("change", () => take([...files.files ?? []]));
   const pasted = pastedTable(async (file) => {
@@ -100,7 +118,7 @@ class Preview {
    * @param {HTMLElement} place
    * @param {string[]} names of the files
    * @param {() => string} folder of the new campaign
-   * @param {keyof typeof ROLES} test its kind
+   * @param {string} test its kind; empty: to be guessed
    */
   constructor(place, names, folder, test) {
     this.test = test;
@@ -117,14 +135,21 @@ class Preview {
 
   /** What is said of the files so far. */
   said() {
-    return { names: this.names, answers: this.answers, test: this.test };
+    return { names: this.names, answers: this.answers, test: this.test || null };
+  }
+
+  /** What a column may be. */
+  roles() {
+    return ROLES[/** @type {keyof typeof ROLES} */ (this.test)];
   }
 
   /** Ask what the files show with the answers so far, and show it. */
   async update() {
     const asked = ++this.asked;
     const told = await send("POST", "draft", this.said());
-    if (asked === this.asked) this.show(told, told.problems);
+    if (asked !== this.asked) return;
+    this.test = told.test;
+    this.show(told, told.problems);
   }
 
   /**
@@ -163,7 +188,7 @@ class Preview {
    * @param {Map<string, string>} wrong
    */
   table(told, questions, wrong) {
-    const { parts } = ROLES[this.test];
+    const { parts } = this.roles();
     const keys = new Set(parts);
     /** @type {Record<string, (Node|null)[]>} */
     const rows = { is: [], unit: [], axis: [], picture: [] };
@@ -202,7 +227,7 @@ class Preview {
    */
   kind(name, part, questions, wrong) {
     const value = part ?? this.answers[`${name} is`] ?? questions.get(`${name} is`)?.guess ?? "";
-    const { parts, others } = ROLES[this.test];
+    const { parts, others, blank } = this.roles();
     const choices = [...parts, ...others];
     const control = make("select", {
       "aria-label": `What is column ${name}?`,
@@ -219,7 +244,7 @@ class Preview {
         this.changed();
       },
     }, ...(value ? [] : [""]).concat(choices).map((one) =>
-      make("option", { value: one }, one.replace("_", " ") || "choose")));
+      make("option", { value: one }, one.replace("_", " ") || blank)));
     control.value = value;
     return withMistake(control, wrong.get(`${name} is`));
   }
