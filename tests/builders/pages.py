@@ -12,6 +12,7 @@ from counterspin.reports.blocks import (
     Paragraph,
     Plot,
     PlotSeries,
+    Sphere,
     Table,
 )
 from counterspin.reports.html import html
@@ -70,6 +71,15 @@ def blocks(name="Qx"):
         Heading("Uncertainty budget", 3),
         Bars(f"Budget {name}", (name, "b"), (2.0, 1.0), ("2 (67 %)", "1 (33 %)")),
         HeatMap(f"Correlation {name}", (name, "b"), ((1.0, -0.5), (-0.5, 1.0))),
+        Sphere(
+            f"Poses of {name}",
+            (name, "b", "c"),
+            ((0.0, 0.6, 0.8), (0.6, 0.0, -0.8)),
+            (1.0, -0.5),
+            (name, "2"),
+            name,
+            frozenset({1}),
+        ),
         bare,
         residuals(f"Residuals of {name}", label=name),
         residuals(f"Residuals of {name}", label=name, count=1400),

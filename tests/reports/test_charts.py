@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import CounterspinError
-from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
+from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries, Sphere
 from counterspin.reports.chart_layout import date_ticks, shortened, text_width, thinned
 from counterspin.reports.charts import save, svg
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
@@ -29,11 +29,22 @@ LINE = Plot(
 )
 BARS = Bars("Budget", ("noise", "priors"), (90.0, 10.0), ("90 %", "10 %"))
 MAP = HeatMap("Correlations", ("K_F", "K_II"), ((1.0, -0.95), (-0.95, 1.0)))
-PICTURES = [LINE, BARS, MAP]
+SPHERE = Sphere(
+    "Poses",
+    ("X", "Y", "Z"),
+    ((0.0, 0.0, 1.0), (0.6, 0.8, 0.0)),
+    (0.5, -2.0),
+    ("1", "2"),
+    "residual, mm/s^2",
+    frozenset({1}),
+)
+PICTURES = [LINE, BARS, MAP, SPHERE]
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
 
-every_picture = pytest.mark.parametrize("picture", PICTURES, ids=["plot", "bars", "heat map"])
+every_picture = pytest.mark.parametrize(
+    "picture", PICTURES, ids=["plot", "bars", "heat map", "sphere"]
+)
 every_theme = pytest.mark.parametrize("theme", ["light", "page"])
 
 
@@ -245,6 +256,7 @@ def test_nothing_to_draw_is_an_empty_drawing():
     assert svg(Plot("", "x", "y", ()))
     assert svg(Bars("", (), (), ()))
     assert svg(HeatMap("", (), ()))
+    assert svg(Sphere("", ("X", "Y", "Z"), (), (), (), ""))
 
 
 def test_many_names_stand_upright():

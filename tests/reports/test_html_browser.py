@@ -310,7 +310,7 @@ def test_without_a_script_all_is_there(browser, report):
         assert tab.locator(".answer").inner_text().startswith("K_II of Qx = 27.04 ± 0.11 ug/g^2")
         assert tab.locator("td:visible").count() == 6
         assert (
-            tab.locator("figure .still svg:visible").count() == tab.locator("figure").count() == 5
+            tab.locator("figure .still svg:visible").count() == tab.locator("figure").count() == 6
         )
         assert tab.locator("button:visible").count() == 0
 

@@ -32,9 +32,9 @@ def init(
     directory
         Folder for campaign.toml; made if it is not there.
     test
-        Kind of test: records of a double turntable, readings of a multi-position tumble, readings on
-        the arm of a centrifuge (an example only), or a record of a sensor with three axes in many
-        poses. Without it an example of the first; of files, what they show.
+        Kind of test: records of a double turntable, readings of a multi-position tumble, readings
+        on the arm of a centrifuge (an example only), or a record of a sensor with three axes in
+        many poses. Without it an example of the first; of files, what they show.
     from_
         Files of a recorder, one for each run, or the table of a tumble's readings: what is in them
         is guessed and said, what they do not say is asked.

@@ -119,7 +119,7 @@ def guessed_test(looks: Sequence[Look]) -> Test:
 def drafted(
     looks: Sequence[Look], answers: Mapping[str, str], test: Test
 ) -> Draft | TumbleDraft | PosesDraft:
-    """Return what the files of a test show; CampaignError for a test whose tables nobody guesses."""
+    """Return what the files of a test show; CampaignError of a test that is not guessed."""
     if test == "arm":
         raise CampaignError(
             "init",

@@ -34,6 +34,7 @@ from counterspin.exports.questions import (
 )
 from counterspin.frozen import frozen
 from counterspin.physics.grades import GRADES
+from counterspin.records.column_file import quoted
 from counterspin.records.poses import SHORTEST_REST, Poses, find_poses
 from counterspin.units import unit_factor
 
@@ -307,7 +308,7 @@ def _statements(
     if found is None:
         return
     unit = f" in {found.unit}" if found.unit else ""
-    yield f"a sensor with three axes: columns {', '.join(found.columns)}{unit}"
+    yield f"a sensor with three axes: columns {quoted(found.columns)}{unit}"
     poses = found.poses
     if poses is None:
         yield "no rest was found in it"

@@ -17,7 +17,8 @@ What stands in this room:
 - `typography`: powers of ten and micro signs as in print
 - `html`, `zoomable`: blocks as a page that needs nothing else; its parts are in the folder "assets"
 - `text`: blocks in the terminal
-- `charts`: pictures as SVG in a page, or in a file; `drawing`, `chart_layout`: how they are drawn
+- `charts`: pictures as SVG in a page, or in a file; `drawing`, `sphere`,
+  `chart_layout`: how they are drawn
 - `machine`: drawings of the machine and its axes
 - `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
 - `publication`: blocks as a file of a kind, in one of these faces; `publishing`: of any result

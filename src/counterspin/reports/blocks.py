@@ -143,7 +143,20 @@ class HeatMap(_Words):
     values: tuple[tuple[float, ...], ...]
 
 
-Picture = Plot | Bars | HeatMap
+@frozen
+class Sphere(_Words):
+    """Directions as points on a sphere, each with a name and coloured by a value."""
+
+    title: str
+    axes: tuple[str, str, str]  #: Names of the three axes.
+    points: tuple[tuple[float, float, float], ...]  #: Unit vectors.
+    values: tuple[float, ...]
+    names: tuple[str, ...]
+    value_label: str  #: What the values are, with their unit.
+    stands_out: frozenset[int] = frozenset()  #: Places of points drawn in the colour of warnings.
+
+
+Picture = Plot | Bars | HeatMap | Sphere
 Block = Heading | Paragraph | Table | Picture
 Words = Heading | Paragraph | Table
 

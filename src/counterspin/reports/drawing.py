@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.reports.blocks import Bars, HeatMap, Picture, Plot, PlotSeries
+from counterspin.reports.blocks import Bars, HeatMap, Picture, Plot, PlotSeries, Sphere
 from counterspin.reports.chart_layout import (
     HEIGHT,
     WIDTH,
@@ -30,6 +30,7 @@ from counterspin.reports.chart_layout import (
     thinned,
     whole_numbers,
 )
+from counterspin.reports.sphere import draw_sphere
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -165,6 +166,8 @@ def _draw_picture(
             return _draw_bars(axes, picture, palette, title)
         case HeatMap():
             return _draw_heat_map(axes, picture, palette, title)
+        case Sphere():
+            return draw_sphere(axes, picture, palette, title)
 
 
 def _draw_plot(

@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from typing import Final
 
-from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Table
+from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Sphere, Table
 from counterspin.reports.characters import Lines
 
 #: A coefficient or score in prose, such as K_II: the letter and its index.
@@ -74,5 +74,8 @@ def typeset_block(block: Block) -> Block:
                 title=typeset(block.title),
                 texts=tuple(map(typeset, block.texts)),
             )
-        case HeatMap():
-            return replace(block, title=typeset(block.title))
+        case HeatMap() | Sphere():
+            titled = replace(block, title=typeset(block.title))
+            if isinstance(titled, Sphere):
+                titled = replace(titled, value_label=typeset(titled.value_label))
+            return titled

@@ -1,0 +1,50 @@
+"""Simulated records of a sensor with three axes that is set down in many poses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+
+STEP = 0.01
+NOISE = 0.02
+
+
+@frozen(eq=False)
+class Posed:
+    """A record of k rests, and the truth."""
+
+    time: Array
+    values: Array  #: m/s^2, shape (n, 3).
+    start: Array
+    end: Array
+    force: Array  #: Of each rest, m/s^2, shape (k, 3).
+
+
+def posed(
+    rest: float, motion: float, count: int = 12, noise: float = NOISE, seed: int = 1
+) -> Posed:
+    """Return rests of `rest` seconds, each but the last followed by `motion` seconds of motion."""
+    rng = np.random.default_rng(seed)
+    force = rng.normal(size=(count, 3))
+    force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
+    still, moved = round(rest / STEP), round(motion / STEP)
+    parts = []
+    for place in range(count):
+        parts.append(np.tile(force[place], (still, 1)))
+        if place + 1 < count:
+            way = (1.0 - np.cos(np.pi * np.arange(1, moved + 1) / (moved + 1.0))) / 2.0
+            path = force[place] + way[:, None] * (force[place + 1] - force[place])
+            # A hand trembles at some hertz, and is not straight.
+            angle = 2.0 * np.pi * 4.0 * STEP * np.arange(moved)[:, None] + rng.uniform(0, 6, 3)
+            parts.append(path + 2.0 * np.sin(angle))
+    values = np.concatenate(parts)
+    start = np.arange(count) * (still + moved) * STEP
+    return Posed(
+        time=np.arange(len(values)) * STEP,
+        values=values + noise * rng.normal(size=values.shape),
+        start=start,
+        end=start + (still - 1) * STEP,
+        force=force,
+    )

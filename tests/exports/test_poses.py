@@ -1,0 +1,123 @@
+"""From a record of a sensor in many poses to a description."""
+
+import numpy as np
+import polars as pl
+import pytest
+from posed_records import posed
+
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CampaignError
+from counterspin.exports.description import drafted, guessed_test, write_description
+from counterspin.exports.looking import look_at
+from counterspin.exports.poses import poses_draft
+from counterspin.toml_text import write_document
+
+ANSWERS = {"gravity": "9.81 m/s^2", "latitude": "45 deg", "sampling_rate": "100 Hz"}
+BIAS = np.array([0.1, -0.2, 0.3])
+
+
+@pytest.fixture(scope="module")
+def values():
+    truth = posed(4.0, 1.5)
+    return truth.values + BIAS
+
+
+def write_log(folder, values):
+    """Write what many loggers do: angular rates behind, blanks between, no names, no times."""
+    rates = 0.01 * np.random.default_rng(1).normal(size=values.shape)
+    np.savetxt(folder / "imu.log", np.column_stack([values, rates]), fmt="%.5f")
+    return folder / "imu.log"
+
+
+def test_a_log_without_names_and_times(tmp_path, values):
+    looks = look_at([write_log(tmp_path, values)])
+    assert guessed_test(looks) == "poses"
+    found = drafted(looks, ANSWERS, "poses")
+    assert found.open_questions == []
+    assert found.triad == ("column 1", "column 2", "column 3")
+    assert any(one.startswith("12 poses in imu.log: rests of at least") for one in found.statements)
+    document = found.document(tmp_path / "camp")
+    assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
+    assert document["triad"] == {"accelerometers": ["X", "Y", "Z"]}
+    # A noise of 0.02 m/s^2 at 100 Hz is 0.3 mg/Hz^0.5.
+    assert document["accelerometers"]["Y"] == {
+        "input_axis": "north",
+        "pendulous_axis": "up",
+        "grade": "consumer",
+        "specific_force": {"column": "column 2", "unit": "m/s^2"},
+    }
+    assert document["runs"] == [
+        {
+            "name": "imu",
+            "motion": "static",
+            "attitude": "unknown",
+            "record": "../imu.log",
+            "poses": {"rest": "1.5 s"},
+        }
+    ]
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    assert campaign.triad is not None
+
+
+def test_what_is_guessed_can_be_overruled(tmp_path, values):
+    looks = look_at([write_log(tmp_path, values)])
+    more = {"X": "column 3", "Z": "column 1", "grade": "tactical", "rest": "3", "unit": "m/s^2"}
+    found = poses_draft(looks, ANSWERS | more)
+    document = found.document(tmp_path)
+    assert found.problems == ()
+    assert document["accelerometers"]["X"]["specific_force"]["column"] == "column 3"
+    assert document["accelerometers"]["X"]["grade"] == "tactical"
+    assert document["runs"][0]["poses"] == {"rest": "3 s"}
+    with pytest.raises(CampaignError, match="each axis has a column of its own"):
+        poses_draft(looks, ANSWERS | {"X": "column 2"}).document(tmp_path)
+    # The kind itself, too.
+    asked = [one.key for one in drafted(looks, {}, "double-turntable").questions]
+    assert "radius" in asked
+
+
+def test_what_the_file_does_not_say_is_asked(tmp_path, values):
+    found = poses_draft(look_at([write_log(tmp_path, values)]))
+    asked = [question.key for question in found.open_questions]
+    assert asked == ["gravity", "latitude", "sampling_rate"]
+    with pytest.raises(CampaignError, match="sampling_rate: No column has the time"):
+        found.document(tmp_path)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.81), ("mg", 1000 / 9.81)])
+def test_the_size_at_rest_tells_the_unit(tmp_path, values, unit, factor):
+    time = np.arange(len(values)) * 10.0
+    columns = {"t_ms": time} | {f"a{n}": factor * values[:, n] for n in range(3)}
+    pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
+    looks = look_at([tmp_path / "imu.csv"])
+    assert guessed_test(looks) == "poses"
+    found = poses_draft(looks, {k: v for k, v in ANSWERS.items() if k != "sampling_rate"})
+    document = found.document(tmp_path)
+    assert document["records"] == {"time": {"column": "t_ms", "unit": "ms"}}
+    assert document["accelerometers"]["X"]["specific_force"] == {"column": "a0", "unit": unit}
+
+
+def test_counts_have_a_sensitivity(tmp_path, values):
+    field = np.cross(values, [0.3, 0.5, 0.1])  # what a magnetometer beside them might show
+    columns = {f"a{n}": np.round(1670.0 * values[:, n]) for n in range(3)}
+    columns |= {f"m{n}": field[:, n] for n in range(3)}
+    pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
+    looks = look_at([tmp_path / "imu.csv"])
+    found = poses_draft(looks, ANSWERS)
+    assert found.triad == ("a0", "a1", "a2")
+    assert [question.key for question in found.open_questions] == ["unit"]
+    document = poses_draft(looks, ANSWERS | {"unit": "count"}).document(tmp_path)
+    output = document["accelerometers"]["Z"]["output"]
+    assert output["unit"] == "count"
+    assert float(output["sensitivity"].split()[0]) == pytest.approx(1670.0 * 9.81, rel=0.02)
+    assert "count/g" in write_document(document, {})
+    named = poses_draft(looks, ANSWERS | {"unit": "count", "sensitivity": "16384 count/g"})
+    write_description(named, tmp_path / "camp")
+
+
+def test_other_records_are_not_taken_for_poses(tmp_path, values):
+    rng = np.random.default_rng(2)
+    still = 9.81 * np.tile([0.0, 0.6, 0.8], (len(values), 1)) + 0.02 * rng.normal(size=values.shape)
+    for name, these in (("still", still), ("few", values[:2000]), ("rates", 0.01 * values)):
+        columns = {f"a{n}": these[:, n] for n in range(3)}
+        pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
+        assert guessed_test(look_at([tmp_path / f"{name}.csv"])) == "double-turntable"
