@@ -8,6 +8,7 @@ in turn, until the forces converge.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -79,7 +80,10 @@ def missing_axes(
 
 
 def correct(
-    instruments: Sequence[CalibratedAccelerometer], indicated: Array, known: Sequence[Known] = ()
+    instruments: Sequence[CalibratedAccelerometer],
+    indicated: Array,
+    known: Sequence[Known] = (),
+    between: Mapping[tuple[int, int], Array] = MappingProxyType({}),
 ) -> Corrected:
     """Correct the indications of accelerometers that stand on one platform.
 
@@ -87,11 +91,12 @@ def correct(
     along all input axes, and the known ones, determine. The uncertainty is first order: with M
     the Jacobian of all indications with respect to all a_I, the errors of the coefficients K_k of
     accelerometer k move a_I by -M^-1 J_k dK_k, J_k being the products. For one accelerometer this
-    is u(a_I) = sqrt(J C J^T) / |d a_ind/d a_I|. Coefficients of different accelerometers are taken
-    as uncorrelated.
+    is u(a_I) = sqrt(J C J^T) / |d a_ind/d a_I|.
 
     instruments: The accelerometers, m of them, each with an input axis of its own.
     indicated: Indicated specific force in g, shape (n, m); not finite: nor is the sample's result.
+    between: Places of two accelerometers, the lower first -> covariance of their coefficients, of
+        the first along the rows; where there is none they are uncorrelated.
     """
     missing = missing_axes(instruments, known)
     if missing:
@@ -109,20 +114,24 @@ def correct(
 
     jacobian = np.empty((n, m, m))
     from_known = np.zeros((n, m, len(known)))
-    variance = np.empty((n, m))
+    variance = np.zeros((n, m, m))
     for k, instrument in enumerate(instruments):
         p, o = (_total_slope(instrument, a_ipo[k], axis)[:, None] for axis in "PO")
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
         jacobian[:, k, k] += _total_slope(instrument, a_ipo[k], "I")
         from_known[:, k] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
-        variance[:, k] = _variance(instrument, a_ipo[k])
+        variance[:, k, k] = _variance(instrument, a_ipo[k])
+    for (k, other), covariance in between.items():
+        one, two = (_products(instruments[at], a_ipo[at]) for at in (k, other))
+        variance[:, k, other] = variance[:, other, k] = np.sum((one @ covariance) * two, axis=1)
     inverse = np.full_like(jacobian, np.nan)
     present = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[present] = np.linalg.inv(jacobian[present])
-    total = np.einsum("nik,nk->ni", inverse**2, variance)
+    total = np.sum((inverse @ variance) * inverse, axis=2)
     spread = inverse @ from_known * [item.u for item in known]
     total += np.sum(spread**2, axis=2)
-    return Corrected(force, np.sqrt(total))
+    # Rounding alone may leave less than nothing where errors of two accelerometers cancel.
+    return Corrected(force, np.sqrt(np.maximum(total, 0.0)))
 
 
 def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
@@ -208,10 +217,14 @@ def _total_slope(instrument: CalibratedAccelerometer, a_ipo: Array, axis: str) -
     return total
 
 
-def _variance(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
-    products = np.stack(
+def _products(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
+    """Return by what an error of each coefficient moves the indication, shape (n, t)."""
+    return np.stack(
         [TERMS[symbol].effect.evaluate(a_ipo) for symbol in instrument.coefficients], axis=1
     )
+
+
+def _variance(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
     # A sum of squares: no error of the covariance makes it less than nothing.
-    parts = products @ semidefinite_root(instrument.covariance)
+    parts = _products(instrument, a_ipo) @ semidefinite_root(instrument.covariance)
     return np.asarray(np.sum(parts**2, axis=1))
