@@ -59,6 +59,17 @@ def test_the_level_is_the_standard_deviation_about_each_row() -> None:
             assert found.level[place] == pytest.approx(exact, rel=4e-5)
 
 
+def test_the_level_is_shown_in_few_points_that_miss_no_motion() -> None:
+    truth = posed(4.0, 1.5)
+    found = find_poses(truth.time, truth.values)
+    time, level = found.trace(100)
+    assert len(time) == len(level) == 100
+    assert level.max() == np.nanmax(found.level)
+    moving = [(time > end) & (time < end + 1.5) for end in truth.end[:-1]]
+    assert all(level[at].max() > 5.0 * found.threshold for at in moving)
+    assert len(found.trace(100_000)[0]) == np.isfinite(found.level).sum()
+
+
 def test_a_stated_threshold_and_rest_decide() -> None:
     truth = posed(4.0, 1.5)
     assert len(find_poses(truth.time, truth.values, threshold=0.1).start) == 12

@@ -64,6 +64,7 @@ class Poses:
     scatter: Array
     count: Array  #: Rows of each, shape (k,).
     threshold: float  #: Highest level at rest.
+    time: Array  #: Of each row, s, shape (n,).
     #: Standard deviation of all three axes together over a window about each row, shape (n,); NaN
     #: of rows that are left out, as empty cells and spikes are.
     level: Array
@@ -72,6 +73,13 @@ class Poses:
     #: Of each axis, the values within poses that stand far off their neighbours, shape (3,).
     spikes: Array
     left_out: tuple[str, ...] = ()  #: Rests that are no poses, each with the reason.
+
+    def trace(self, most: int) -> tuple[Array, Array]:
+        """Return times, s, and the largest level about each, at most so many, shapes (m,)."""
+        good = np.isfinite(self.level)
+        time, level = self.time[good], self.level[good]
+        starts = np.unique(np.linspace(0, len(level), most, endpoint=False).astype(int))
+        return time[starts], np.maximum.reduceat(level, starts)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -164,6 +172,7 @@ def find_poses(
         scatter=np.array([part.std(axis=0) for part in rows]),
         count=(ends - starts).astype(float),
         threshold=float(found),
+        time=time,
         level=levels,
         contrast=contrast,
         spikes=spikes[~good][within].sum(axis=0).astype(float),
