@@ -87,8 +87,8 @@ def apply(
     file: Path,
     /,
     *,
-    accelerometer: str,
     output: OutputFolder,
+    accelerometer: str | None = None,
     forces: Forces = _ALONE,
     written: Written = _PLAIN,
     overwrite: bool = False,
@@ -101,10 +101,11 @@ def apply(
         Result that `counterspin calibrate --json` wrote.
     file
         Record file with a column of indicated specific force, such as .csv, .parquet, .h5 or .mat.
-    accelerometer
-        Which of the result's accelerometers it is.
     output
         File to write: the table and two more columns, corrected force and its uncertainty.
+    accelerometer
+        Which of the result's accelerometers it is. Left out: all that --others names are corrected,
+        or all three of a triad whose columns have their names.
     overwrite
         Replace an earlier corrected file; never another file.
     """

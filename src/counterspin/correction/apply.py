@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from counterspin.calibration.notebook.instrument import (
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse
+from counterspin.correction.related import covariances_between
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
@@ -63,6 +64,8 @@ class Correction:
         What was applied, in sentences.
     warnings
         What was not, and where the model is stretched.
+    others
+        The same of each accelerometer of `ApplyOptions.others`, by name.
     """
 
     corrected: Array
@@ -71,6 +74,7 @@ class Correction:
     dof: float
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    others: Mapping[str, Correction] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return how many samples there are, and the largest u."""
@@ -160,6 +164,8 @@ def apply(
     given = {"I", "|I|"}
     given |= {"P"} if options.pendulous is not None else set()
     given |= {"O"} if options.output_axis is not None else set()
+    # Three accelerometers feel the whole force.
+    given |= {"P", "O"} if len(options.others) > 1 else set()
     whole, lost = with_unstated(result, given)
     instruments = [instrument_of(whole, name, placed=bool(options.others)) for name in indications]
     judged = judge_result(result)
@@ -180,9 +186,10 @@ def apply(
     if missing:
         raise CampaignError(_SOURCE, _needed(accelerometer, missing))
     columns = [np.asarray(values, dtype=np.float64) * factor for values in indications.values()]
-    forces = correct(instruments, np.stack(columns, axis=1), known)
+    between = covariances_between(whole, instruments)
+    forces = correct(instruments, np.stack(columns, axis=1), known, between)
     applied = [result.accelerometers[name] for name in indications]
-    return Correction(
+    done = Correction(
         corrected=forces.force[:, 0] / factor,
         u=forces.u[:, 0] / factor,
         unit=options.unit,
@@ -205,6 +212,11 @@ def apply(
             ),
         ),
     )
+    beside = {
+        name: replace(done, corrected=forces.force[:, k] / factor, u=forces.u[:, k] / factor)
+        for k, name in enumerate(options.others, 1)
+    }
+    return replace(done, others=beside)
 
 
 def _not_carried(name: str, symbols: Sequence[str]) -> list[str]:

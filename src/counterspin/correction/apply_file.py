@@ -60,11 +60,12 @@ class CorrectedFile:
     at_largest: Level  #: The row with the largest indication in size.
     correction: Correction  #: The corrected values themselves.
     found: str = ""  #: How the file is written, where that is not plain.
+    more: tuple[CorrectedFile, ...] = ()  #: Likewise of columns that were corrected with it.
 
 
 def apply_file(
     result: Result,
-    accelerometer: str,
+    accelerometer: str | None,
     source: Path | str,
     output: Path | str,
     *,
@@ -76,8 +77,11 @@ def apply_file(
 
     Parameters
     ----------
-    result, accelerometer
+    result
         As `apply`.
+    accelerometer
+        As `apply`. None: all that `options.others` names, or the accelerometers of the result's
+        triad where it names none and the columns have their names, each with two more columns.
     source
         A record file of any format.
     output
@@ -114,6 +118,14 @@ def apply_file(
     reserve(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
+    together = accelerometer is None
+    if accelerometer is None:
+        if not others and result.triad is not None:
+            others = {name: name for name in result.triad.accelerometers}
+        accelerometer = next(iter(others), None)
+        if accelerometer is None or column is not None:
+            raise CampaignError("apply", ["say with `accelerometer` which one is to be corrected"])
+        column = others.pop(accelerometer)
     for name in (accelerometer, *others):
         instrument_of(result, name)  # a wrong name is refused before the file is searched for it
     table = read_table(source, options.dialect)
@@ -125,11 +137,11 @@ def apply_file(
     }
     used = [text for text in (*given.values(), *others.values()) if text in frame.columns]
     column = column or _guessed(source, frame, accelerometer, used)
+    corrected = {accelerometer: column, **(others if together else {})}
     names = sorted({column, *used, *others.values()})
     values = read_numbers(source, names, options.dialect)
     _check_units(source, {name: table.units.get(name, "") for name in names}, options.unit)
-    new = (f"{column}_corrected", f"{column}_corrected_u")
-    for name in new:
+    for name in (f"{one}_corrected{u}" for one in corrected.values() for u in ("", "_u")):
         if name in frame.columns:
             raise CampaignError(str(source), [f"has a column '{name}' already; was it corrected?"])
     forces: dict[str, Any] = {
@@ -144,12 +156,13 @@ def apply_file(
     except NotInvertibleError as error:
         where = locate(source, error.row, options.dialect)
         raise CounterspinError(f"{source}, {where}: the indication {error.reason}") from error
-    report = _report(output, column, values[column], correction, result.inputs.gravity)
-    report = replace(report, found=table.found)
-    added = [
-        pl.Series(name, array).fill_nan(None)
-        for name, array in zip(new, (correction.corrected, correction.u), strict=True)
-    ]
+    added, reports = [], []
+    for name, one in corrected.items():
+        done = correction.others.get(name, correction)
+        reports.append(_report(output, one, values[one], done, result.inputs.gravity))
+        for new, array in ((f"{one}_corrected", done.corrected), (f"{one}_corrected_u", done.u)):
+            added.append(pl.Series(new, array).fill_nan(None))
+    report = replace(reports[0], found=table.found, more=tuple(reports[1:]))
     write_whole(
         output,
         _writer(frame.with_columns(added), suffix, table.decimal),

@@ -12,15 +12,31 @@ from counterspin.reports.text import Report
 
 def render_application(done: CorrectedFile) -> Report:
     """Return what was corrected, by how much, and how sure that is."""
-    unit, correction = done.correction.unit, done.correction
+    blocks: list[Block] = [Heading(f"Wrote {done.path}")]
+    for one in (done, *done.more):
+        blocks += _column_blocks(one)
+    correction = done.correction
+    if math.isfinite(correction.dof):
+        blocks.append(
+            Paragraph(
+                f"It rests on {format_number(correction.dof, 3)} effective degrees of freedom or "
+                "more."
+            )
+        )
+    blocks += [Paragraph(note) for note in correction.notes]
+    blocks += [Paragraph(f"Warning: {text}", "warning") for text in correction.warnings]
+    return Report(blocks)
+
+
+def _column_blocks(done: CorrectedFile) -> list[Block]:
+    unit = done.correction.unit
 
     def at(level: Level) -> str:
         return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
 
     read = f" It was read with {done.found}." if done.found else ""
     missing = f"; {done.missing} of them lack a number and stay empty" if done.missing else ""
-    blocks: list[Block] = [
-        Heading(f"Wrote {done.path}"),
+    return [
         Paragraph(
             f"{done.rows} rows of {done.column}, from {format_number(done.low, 6)} to "
             f"{format_number(done.high, 6)} {unit}{missing}.{read}"
@@ -35,13 +51,3 @@ def render_application(done: CorrectedFile) -> Report:
             "of it."
         ),
     ]
-    if math.isfinite(correction.dof):
-        blocks.append(
-            Paragraph(
-                f"It rests on {format_number(correction.dof, 3)} effective degrees of freedom or "
-                "more."
-            )
-        )
-    blocks += [Paragraph(note) for note in correction.notes]
-    blocks += [Paragraph(f"Warning: {text}", "warning") for text in correction.warnings]
-    return Report(blocks)
