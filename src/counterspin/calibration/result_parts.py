@@ -290,6 +290,10 @@ class PosesInRecord(ResultPart):
     #: Scatter in motion over that at rest, in the median; null where nothing moves.
     contrast: float | None
     notes: list[str] = []  #: Rests that were left out, and what makes the threshold doubtful.
+    #: What was compared with the threshold, of parts of the record the largest: times, s, and
+    #: scatter of the three together, m/s^2.
+    time: list[float] = []
+    level: list[float] = []
 
 
 class TriadResult(ResultPart):

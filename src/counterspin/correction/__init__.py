@@ -1,7 +1,7 @@
 """Applying a result: indicated specific force, corrected.
 
 - `apply`: in memory
-- `related`: how errors of the accelerometers of a triad are related
+- `related`: how errors of different accelerometers are related
 - `apply_file`: a column of a file, corrected in a new file
 - `page`: what was done, as a person reads it
 """

@@ -1,4 +1,4 @@
-"""How errors of different accelerometers are related, as a result of a triad says it."""
+"""How errors of different accelerometers are related, as a result says it."""
 
 from __future__ import annotations
 
@@ -18,22 +18,17 @@ def covariances_between(
     """Return the covariances of the coefficients of accelerometers that were fitted together.
 
     By their places, as `counterspin.physics.correction.correct` takes them. Two estimates are
-    related as the result's triad says; an estimate and what is known of another's term as the
-    sensitivity of its budget says.
+    related as the result's covariance says; an estimate and what is known of another's term as the
+    sensitivity of its budget says. A result of an earlier version says neither.
     """
-    if result.triad is None or result.triad.coefficients is None:
+    if result.covariance is None:
         return {}
-    related = result.triad.coefficients
-    places = {name: place for place, name in enumerate(related.terms)}
-    matrix = np.array(related.matrix)
+    places = {name: place for place, name in enumerate(result.covariance.terms)}
     found = {}
     for (k, one), (m, other) in combinations(enumerate(instruments), 2):
-        if not {one.name, other.name} <= set(result.triad.accelerometers):
-            continue
         covariance = np.zeros((len(one.coefficients), len(other.coefficients)))
-        for i, j, name, other_name in _pairs(one, other, places):
-            u = one.covariance[i, i] * other.covariance[j, j]
-            covariance[i, j] = matrix[places[name], places[other_name]] * np.sqrt(u)
+        for i, j, at in _pairs(one, other, places):
+            covariance[i, j] = result.covariance.values[at]
         _add_known(result, one, other, places, covariance)
         _add_known(result, other, one, places, covariance.T)
         found[k, m] = covariance
@@ -42,13 +37,13 @@ def covariances_between(
 
 def _pairs(
     one: CalibratedAccelerometer, other: CalibratedAccelerometer, places: Mapping[str, int]
-) -> Iterator[tuple[int, int, str, str]]:
-    """Yield the places of two estimates among their instruments' coefficients, and their names."""
+) -> Iterator[tuple[int, int, tuple[int, int]]]:
+    """Yield the places of two estimates among their instruments' coefficients, and among all."""
     for i, symbol in enumerate(one.coefficients):
         for j, another in enumerate(other.coefficients):
             names = f"{one.name}.{symbol}", f"{other.name}.{another}"
             if names[0] in places and names[1] in places:
-                yield i, j, *names
+                yield i, j, (places[names[0]], places[names[1]])
 
 
 def _add_known(

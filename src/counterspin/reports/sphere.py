@@ -114,6 +114,7 @@ def _draw_point(
         markerfacecolor=(colour, opacity),
         markeredgecolor=palette["warning"] if out else colour,
         linestyle="none",
+        clip_on=False,
         zorder=2.6 if out else 2.2,
     )
 

@@ -15,6 +15,7 @@ from counterspin.calibration.pages.pictures import (
     residual_plots,
     ripple_plot,
 )
+from counterspin.calibration.pages.pose_pictures import pose_pictures
 from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
 from counterspin.calibration.pages.triad import triad_blocks
 from counterspin.calibration.pages.uncertainty import knowledge_blocks
@@ -35,6 +36,7 @@ def document(result: Result) -> list[Block]:
         *conformity_blocks(result),
         *_chapters(result),
         *triad_blocks(result, details=True),
+        *pose_pictures(result),
         *platform_blocks(result),
         *knowledge_blocks(result),
         *run_blocks(result.runs, details=True),

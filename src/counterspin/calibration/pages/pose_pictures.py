@@ -18,6 +18,9 @@ FRAME: Final = ("x", "y", "z")
 #: A pose is marked whose residual is this many of its own standard deviations.
 _STANDS_OUT: Final = 4.0
 
+#: As many poses have their numbers on an axis.
+_MOST_NUMBERS: Final = 30
+
 #: From m/s^2.
 _SMALL: Final = ("mm/s^2", 1e3)
 
@@ -61,8 +64,9 @@ def _residuals(result: Result, triad: TriadResult) -> Iterator[Plot]:
     """Yield |f| - g of each pose by the nominal sensitivities, and what the fit leaves of it."""
     unit, factor = _SMALL
     scale = result.inputs.gravity * factor
-    places = tuple(float(number) for number in range(1, len(triad.poses) + 1))
-    ends = (places[0] - 0.5, places[-1] + 0.5)
+    places = tuple(float(place) for place in range(len(triad.poses)))
+    each = -(-len(places) // _MOST_NUMBERS)
+    names = tuple("" if place % each else str(place + 1) for place in range(len(places)))
     axes = [result.accelerometers[name].axes for name in triad.accelerometers]
     if all(axes):
         rows = np.array([own[0] for own in axes if own])
@@ -74,7 +78,7 @@ def _residuals(result: Result, triad: TriadResult) -> Iterator[Plot]:
             y_label=f"|f| - g, {unit}",
             series=(PlotSeries("", places, tuple(before.tolist()), kind="points", colour=0),),
             levels=(0.0,),
-            x_range=ends,
+            x_names=names,
             height=0.7,
         )
     after = [pose.residual * scale for pose in triad.poses]
@@ -95,7 +99,7 @@ def _residuals(result: Result, triad: TriadResult) -> Iterator[Plot]:
             ),
         ),
         levels=(0.0,),
-        x_range=ends,
+        x_names=names,
         height=0.7,
     )
 

@@ -120,6 +120,7 @@ def _poses(triad: TriadResult, *, details: bool) -> Iterator[Block]:
         return
     yield Table(
         columns=(
+            Column("No.", "right"),
             Column("Pose", wraps=True),
             Column("Direction of f", "right"),
             Column("Residual, ug", "right"),
@@ -127,6 +128,7 @@ def _poses(triad: TriadResult, *, details: bool) -> Iterator[Block]:
         ),
         rows=tuple(
             (
+                str(triad.poses.index(pose) + 1),
                 pose.name,
                 "  ".join(f"{part: .3f}" for part in pose.direction),
                 f"{pose.residual * 1e6:.1f}",

@@ -33,6 +33,9 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.poses import LINEAR, PosesAt
 from counterspin.physics.terms import TERMS
 
+#: Points of what is drawn of the search for rests.
+_TRACE_POINTS: Final = 600
+
 _SYMBOLS: Final = tuple(TERMS)
 
 #: An angle depends no more on where the axes point than by rounding.
@@ -268,12 +271,15 @@ def _records(posed: Sequence[FittedPoses]) -> dict[str, PosesInRecord]:
         for one in part.found.values()
         if one.record is not None
     }
+    traces = {name: found.trace(_TRACE_POINTS) for name, found in records.items()}
     return {
         name: PosesInRecord(
             poses=len(found.start),
             threshold=found.threshold,
             contrast=found.contrast if math.isfinite(found.contrast) else None,
             notes=[*found.left_out, *found.doubts],
+            time=traces[name][0].round(6).tolist(),
+            level=[float(f"{level:.4g}") for level in traces[name][1]],
         )
         for name, found in records.items()
     }

@@ -1,0 +1,111 @@
+"""Errors of accelerometers that were fitted together, in what is corrected with all of them."""
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+import triads
+
+import counterspin as cs
+from counterspin.correction.apply_file import apply_file
+from counterspin.errors import CampaignError
+
+FORCES = np.array([[0.0, 0.0, 1.0], [0.6, -0.8, 0.0], [0.3, 0.5, -0.7], [-1.0, 0.1, 0.2]])
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    generator = np.random.default_rng(5)
+    values = triads.indications(triads.directions(14, generator))
+    values += 3e-4 * generator.standard_normal(values.shape)
+    return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), values, u=3e-4))
+
+
+def corrected(result, y):
+    options = cs.ApplyOptions(others={"Y": y[:, 1], "Z": y[:, 2]})
+    first = cs.apply(result, "X", y[:, 0], options)
+    return [first, first.others["Y"], first.others["Z"]]
+
+
+def by_hand(parameters, y):
+    """Return f of indications, by three offsets, three sensitivities and three angles."""
+    bias, size, (xy, xz, yz) = np.split(np.asarray(parameters), 3)
+    z = [math.cos(xz), (math.cos(yz) - math.cos(xy) * math.cos(xz)) / math.sin(xy)]
+    axes = np.array([[1.0, 0.0, 0.0], [math.cos(xy), math.sin(xy), 0.0], [*z, 0.0]])
+    axes[2, 2] = math.sqrt(1.0 - z[0] ** 2 - z[1] ** 2)
+    return np.linalg.solve(size[:, None] * axes, (y - bias).T).T
+
+
+def test_the_output_and_its_u_are_those_of_the_nine_parameters(result):
+    y = triads.indications(FORCES)
+    found = corrected(result, y)
+    values = [result.triad.parameters[name].value for name in result.triad.correlation.terms]
+    u = np.array([result.triad.parameters[name].u for name in result.triad.correlation.terms])
+    force = np.column_stack([one.corrected for one in found])
+    assert force == pytest.approx(by_hand(values, y), abs=1e-12)
+    matrix, bias = np.array(result.triad.matrix), np.array(result.triad.bias)
+    assert force == pytest.approx((y - bias) @ matrix.T, abs=1e-12)
+    assert force == pytest.approx(FORCES, abs=2e-3)
+    covariance = np.outer(u, u) * np.array(result.triad.correlation.matrix)
+    slopes = []
+    for place in range(9):
+        step = np.zeros(9)
+        step[place] = 1e-6
+        slopes.append((by_hand(values + step, y) - by_hand(values - step, y)) / 2e-6)
+    variance = np.einsum("pni,pq,qni->ni", slopes, covariance, slopes)
+    claimed = np.column_stack([one.u for one in found])
+    assert claimed == pytest.approx(np.sqrt(variance), rel=1e-6)
+
+
+def test_errors_that_are_related_count_as_such(result):
+    # Along the force of a pose, |f| is better known than its parts by themselves would say.
+    y = triads.indications(FORCES)
+    plain = result.model_copy(update={"correlation": None})
+    alone = np.column_stack([one.u for one in corrected(plain, y)])
+    related = np.column_stack([one.u for one in corrected(result, y)])
+    assert np.abs(related / alone - 1.0).max() > 1e-3
+
+
+def test_what_nothing_states_counts_with_all_three(tmp_path, result):
+    generator = np.random.default_rng(5)
+    values = triads.indications(triads.directions(14, generator))
+    text = triads.head(model='terms = ["K_F", "K_I", "delta_O", "delta_P"]')
+    unstated = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=text))
+    y = triads.indications(np.vstack([FORCES, 3.0 * FORCES]))
+    found = corrected(unstated, y)
+    assert not any("no part of u" in text for text in found[0].warnings)
+    u = np.column_stack([one.u for one in found])
+    # K_II of a MEMS sensor is 1e-3 g/g^2 if nothing is stated: 9e-3 g at 3 g.
+    assert u[4, 2] == pytest.approx(9e-3, rel=0.25)
+    assert (u[:4] > np.column_stack([one.u for one in corrected(result, y[:4])])).all()
+    assert (u[:4] < 2e-3).all()
+
+
+def test_a_file_has_all_three_corrected(tmp_path, result):
+    y = triads.indications(FORCES)
+    frame = pl.DataFrame({"t": [0.0, 0.1, 0.2, 0.3], "X": y[:, 0], "Y": y[:, 1], "Z": y[:, 2]})
+    frame.write_csv(tmp_path / "in.csv")
+    done = apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv")
+    assert [one.column for one in (done, *done.more)] == ["X", "Y", "Z"]
+    written = pl.read_csv(tmp_path / "out.csv")
+    assert written.columns[4:] == [f"{n}_corrected{u}" for n in "XYZ" for u in ("", "_u")]
+    for one, name in zip(corrected(result, y), "XYZ", strict=True):
+        assert written[f"{name}_corrected"].to_numpy() == pytest.approx(one.corrected, abs=1e-12)
+        assert written[f"{name}_corrected_u"].to_numpy() == pytest.approx(one.u, rel=1e-12)
+    named = frame.rename({"X": "ax", "Y": "ay", "Z": "az"})
+    named.write_csv(tmp_path / "named.csv")
+    options = cs.ApplyOptions(others={"Z": "az", "X": "ax", "Y": "ay"})
+    done = apply_file(result, None, tmp_path / "named.csv", tmp_path / "more.csv", options=options)
+    assert [one.column for one in (done, *done.more)] == ["az", "ax", "ay"]
+    again = pl.read_csv(tmp_path / "more.csv")["ay_corrected"].to_numpy()
+    assert again == pytest.approx(written["Y_corrected"].to_numpy(), abs=1e-12)
+
+
+def test_which_accelerometer_is_asked_where_there_is_no_triad(tmp_path, result):
+    pl.DataFrame({"X": [1.0]}).write_csv(tmp_path / "in.csv")
+    plain = result.model_copy(update={"triad": None})
+    with pytest.raises(CampaignError, match="say with `accelerometer` which one"):
+        apply_file(plain, None, tmp_path / "in.csv", tmp_path / "out.csv")
+    with pytest.raises(CampaignError, match="say with `accelerometer` which one"):
+        apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv", column="X")
