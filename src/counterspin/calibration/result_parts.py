@@ -290,9 +290,8 @@ class PosesInRecord(ResultPart):
     #: Scatter in motion over that at rest, in the median; null where nothing moves.
     contrast: float | None
     notes: list[str] = []  #: Rests that were left out, and what makes the threshold doubtful.
-    #: What was compared with the threshold, of parts of the record the largest: times, s, and
-    #: scatter of the three together, m/s^2.
-    time: list[float] = []
+    time: list[float] = []  #: Where parts of the record begin, s, to draw the search for rest.
+    #: Largest scatter of the three together in each part, m/s^2, which is held to the threshold.
     level: list[float] = []
 
 
