@@ -36,12 +36,15 @@ export function exportsPart() {
 
   /** @type {string[]} those that were brought */
   let names = [];
+  /** @type {Preview|null} */
+  let preview = null;
   const look = async () => {
+    preview?.end();
     place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
     try {
-      const preview = new Preview(place, names, () => folder.value, test.value);
-      await preview.update();
-      test.value = preview.test;
+      const own = preview = new Preview(place, names, () => folder.value, test.value);
+      await own.update();
+      if (own === preview) test.value = own.test;
     } catch (error) {
       place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
@@ -130,12 +133,18 @@ class Preview {
     /** @type {Map<string, HTMLInputElement|HTMLSelectElement>} kept, so that nothing typed is lost */
     this.fields = new Map();
     this.asked = 0;
-    this.drawing = drawingOf(test, true);
+    /** @type {HTMLElement[]} of the machine, once its kind is known */
+    this.drawing = [];
   }
 
   /** What is said of the files so far. */
   said() {
     return { names: this.names, answers: this.answers, test: this.test || null };
+  }
+
+  /** Show nothing more: another preview has taken the place. */
+  end() {
+    this.asked++;
   }
 
   /** What a column may be. */
@@ -149,6 +158,7 @@ class Preview {
     const told = await send("POST", "draft", this.said());
     if (asked !== this.asked) return;
     this.test = told.test;
+    if (!this.drawing.length) this.drawing = [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)];
     this.show(told, told.problems);
   }
 
@@ -171,7 +181,7 @@ class Preview {
     this.place.replaceChildren(
       make("h3", {}, `What is in ${told.file}${this.names.length > 1 ? " and the others" : ""}`),
       make("div", { class: "scroll", tabindex: "0" }, table.element),
-      ...(told.directions.length ? [circleOf(told.directions)] : []), this.drawing,
+      ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing,
       make("form", { onsubmit: (/** @type {Event} */ event) => this.write(event, told), novalidate: true },
         make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
         wrong.has("") ? warning(/** @type {string} */ (wrong.get(""))) : null,
