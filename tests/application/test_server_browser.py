@@ -170,23 +170,23 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
 
 
 def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
-    np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=14).values, fmt="%.5f")
+    np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=24).values, fmt="%.5f")
     tab = opened()
     tab.get_by_label("Folder of the new campaign").fill("triad")
     tab.get_by_label("The recorder's files").set_input_files(tmp_path / "imu.log")
     answers = (*PLACE[:2], ("How many rows are there a second", "100 Hz"))
     for question, said in answers:
         tab.get_by_label(question).fill(said)
-    # What was guessed is shown, and may be chosen otherwise.
+    # What was guessed is shown.
     kind = tab.get_by_label("What the files are")
     assert kind.input_value() == "poses"
     assert tab.get_by_label("What is column column 2?").input_value() == "Y"
     assert tab.get_by_label("In which unit are the three axes?").input_value() == "m/s^2"
     tab.get_by_role("button", name="Write the campaign").click()
     tab.get_by_role("button", name="Calibrate").click()
-    tab.get_by_role("heading", name="Triad X, Y, Z").wait_for()
+    tab.get_by_role("heading", name="Is it good?").wait_for()
     result = Result.read(folder / "triad" / "result.json")
-    assert len(result.triad.poses) == 14
+    assert len(result.triad.poses) == 24
 
 
 def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):
