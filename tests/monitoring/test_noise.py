@@ -131,7 +131,7 @@ def test_gaps_spikes_and_rounding_are_told():
     assert (signal.outliers, signal.gaps) == (1, 1)
     assert signal.resolution == pytest.approx(2e-3)
     told = " ".join(signal.remarks)
-    for words in ("1 samples stand off", "cut at 1 gaps", "multiples of 0.002"):
+    for words in ("1 sample stands off", "cut at 1 gap;", "multiples of 0.002"):
         assert words in told
 
 
@@ -170,6 +170,46 @@ def test_what_is_asked_wrongly_is_refused(words, message):
     frame = {"time_s": np.arange(100.0), "Qx_g": np.arange(100.0) % 7, "temp": np.arange(100.0)}
     with pytest.raises(CampaignError, match=message):
         cs.noise(frame, **words)
+
+
+def german(file, time, force):
+    """Semicolons, decimal commas, a row of units."""
+    rows = [f"{t:.4f};{f:.12g}".replace(".", ",") for t, f in zip(time, force, strict=True)]
+    file.write_text("\n".join(["Zeit;Ausgang", "s;mg", *rows]) + "\n", encoding="utf-8")
+
+
+def bare(file, time, force):
+    """Numbers parted by blanks, without names."""
+    rows = [f"{t:.4f} {1e-3 * f:.15g}" for t, f in zip(time, force, strict=True)]
+    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def matlab(file, time, force):
+    from scipy.io import savemat
+
+    savemat(file, {"time_s": time, "force_mg": force})
+
+
+def parquet(file, time, force):
+    pl.DataFrame({"time_s": time, "force_mg": force}).write_parquet(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "words"),
+    [
+        ("a.txt", german, {}),
+        ("a.log", bare, {"columns": ["column 2"], "unit": "g", "sampling_rate": "100 Hz"}),
+        ("a.mat", matlab, {}),
+        ("a.parquet", parquet, {}),
+    ],
+)
+def test_files_are_read_as_recorders_write_them(tmp_path, name, write, words):
+    time, values = columns(2000)
+    write(tmp_path / name, time, 1e3 * values / G)
+    (signal,) = cs.noise(tmp_path / name, **words).signals
+    (same,) = cs.noise({"time_s": time, "Qx_g": values / G}).signals
+    for key in ("acceleration", "flicker"):
+        assert size(signal, key).high == pytest.approx(size(same, key).high, rel=1e-4)
 
 
 def test_rows_may_be_counted():

@@ -339,11 +339,12 @@ def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
                 f"shows it: a record some times longer than {stated.seconds:.4g} s tells more."
             )
     if stated.outliers:
-        yield f"{stated.outliers} samples stand off from their neighbours and were left out."
+        many = "1 sample stands" if stated.outliers == 1 else f"{stated.outliers} samples stand"
+        yield f"{many} off from the neighbours, left out."
     if stated.gaps:
         yield (
-            f"The record is cut at {stated.gaps} gaps; spectrum and Allan deviation are of its "
-            "longest part, the components of all parts."
+            f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum and "
+            "Allan deviation are of its longest part, the components of all parts."
         )
     thin = round(found.analysis.step / found.stretches.step)
     if thin > 1:
