@@ -100,6 +100,7 @@ class EvenData:
             np.concatenate(variances, axis=1),
             counts,
             places,
+            flicker_of_waves(n, self.kind.means),
         )
 
 
@@ -114,6 +115,7 @@ class EvenRecord:
     parts: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
     counts: Array  #: How many rows of the transform each group has, (g,).
     places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
+    flicker: Array  #: Covariance of the slowest rows for B = 1; see `flicker_of_waves`.
     before: float = 0.0
     added: float = 0.0
 
@@ -157,7 +159,7 @@ class EvenRecord:
         log_det = float(self.counts @ np.log(variance[self.places]))
         if unit[2] > 0.0:
             slow = slice(0, min(_DEPENDENT, self.rows))
-            inside = unit[2] * flicker_of_waves(self.samples, self.kind.means)
+            inside = unit[2] * self.flicker
             inside.flat[:: len(inside) + 1] = variance[slow]
             factor = np.linalg.cholesky(inside)
             rows[slow] = np.linalg.solve(factor, self.stack[slow])

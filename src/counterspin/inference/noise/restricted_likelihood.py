@@ -216,7 +216,9 @@ class RestrictedLikelihood:
             for record, place in zip(self.records, self.places, strict=True):
                 rows, part = record.whitened(unit)
                 log_det += part
-                own = triangle_of(in_parts(rows))
+                # The triangle of all, of one record or of many, is taken at the end.
+                own = in_parts(rows)
+                own = triangle_of(own) if len(self.records) > 1 else own
                 whole = np.zeros((own.shape[0], width))
                 whole[:, np.append(place, width - 1)] = own
                 parts.append(whole)
