@@ -1,5 +1,6 @@
 """A campaign that is followed, as long as somebody looks."""
 
+import re
 import shutil
 import time
 
@@ -25,6 +26,12 @@ def test_what_is_new_is_told(page, folder):
     assert "slow" in told["html"]
     assert told["command"].startswith("counterspin watch ")
     before = told["html"]
+    reached = told["reached"]
+    assert [one["name"] for one in reached["u"]] == ["Qx.K_II, µg/g²", "Qy.K_II, µg/g²"]
+    # Six revolutions at 0.25 and 0.5 rev/s.
+    assert reached["minutes"] == pytest.approx(36.0 / 60.0, rel=1e-2)
+    shown = re.findall(r"± ([\d.]+) µg/g²", told["html"])
+    assert [float(f"{one['u']:.2g}") for one in reached["u"]] == list(map(float, shown))
     shutil.move(folder / "later.csv", three / "fast.csv")
     assert look(page, lambda told: told["html"] != before)
 

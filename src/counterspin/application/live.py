@@ -51,7 +51,7 @@ class LiveViews:
 
         goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
         """
-        nothing = {"html": "", "events": [], "complete": False}
+        nothing = {"html": "", "events": [], "complete": False, "reached": None}
         with self._lock:
             key = (campaign, goal)
             view = self._view(key, None, follow_into, campaign, goal)

@@ -42,7 +42,7 @@ class UncertaintyChart {
       width: this.box.clientWidth,
       height: HEIGHT,
       cursor: { y: false },
-      scales: { x: { time: false }, y: { distr: 3 } },
+      scales: { x: { time: false }, y: { distr: 3, range: (/** @type {any} */ _, /** @type {number} */ low, /** @type {number} */ high) => [low / 1.2, high * 1.2] } },
       axes: [axis("recorded, min", 34), axis("u", 70)],
       series: [{ label: "recorded, min" }, ...this.seen[0].u.map(({ name }, place) =>
         ({ label: name, stroke: () => colour(`--series-${(place % 6) + 1}`), width: 2 }))],
@@ -97,7 +97,7 @@ export async function liveView(name) {
       }
       if (told.html && told.html !== shown) {
         shown = told.html;
-        chart.add(told.reached);
+        if (told.reached) chart.add(told.reached);
         // Escaped by the report's own templates.
         place.innerHTML = told.html;
         place.querySelector("h1")?.remove();
