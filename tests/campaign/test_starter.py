@@ -94,6 +94,8 @@ def test_tables_of_readings_that_are_there_stay(tmp_path):
     assert not (tmp_path / "campaign.toml").exists()
     with pytest.raises(CounterspinError, match="`test` is one of double-turntable, tumble, arm"):
         init(tmp_path, "centrifuge")
+    with pytest.raises(CounterspinError, match="made of a sensor's own log"):
+        init(tmp_path, "poses")
 
 
 def test_description_that_is_there_stays(tmp_path):

@@ -1,11 +1,14 @@
 """Forecasts: a campaign of records and readings is foretold as it is calibrated."""
 
+import numpy as np
 import pytest
+import triads
 from campaigns import SMALL, changed, write
 from mixed_campaign import MixedCampaign
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
+from counterspin.errors import CampaignError
 from counterspin.planning.forecast import forecast
 
 
@@ -21,6 +24,12 @@ def test_a_mixed_campaign_has_the_uncertainties_that_were_forecast(tmp_path):
     for symbol, c in result.accelerometers["A"].coefficients.items():
         # Records are reduced to block means and know their own rotation; a forecast samples.
         assert c.u == pytest.approx(told.u[f"A.{symbol}"], rel=5e-3)
+
+
+def test_poses_are_refused_and_not_left_out(tmp_path):
+    values = triads.indications(triads.directions(15, np.random.default_rng(1)))
+    with pytest.raises(CampaignError, match="poses at unknown attitudes cannot be predicted yet"):
+        forecast(triads.table(tmp_path, values, u=1e-4))
 
 
 MODELS = {"perfect": 'assume = "all"\nterms = ["K_F", "K_I", "K_II"]\n', "nothing assumed": ""}

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text
 
-#: The kinds of test there is an example of.
+#: The kinds of test; of all but the last there is an example.
 Test = Literal["double-turntable", "tumble", "arm", "poses"]
 
 #: Of each kind its description, and the table of readings beside it.
@@ -50,8 +50,13 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
         If there is no such test, there is a description or table already, or the folder cannot be
         written.
     """
+    if test == "poses":
+        raise CounterspinError(
+            "there is no example of poses to write; a campaign of them is made of a sensor's own "
+            "log: name that file"
+        )
     if test not in _EXAMPLES:
-        raise CounterspinError(f"`test` is one of {', '.join(get_args(Test))}, not {test!r}")
+        raise CounterspinError(f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}")
     folder = Path(folder)
     description, table = _EXAMPLES[test]
     written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})

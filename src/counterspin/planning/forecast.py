@@ -168,6 +168,11 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         for reading in campaign.readings
         if reading.u is None
     ]
+    if campaign.posed:
+        problems.append(
+            "triad: poses at unknown attitudes cannot be predicted yet, only calibrated, simulated "
+            "and studied"
+        )
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     noise = _noise(campaign)
