@@ -1,6 +1,7 @@
 """The signature of a certificate's pages: added behind them, and void after any change."""
 
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -101,6 +102,8 @@ def test_pages_metadata_and_attachments_stay_as_they_are(signed, kind):
     """Conformance: the file before is its beginning, and what PDF/A and PDF/UA ask is unchanged."""
     before, after = PAGES.read_bytes(), signed[kind]
     assert after.startswith(before)
+    # PDF/A-3, 6.1.9: an object begins on a line of its own.
+    assert re.match(rb"\n\d+ 0 obj\n", after[len(before) :])
     old, new = pypdf.PdfReader(io.BytesIO(before)), pypdf.PdfReader(io.BytesIO(after))
     roots = [reader.trailer["/Root"] for reader in (old, new)]
     assert set(roots[1]) - set(roots[0]) == {"/AcroForm", "/Perms"}
@@ -129,6 +132,15 @@ def test_pages_metadata_and_attachments_stay_as_they_are(signed, kind):
     assert (first, second + rest) == (0, len(after))
     assert after[length : length + 1] == b"<"
     assert after[second - 1 : second] == b">"
+
+
+@pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
+@pytest.mark.parametrize("flavour", ["3a", "ua1"])
+def test_verapdf_finds_no_fault(tmp_path, signed, flavour):
+    (tmp_path / "c.pdf").write_bytes(signed["ec"])
+    words = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
+    told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    assert told.startswith("PASS"), told
 
 
 def test_with_rsa_the_same_pages_give_the_same_file(signers, signed):

@@ -57,10 +57,12 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
             # Metadata that pyHanko would write anew conform with PDF/A no longer.
             pass
 
+    # An object begins on a line of its own (PDF/A-3, 6.1.9).
+    given = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
     longest = replace(signer, signed=lambda _: bytes(_longest(signer)))
     room = len(_finished(_cms(longest, bytes(32))))
     field = SigFieldSpec(_FIELD, readable_field_name=_WORDS)
-    embedding = PdfCMSEmbedder(field).write_cms(_FIELD, Addition(io.BytesIO(pages)))
+    embedding = PdfCMSEmbedder(field).write_cms(_FIELD, Addition(given))
     next(embedding)
     placeholder = SignatureObject(
         timestamp=date,
