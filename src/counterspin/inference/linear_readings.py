@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -323,12 +323,21 @@ class LinearReadings:
         return left
 
 
-def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) -> list[Block]:
+class Linearised(Protocol):
+    """Readings, or poses of a triad."""
+
+    def linearised(
+        self, model: Unknowns, estimate: Array, variance: Array | None = None
+    ) -> LinearReadings:
+        """Return their rows at an estimate; parameters as of `LinearReadings.of`."""
+
+
+def blocks_at(readings: Sequence[Linearised], model: Unknowns, estimate: Array) -> list[Block]:
     """Return the square-root information of readings whose noise is stated.
 
     estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
     """
-    parts = (LinearReadings.of(group, model, estimate) for group in readings)
+    parts = (group.linearised(model, estimate) for group in readings)
     return [part.with_noise(math.nan).block() for part in parts]
 
 

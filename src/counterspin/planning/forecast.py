@@ -17,10 +17,11 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
 from counterspin.calibration.readings import block_name
-from counterspin.campaign.conditions import conditions_of, groups_of
+from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.resolved import Run, sample_count
 from counterspin.campaign.simulated.simulable import require_room
+from counterspin.campaign.triads.grouped import all_groups
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
@@ -127,7 +128,7 @@ def forecast(
     model = model or model_of(campaign)
     if expected is None:
         expected = expected_values(campaign, model.unknowns)
-    groups = groups_of(campaign, campaign.readings)
+    groups = all_groups(campaign)
     beside = dict(zip(map(block_name, groups), blocks_at(groups, model, expected), strict=True))
     if not campaign.runs:
         solution = solve_blocks(list(beside.values()), model)
@@ -165,14 +166,17 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
     ]
     problems += [
         f'a prediction needs the standard uncertainty of the reading "{reading.name}"'
-        for reading in campaign.readings
+        for reading in campaign.all_readings
         if reading.u is None
     ]
-    if campaign.posed:
-        problems.append(
-            "triad: poses at unknown attitudes cannot be predicted yet, only calibrated, simulated "
-            "and studied"
-        )
+    problems += [
+        f'"{reading.name}" has no value: where poses point that nobody knows is found from them; '
+        "simulate them first"
+        for reading in campaign.all_readings[len(campaign.readings) :]
+        if math.isnan(reading.value)
+    ]
+    if campaign.triad is not None and campaign.triad.records:
+        problems.append("a prediction takes poses with readings, not those of a record")
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     noise = _noise(campaign)

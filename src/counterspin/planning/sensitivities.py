@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array, triangle_of
-from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.triads.grouped import all_groups
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
@@ -105,7 +105,7 @@ def _together(prediction: Forecast, faults: Sequence[Fault]) -> Sensitivities:
         )
         # One after the other: the columns of all of them together would take much memory.
         blocks += blocks_of([prepared], extended, prediction.fit.noise)
-    groups = groups_of(campaign, campaign.readings)
+    groups = all_groups(campaign)
     expected = expected_values(campaign, model.unknowns)
     blocks += blocks_at(groups, extended, expected)
     solution = solve_blocks(blocks, extended)

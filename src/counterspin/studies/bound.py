@@ -12,7 +12,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.linear_readings import Readings, blocks_at
+from counterspin.inference.linear_readings import Linearised, blocks_at
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import TERMS
 from counterspin.studies.draws import StudyTruth
@@ -22,7 +22,7 @@ from counterspin.studies.world import World
 
 
 def bounds(
-    truth: StudyTruth, model: Unknowns, world: World | None, readings: Sequence[Readings] = ()
+    truth: StudyTruth, model: Unknowns, world: World | None, readings: Sequence[Linearised] = ()
 ) -> dict[str, float]:
     """Return the least standard uncertainty from all samples and readings, by unknown.
 

@@ -37,10 +37,11 @@ def prepare(study: StudyDescription, seed: int, engine: EngineName = "auto") -> 
     campaign = study.campaign
     truth = StudyTruth.of(campaign, study.varying)
     # Readings alone need no records, and so no world of them.
-    world = world_of(campaign) if campaign.runs or not campaign.readings else None
+    read = campaign.readings or campaign.posed
+    world = world_of(campaign) if campaign.runs or not read else None
     parts = []
     for analysis in analyses_of(study):
-        if campaign.readings:
+        if read:
             parts.append(_readings(campaign, world, truth, analysis, engine))
         else:
             assert world is not None

@@ -201,9 +201,10 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         if any(_same(quantity, earlier) for earlier in varying[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is there twice")
     analyses = []
-    default = _DEFAULT if not campaign.readings else {"joint": _DEFAULT["joint"]}
+    read = campaign.readings or campaign.posed
+    default = {"joint": _DEFAULT["joint"]} if read else _DEFAULT
     for name, table in (settings.analyses or default).items():
-        if campaign.readings and isinstance(table, Mapping) and table.get("method") == "two-stage":
+        if read and isinstance(table, Mapping) and table.get("method") == "two-stage":
             problems.add(
                 ("study", "analyses", name, "method"),
                 "the two-stage method takes records of a double turntable; this campaign has "

@@ -6,7 +6,7 @@ Records of a double turntable, if there are any, are simulated and analysed besi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from typing import Final
 
@@ -21,16 +21,30 @@ from counterspin.campaign.simulated.reading_simulation import (
     indications,
     numbered_groups,
     setting_spread,
+    true_directions,
+    true_poses,
 )
+from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.linear_readings import Readings
+from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.physics.terms import shown_by_readings
 from counterspin.records.mean import stretches
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws
 from counterspin.studies.full_engine import FullEngine
 from counterspin.studies.trials import Trials, one_by_one
+
+
+@frozen
+class DrawnPoses:
+    """Poses of a triad whose attitudes the analysis does not know."""
+
+    group: TriadPoses  #: As the fit takes them, with what is indicated without noise.
+    along: Array  #: True directions of the specific force, shape (n, 3).
+    noise: Array  #: True standard deviation of each indication, g, shape (n, 3).
+
 
 _NO_NOISE: Final = "the readings have no noise, so that nothing scatters"
 
@@ -50,6 +64,7 @@ class ReadingsEngine:
     scattered: Array
     #: Symbol -> standard uncertainty of setting each position, drawn anew in each trial, rad.
     setting: Mapping[str, float] = field(default_factory=dict)
+    poses: tuple[DrawnPoses, ...] = ()  #: Poses at unknown attitudes beside them.
     records: FullEngine | None = None  #: Trials of the records beside them; None: there are none.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
@@ -61,19 +76,39 @@ class ReadingsEngine:
         estimated = None
         if self.records is not None:
             estimated = estimate(self.records.series(draws, generator), model, self.request.noise)
-        estimated, _ = with_groups(estimated, model, self._read(draws, generator))
+        read: list[Readings | TriadPoses] = [*self._read(draws, generator)]
+        read += self._posed(draws, generator)
+        estimated, _ = with_groups(estimated, model, read)
         rows, unknowns = list(self.rows), estimated.fit.model.unknowns
         nominal = np.array([unknowns[place].nominal for place in rows])
         solution = estimated.fit.solution
         return solution.estimate[rows] + nominal, solution.u[rows], estimated.dof[rows]
 
     @property
-    def with_true_noise(self) -> list[Readings]:
-        """The readings, each with its true standard deviation as its uncertainty."""
-        return [
+    def with_true_noise(self) -> list[Readings | TriadPoses]:
+        """Readings and poses, each with its true standard deviation as its uncertainty."""
+        readings = [
             replace(group, u=np.maximum(self.noise[list(places)], 1e-15))
             for group, places in self.groups
         ]
+        poses = [replace(own.group, u=np.maximum(own.noise, 1e-15)) for own in self.poses]
+        return [*readings, *poses]
+
+    def _posed(self, draws: Draws, generator: np.random.Generator) -> Iterator[TriadPoses]:
+        """Yield the poses of one trial."""
+        true = {key: float(value.mean()) for key, value in draws.values.items()}
+        for own in self.poses:
+            group = own.group
+            coefficients = [
+                {symbol: value for (owner, symbol), value in true.items() if owner == name}
+                for name in group.accelerometers
+            ]
+            value = indications_along(group, coefficients, own.along)
+            value = value + own.noise * generator.standard_normal(value.shape)
+            repeats = group.repeats[:, None]
+            again = 2.0 * generator.standard_gamma(np.tile(0.5 * (repeats - 1.0), 3))
+            scatter = np.sum(again * own.noise**2 * repeats, axis=1)
+            yield replace(group, value=value, scatter=scatter)
 
     def _read(self, draws: Draws, generator: np.random.Generator) -> list[Readings]:
         """Return the readings of one trial."""
@@ -146,8 +181,40 @@ def readings_engine(
         np.array(noise),
         np.array(scattered),
         setting_spread(campaign),
+        tuple(_drawn_poses(campaign)),
         records,
     )
+
+
+def _drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
+    """Yield the poses of a campaign, those that state their noise and the others."""
+    assert campaign.simulation is not None
+    poses, along = true_poses(campaign), true_directions(campaign)
+    known = campaign.simulation.truth.reading_noise
+    for kind in (True, False):
+        places = [
+            place
+            for place, pose in enumerate(poses)
+            if all(one.u is not None for one in pose) is kind
+        ]
+        if not places:
+            continue
+        noise = np.array(
+            [
+                [
+                    known[one.accelerometer] / math.sqrt(one.repeats)
+                    if one.accelerometer in known
+                    else one.u or 0.0
+                    for one in poses[place]
+                ]
+                for place in places
+            ]
+        )
+        if not kind and not noise.all():
+            raise ValueError(f"{_NO_NOISE}: {poses[places[0]][0].name}")
+        # What is drawn is not rounded.
+        group = replace(one_group(campaign, [poses[place] for place in places]), resolution=0.0)
+        yield DrawnPoses(group, along[places], noise)
 
 
 def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:

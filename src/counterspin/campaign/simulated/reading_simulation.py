@@ -141,13 +141,19 @@ def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
         return ()
     poses, truth = campaign.triad.poses, campaign.simulation.truth.coefficients
     group = one_group(campaign, poses)
-    along = stream(campaign, 0, 2).standard_normal((group.size, 3))
-    along /= np.linalg.norm(along, axis=1)[:, None]
+    along = true_directions(campaign)
     values = indications_along(group, [truth.get(name, {}) for name in group.accelerometers], along)
     return tuple(
         tuple(replace(one, value=value) for one, value in zip(pose, own, strict=True))
         for pose, own in zip(poses, values.tolist(), strict=True)
     )
+
+
+def true_directions(campaign: Campaign) -> Array:
+    """Return the directions of the specific force in the poses, unit vectors, shape (n, 3)."""
+    count = len(campaign.triad.poses) if campaign.triad else 0
+    along = stream(campaign, 0, 2).standard_normal((count, 3))
+    return np.asarray(along / np.linalg.norm(along, axis=1)[:, None], np.float64)
 
 
 def stream(campaign: Campaign, *which: int) -> np.random.Generator:

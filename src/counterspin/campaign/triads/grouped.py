@@ -6,10 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from counterspin.campaign.conditions import origin_of
+from counterspin.campaign.conditions import groups_of, origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
+from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses
+
+
+def all_groups(campaign: Campaign) -> list[Readings | TriadPoses]:
+    """Return all readings of a campaign, those of poses behind the others."""
+    poses = campaign.triad.poses if campaign.triad else ()
+    return [*groups_of(campaign, campaign.readings), *poses_together(campaign, poses)]
 
 
 def poses_together(
