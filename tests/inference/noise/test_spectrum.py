@@ -38,7 +38,7 @@ def test_noise_has_no_lines():
 
 
 def test_lines_are_found_with_their_uncertainty():
-    """z of 40 amplitudes and frequencies: mean within 4 of its sd, rms within 0.7 and 1.4."""
+    """z of 20 trials: the mean within 4 of its standard deviations, the rms within 3 of its."""
     time = np.arange(20_000) * STEP
     z = []
     for seed in range(20):
