@@ -96,6 +96,11 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
 def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Run:
     """Return the run whose record is meant."""
     by_name = {run.name: run for run in campaign.runs}
+    for posed in campaign.triad.records if campaign.triad else ():
+        its_file = name is None and file is not None and file.name == posed.record.name
+        if name == posed.name or its_file:
+            text = f'"{posed.name}" is a record of poses, which is judged by calibrating it'
+            raise CampaignError("check", [text])
     if name is not None:
         if name not in by_name:
             raise CampaignError(

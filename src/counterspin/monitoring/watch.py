@@ -90,6 +90,11 @@ def watch(
         If the description is wrong, has no runs with records, or a goal names no term of it.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    if campaign.posed:
+        raise CampaignError(
+            "watch",
+            ["poses at unknown attitudes are not followed while they are recorded; calibrate them"],
+        )
     if not campaign.runs:
         raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
     wanted = goals_of(campaign, goals)
