@@ -55,6 +55,10 @@ def test_what_cannot_be_known_is_refused(page, result, said, status):
 
 def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
     told = page.get("/api/ways", params=CAMPAIGN).json()
+    assert told["has_runs"]
+    page.post("/api/campaign", json={"name": "rest", "test": "tumble"})
+    readings = page.get("/api/ways", params=CAMPAIGN | {"name": "rest"}).json()
+    assert not readings["has_runs"]
     assert [one["accelerometer"] for one in told["ways"]] == ["Qx", "Qy"]
     stated = told["ways"][0]["stated"]
     assert (stated["source"], stated["known"]) == ("K_OO", "0.20 µg/g²")

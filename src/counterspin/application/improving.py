@@ -78,7 +78,6 @@ def ways(desk: Desk, name: str, result: str) -> dict[str, Any]:
     name: The campaign's folder.
     result: The result's file.
     """
-    document = load_document(desk.description(name))
     known = _searched(desk, name)
     told = []
     for owner, found in desk.result(result).accelerometers.items():
@@ -92,7 +91,15 @@ def ways(desk: Desk, name: str, result: str) -> dict[str, Any]:
                 "runs": None if known is None else _shown(known.get(owner), found),
             }
         )
-    return {"ways": told, "searched": known is not None, "has_runs": bool(document.get("runs"))}
+    return {"ways": told, "searched": known is not None, "has_runs": _has_records(desk, name)}
+
+
+def _has_records(desk: Desk, name: str) -> bool:
+    """Return whether a campaign can be read, and has runs beside which others may be made."""
+    try:
+        return bool(desk.campaign(name).runs)
+    except CounterspinError:
+        return False
 
 
 def _stated(result: Result, owner: str) -> Iterator[dict[str, Any]]:
