@@ -241,7 +241,7 @@ def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
     assert "certificate.traceability, laboratory.name" in err
-    assert "still the example's; what is signed says nothing of an example" in err
+    assert "still the example's; replace that before signing" in err
     # Before anything is signed: nobody is asked for a key.
     with pytest.raises(CampaignError, match="still the example's"):
         certificate(desk / "r.json", desk / "mine.toml", signer=lambda: pytest.fail("asked"))

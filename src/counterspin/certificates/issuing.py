@@ -234,10 +234,7 @@ def certificate(
 
 
 def _example_words(keys: list[str]) -> str:
-    return (
-        f"{', '.join(keys)}: still the example's; what is signed says nothing of an example, so "
-        "replace that first"
-    )
+    return f"{', '.join(keys)}: still the example's; replace that before signing"
 
 
 def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
