@@ -4,9 +4,11 @@ import json
 import os
 import time
 
+import numpy as np
 import pytest
 from campaigns import SMALL, write
 from results import sealed
+from triads import directions, indications, table
 
 from counterspin.application.campaigns import as_json
 
@@ -26,6 +28,12 @@ def test_a_campaign_with_its_result(page):
     assert result["answers"][0]["name"] == "K_II of Qx"
     assert "µg/g²" in result["answers"][0]["text"]
     assert told["results"] == []
+
+
+def test_poses_count_as_runs(page, folder):
+    table(folder / "triad", indications(directions(15, np.random.default_rng(1))))
+    found = {c["name"]: c["runs"] for c in page.get("/api/folder").json()["campaigns"]}
+    assert found == {"three": 3, "triad": 15}
 
 
 def test_the_state_follows_the_files(page, folder):

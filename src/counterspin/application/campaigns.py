@@ -148,7 +148,9 @@ def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any
         line["mistakes"] = [desk.folder.spoken(str(error))]
     else:
         line["title"] = campaign.title or line["title"]
-        line["runs"] = len(campaign.runs) + len(campaign.readings)
+        triad = campaign.triad
+        posed = len(triad.poses) + len(triad.records) if triad else 0
+        line["runs"] = len(campaign.runs) + len(campaign.readings) + posed
         line["instruments"] = list(campaign.accelerometers)
         records = [run.record for run in campaign.runs]
         line["missing"] = [desk.folder.name(file) for file in records if not file.is_file()]
