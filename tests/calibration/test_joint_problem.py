@@ -5,21 +5,23 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import PLACE, SMALL, changed, runs, write
 
+from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_problem import series_of
 from counterspin.calibration.model import assumed_of, model_of
 from counterspin.calibration.observed import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import OWN_TERMS, term
+from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
 
 RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
 
@@ -35,7 +37,9 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
     channel = SimpleNamespace(in_g=False)
     accelerometer = SimpleNamespace(observable=observable, mounting=mounting, channel=channel)
     campaign = SimpleNamespace(
-        noise=SimpleNamespace(timing=TIMING), radius=SimpleNamespace(value=RADIUS)
+        noise=SimpleNamespace(timing=TIMING),
+        radius=SimpleNamespace(value=RADIUS),
+        recording_of=lambda run: SimpleNamespace(recorder=""),
     )
     times = np.arange(400) * math.pi / 200 / abs(RATE)  # one revolution
     record = SimpleNamespace(
@@ -114,3 +118,138 @@ def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():
     arm = -RADIUS * math.pi / 2 * np.sin(motion.spindle.angle(time))
     own = 0.049 * time + 2e-3 * math.pi / 2 * np.cos(motion.spindle.angle(time) + 0.3)
     np.testing.assert_allclose(sum(series.slopes()), arm + own, atol=1e-6)
+
+
+# The recorder's clock
+
+ASKED = ["K_F", "K_I", "K_II"]
+#: All but the clock.
+ASSUMED = [
+    symbol
+    for symbol in (*OWN_TERMS, *SHARED_TERMS, *INPUTS)
+    if symbol not in (*ASKED, "records.clock")
+]
+FORCE = f"""{PLACE}
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+specific_force = {{ column = "east", unit = "m/s^2" }}
+
+[noise]
+specific_force = "1e-4 m/s^2"
+
+[model]
+assume = {ASSUMED}
+terms = {ASKED}
+{runs("slow", "middle", "fast")}
+[simulation]
+sampling_rate = "20 Hz"
+seed = 1
+revolutions = 20
+
+[truth.Qx]
+K_F = "0.005 g"
+K_I = "1.002 g/g"
+K_II = "2.7e-5 g/g^2"
+
+[truth.noise]
+specific_force = "1e-4 m/s^2"
+"""
+CLOCK = ("[records]\n", '[records]\nclock = "{} ± 1e-7"\n')
+
+
+def with_clock(size):
+    return changed(FORCE, (CLOCK[0], CLOCK[1].format(size)))
+
+
+def with_recorder(text, more=""):
+    own = f'name = "fast"\nrecords = {{ recorder = "B"{more} }}'
+    return changed(text, ('name = "fast"', own))
+
+
+def recorded(folder, **clocks):
+    """Simulate the campaign with an exact clock and return what runs with other clocks recorded."""
+    simulate(write(folder, FORCE, "plan.toml"), folder, overwrite=True)
+    for name, fast in clocks.items():
+        path = folder / f"{name}.csv"
+        head = path.read_text(encoding="utf-8").splitlines()[0]
+        rows = np.loadtxt(path, delimiter=",", skiprows=1)
+        rows[:, head.split(",").index("time_s")] *= 1.0 + fast
+        np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.12g")
+
+
+def own(folder, text):
+    write(folder, text)
+    result = calibrate(folder)
+    return result, result.accelerometers["Qx"].coefficients
+
+
+def test_a_clock_that_is_known_to_be_fast_is_allowed_for(tmp_path):
+    """It makes K_I too large by twice what it is fast (physics.md); stated, by nothing."""
+    fast = 1e-3
+    recorded(tmp_path)
+    _, right = own(tmp_path, with_clock("0"))
+    recorded(tmp_path, slow=fast, middle=fast, fast=fast)
+    result, stated = own(tmp_path, with_clock("1000 ppm").replace("ppm ± 1e-7", "± 0.1 ppm"))
+    assert result.state == "good"
+    for symbol, c in stated.items():
+        assert abs(c.value - right[symbol].value) < 0.01 * c.u
+    _, ignored = own(tmp_path, with_clock("0"))
+    off = ignored["K_I"].value - right["K_I"].value
+    assert off == pytest.approx(2.0 * fast * 1.002, rel=2e-3)  # and the square of it
+
+
+@pytest.mark.parametrize(
+    "time",
+    ['sampling_rate = "20 Hz"', 'column = "time_s"', 'column = "time_s", unit = "ms"'],
+)
+def test_however_time_is_recorded(tmp_path, time):
+    """Counted rows too are those of a clock, whose unit may stand in the file."""
+    text = changed(FORCE, ('column = "time_s", unit = "s"', time))
+    right, fast = (
+        read_campaign(write(tmp_path, text.replace(CLOCK[0], CLOCK[1].format(size)))).time
+        for size in ("0", "1e-3")
+    )
+    file = SimpleNamespace(path="f", units={"time_s": "ms"}, units_row=True)
+    right, fast = (channel.spec(9.8).resolved(file).factor for channel in (right, fast))
+    assert right / fast == pytest.approx(1.001, rel=1e-12)
+
+
+def test_records_of_two_recorders_have_two_clocks(tmp_path):
+    """One that is 200 ppm fast is not the other's, and each has its place in u."""
+    recorded(tmp_path)
+    _, right = own(tmp_path, FORCE)
+    recorded(tmp_path, fast=2e-4)
+    one, _ = own(tmp_path, FORCE)
+    assert one.state == "contradicted"
+    text = with_recorder(FORCE, ', clock = "0.0002 ± 1e-7"')
+    result, two = own(tmp_path, text)
+    assert result.state == "good"
+    clocks = {row.name: row for row in result.rests_on if row.name.endswith("records.clock")}
+    assert clocks["records.clock"].kind == "unstated"
+    assert clocks["B.records.clock"].kind == "stated"
+    assert clocks["B.records.clock"].value == pytest.approx(2e-4)
+    for symbol, c in two.items():
+        assert abs(c.value - right[symbol].value) < 0.1 * right[symbol].u
+
+
+def test_of_two_clocks_of_which_nothing_is_known_two_typical_errors_are_in_u(tmp_path):
+    """One of two runs each: of K_I, twice 2e-5, less than what one clock alone makes of it.
+
+    Weighed by their own noise, which is far less, the runs differ by their clocks only.
+    """
+    recorded(tmp_path)
+    _, one = own(tmp_path, FORCE)
+    result, two = own(tmp_path, with_recorder(FORCE))
+    assert one["K_I"].u == pytest.approx(4e-5, rel=0.02)
+    assert two["K_I"].u == pytest.approx(4e-5 / math.sqrt(2.0), rel=0.02)
+    assert {row.name for row in result.rests_on} == {"records.clock", "B.records.clock"}
+
+
+def test_a_clock_of_one_recorder_that_is_taken_as_exact_is_named(tmp_path):
+    recorded(tmp_path, fast=2e-4)
+    text = with_recorder(FORCE).replace("assume = [", "assume = ['records.clock', ")
+    result, _ = own(tmp_path, text)
+    assert "B.records.clock" in {
+        name for found in result.findings for name in (found.subject, *found.as_well)
+    }

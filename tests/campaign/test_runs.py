@@ -136,3 +136,25 @@ def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
 def test_what_cannot_be_simulated_is_said(tmp_path, old, new, words):
     with pytest.raises(CampaignError, match=words):
         simulate(campaign(tmp_path, (old, new)), tmp_path / "out")
+
+
+def test_each_recorder_has_one_clock(tmp_path):
+    def two(first, second):
+        return [
+            ('name = "slow"', f'name = "slow"\nrecords = {{ {first} }}'),
+            ('name = "middle"', f'name = "middle"\nrecords = {{ {second} }}'),
+        ]
+
+    clock = 'recorder = "B", clock = "{} ± 1e-7"'
+    read = campaign(tmp_path, *two('recorder = "B"', 'recorder = "C", clock = "1 ± 0.1 ppm"'))
+    clocks = {one.recorder: one.clock for one in map(read.recording_of, read.runs)}
+    assert list(clocks) == ["B", "C", ""]
+    assert clocks["B"] is clocks[""] is None
+    assert (clocks["C"].value, clocks["C"].u) == pytest.approx((1e-6, 1e-7))
+    assert problems(tmp_path, *two(clock.format("0"), clock.format("1e-6"))) == (
+        'runs: "slow" and "middle" state two clocks of the recorder "B"; state one',
+    )
+    (nameless,) = problems(tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }'))
+    assert "name the recorder that has it" in nameless
+    (slow,) = problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
+    assert "a clock that is off by more than 1 % is none" in slow

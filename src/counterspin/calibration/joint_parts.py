@@ -62,7 +62,7 @@ def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list
     for place, other in enumerate((*model.unknowns, *model.considered)):
         if other.asked or other.symbol in encoder.SYMBOLS:
             continue
-        stated = stated_inputs.get(other.symbol)
+        stated = stated_inputs.get(other.name)
         base = stated.value if stated else 0.0
         found = u_found = None
         if place < len(model.unknowns):

@@ -37,6 +37,7 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                 error=signal.error[keep],
                 in_g=accelerometer.channel.in_g,
                 angle_error=run.rotation.error if run.rotation else None,
+                recorder=campaign.recording_of(run.run).recorder,
                 by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
             )
             series.append(one.with_timing(timing) if isinstance(timing, float) else one)

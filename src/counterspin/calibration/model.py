@@ -58,15 +58,15 @@ def model_of(campaign: Campaign) -> Unknowns:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    for symbol, known in inputs_of(campaign).items():
+    for (owner, symbol), known in _inputs(campaign).items():
         # Of an input the unknown is its deviation from what is stated.
         (_, u), unstated = prior_of(campaign, "", symbol, known)
         if u > 0.0:
             limit = campaign.limit_of(symbol)
             if symbol in kept:
-                held.append(Considered("", symbol, (0.0, u), limit, False, unstated))
+                held.append(Considered(owner, symbol, (0.0, u), limit, False, unstated))
             else:
-                others.append(Unknown("", symbol, (0.0, u), limit, False, unstated))
+                others.append(Unknown(owner, symbol, (0.0, u), limit, False, unstated))
     return Unknowns((*asked, *_squares(campaign, others), *others), tuple(held))
 
 
@@ -100,11 +100,12 @@ def assumed(campaign: Campaign) -> tuple[str, ...]:
 
 def assumed_inputs(campaign: Campaign) -> list[str]:
     """Return the inputs that are taken as exact."""
-    return [
+    exact = (
         symbol
-        for symbol, known in inputs_of(campaign).items()
+        for (_, symbol), known in _inputs(campaign).items()
         if known.u == 0.0 and campaign.model.assumes(symbol)
-    ]
+    )
+    return list(dict.fromkeys(exact))
 
 
 def prior_of(
@@ -127,14 +128,22 @@ def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
 
 
 def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
-    """Return the inputs that act, as they are stated; without u where none is."""
-    inputs = {"site.gravity": campaign.gravity, "site.latitude": campaign.latitude}
+    """Return by name the inputs that act, as they are stated; without u where none is."""
+    return {
+        f"{owner}.{symbol}" if owner else symbol: known
+        for (owner, symbol), known in _inputs(campaign).items()
+    }
+
+
+def _inputs(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
+    """Return the same by owner, the recorder of a clock, and symbol."""
+    inputs = {("", "site.gravity"): campaign.gravity, ("", "site.latitude"): campaign.latitude}
     if campaign.runs or any(reading.rate for reading in campaign.readings):
-        inputs["centrifuge.radius"] = campaign.radius
-    if campaign.runs:
-        inputs[CLOCK] = campaign.clock or Quantity(0.0, 0.0, "1")
+        inputs["", "centrifuge.radius"] = campaign.radius
+    for one in map(campaign.recording_of, campaign.runs):
+        inputs[one.recorder, CLOCK] = one.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
-        inputs[TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
+        inputs["", TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
     return inputs
 
 

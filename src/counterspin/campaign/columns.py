@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -15,6 +16,7 @@ from counterspin.campaign.kinds import (
     SettingsSection,
     Text,
     ZeroDirection,
+    a_clock,
     an_encoding,
     angle_unit,
     described,
@@ -82,6 +84,8 @@ class Recording:
     time: Channel
     angle: Channel | None
     dialect: Dialect = TO_BE_FOUND
+    recorder: str = ""  #: Whose clock it has; empty: that of all runs that name no other.
+    clock: Quantity | None = None  #: By how much of itself that is fast; None: not stated.
 
 
 class _Channel(SettingsSection):
@@ -225,11 +229,17 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
     timing_offset: Annotated[Quantity, known("s")] | None = described(
         "how much later than its displacement an angle is sampled", "0 ± 1e-5 s", None
     )
-    clock: Part | None = described(
+    clock: Annotated[Part, AfterValidator(a_clock)] | None = described(
         "by how much of itself the recorder's clock runs fast, also in `ppm`; see below",
         "0 ± 1e-7",
         None,
         kind="part ±",
+    )
+    recorder: Text | None = described(
+        "which one it was, where runs have several: each has a clock of its own",
+        "B",
+        None,
+        absent="one for all",
     )
     reference: Literal["platform", "own velocity"] = described(
         "whose velocity the navigation computer takes for the Coriolis acceleration "
@@ -241,8 +251,12 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
     @property
     def recording(self) -> Recording:
         """How every run's file is read, where the run itself says nothing else."""
-        angle = None if self.angle is None else self.angle.channel
-        return Recording(self.time.channel, angle, self.dialect)
+        fast = 1.0 if self.clock is None else 1.0 + self.clock.value
+        time, angle = self.time.channel, None if self.angle is None else self.angle.channel
+        if angle is not None and angle.kind == "pulses":
+            angle = replace(angle, factor=angle.factor / fast)
+        time = replace(time, factor=time.factor / fast)
+        return Recording(time, angle, self.dialect, self.recorder or "", self.clock)
 
 
 class DisplacementChannel(_Channel):

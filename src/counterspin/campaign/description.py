@@ -175,7 +175,7 @@ class Campaign:
 
     def recording_of(self, run: Run) -> Recording:
         """Return how the record of a run is read."""
-        return run.recording or Recording(self.time, self.angle, self.dialect)
+        return run.recording or Recording(self.time, self.angle, self.dialect, "", self.clock)
 
     def record_at(self, file: Path) -> Path | MemoryTable:
         """Return the record in memory that stands in the place of a file, or else the file."""

@@ -119,6 +119,13 @@ def a_part(text: object, info: ValidationInfo) -> Quantity:
         )
 
 
+def a_clock(value: Quantity) -> Quantity:
+    """Return by how much of itself a clock is fast, if it is one."""
+    if abs(value.value) > 0.01:
+        raise ValueError("a clock that is off by more than 1 % is none; check the unit of the time")
+    return value
+
+
 def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
     return PlainValidator(partial(_parsed_exactly, unit, usual=usual), _written(unit))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +13,7 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.memory.documents import patched
+from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import is_reading
 from counterspin.campaign.resolved import Run, RunTruth
 from counterspin.campaign.settings import RunSettings
@@ -20,7 +22,7 @@ from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
 
 #: Keys of [records] that a run has of its own.
-_OWN: Final = ("time", "angle", *Dialect.__dataclass_fields__)
+_OWN: Final = ("time", "angle", "recorder", "clock", *Dialect.__dataclass_fields__)
 
 
 @frozen
@@ -85,6 +87,7 @@ def resolve_runs(
                 pulses=defaults.folder / settings.pulses if settings.pulses else None,
             )
         )
+    _check_clocks(resolved, problems)
     return resolved
 
 
@@ -190,7 +193,29 @@ def _own_recording(
     if "angle" in settings.records and "angle" not in defaults.records:
         problems.add((*path, "angle"), "state an angle in [records], for all runs")
     own = problems.check(RecordsSettings, patched(defaults.records, settings.records), path)
-    return None if own is None else own.recording
+    if own is None:
+        return None
+    recording = own.recording
+    if recording.recorder == (defaults.records.get("recorder") or ""):
+        if "clock" in settings.records:
+            problems.add((*path, "clock"), 'name the recorder that has it, as in recorder = "B"')
+        return replace(recording, recorder="")
+    return recording
+
+
+def _check_clocks(runs: Sequence[Run], problems: Problems) -> None:
+    """Note recorders of which two runs state two clocks."""
+    clocks: dict[str, tuple[str, Quantity | None]] = {}
+    for run in runs:
+        if run.recording is not None and run.recording.recorder:
+            own = run.name, run.recording.clock
+            first, clock = clocks.setdefault(run.recording.recorder, own)
+            if clock != run.recording.clock:
+                problems.add(
+                    ("runs",),
+                    f'"{first}" and "{run.name}" state two clocks of the recorder '
+                    f'"{run.recording.recorder}"; state one',
+                )
 
 
 def _part(settings: RunSettings, path: KeyPath, problems: Problems) -> tuple[float, float]:

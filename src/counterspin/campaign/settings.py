@@ -458,7 +458,8 @@ class RunSettings(SettingsSection):
         absent="in the record",
     )
     records: dict[str, Any] | None = described(
-        "keys of `[records]` that differ in this run: `time`, `angle` and how the file is written",
+        "keys of `[records]` that differ in this run: `time`, `angle`, `recorder`, `clock` and "
+        "how the file is written",
         {"decimal": "."},
         None,
         absent="as `[records]`",

@@ -252,6 +252,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         spacing=step,
         error=np.zeros_like(time),
         in_g=accelerometer.channel.in_g,
+        recorder=campaign.recording_of(run).recorder,
         angle_error=angle_error_to_come(time, run.rate, of_angle, count)
         if campaign.angle is not None and of_angle > 0.0
         else None,

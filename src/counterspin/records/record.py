@@ -64,7 +64,8 @@ class ColumnSpec:
                 factor = unit_factor(own, self.wanted, gravity=self.gravity)
             except ValueError as error:
                 raise RecordError(f"{where} is in '{own}' by the file: {error}.") from None
-            return replace(self, factor=math.copysign(factor, self.factor), unit=own)
+            # Beside the unit there may be a sense, or a clock that is known to be fast.
+            return replace(self, factor=factor * self.factor, unit=own)
         if own and file.units_row and not same_unit(own, self.unit, gravity=self.gravity):
             raise RecordError(
                 f"{where} is in '{own}' by the file's row of units, but in '{self.unit}' by "

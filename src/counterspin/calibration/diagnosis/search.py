@@ -264,22 +264,27 @@ def _wave(power: np.ndarray, rows: int, rate: float, interval: float, scale: flo
 def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Return alternatives with what an input may be, which hangs on what is stated of it."""
     inputs = inputs_of(campaign)
-    between = {symbol: INPUTS[symbol].effect.between for symbol in inputs}
+    between = {
+        name: row.effect.between
+        for name in inputs
+        for symbol, row in INPUTS.items()
+        if name == symbol or name.endswith(f".{symbol}")
+    }
     low, high = gravity_range(campaign.latitude.value)
     here = low - _ANOMALY, high + _ANOMALY
     if here[0] <= campaign.gravity.value <= here[1]:  # else the latitude may be the wrong one
         between["site.gravity"] = here
     possible = {
-        symbol: (least - inputs[symbol].value, most - inputs[symbol].value)
-        for symbol, (least, most) in between.items()
+        name: (least - inputs[name].value, most - inputs[name].value)
+        for name, (least, most) in between.items()
     }
     return tuple(
         replace(
             other,
-            between=possible[other.symbol],
-            stated=inputs[other.symbol].value != 0.0,
+            between=possible[other.name],
+            stated=inputs[other.name].value != 0.0,
         )
-        if other.symbol in possible
+        if other.name in possible
         else other
         for other in alternatives
     )

@@ -100,7 +100,8 @@ class Explanation:
 
     def _input(self) -> Described:
         known = INPUTS[self.other.symbol]
-        stated = inputs_of(self.campaign)[known.symbol].value
+        stated = inputs_of(self.campaign)[self.other.name].value
+        whose = f" {self.other.owner}" if self.other.owner else ""
         found, as_stated = (
             _in_degrees(value, u) if known.unit == "rad" else _shown(value, u, known.unit)
             for value, u in ((stated + self.value, self.u), (stated, 0.0))
@@ -110,10 +111,11 @@ class Explanation:
             as_stated.split(" (exact)")[0],
         )
         text = (
-            f"{article} {known.words} of {found} would fit; {taken} is "
+            f"{article} {known.words}{whose} of {found} would fit; {taken} is "
             f"{'stated' if stated else 'taken'}. Check it."
         )
-        return Described(code="wrong-input", subject=known.symbol, text=text, name=known.words)
+        name = f"{known.words}{whose}"
+        return Described(code="wrong-input", subject=self.other.name, text=text, name=name)
 
     def _term(self) -> Described:
         name, limit = self.other.name, self.other.between[1]

@@ -17,7 +17,7 @@ from counterspin.arrays import Array
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.inputs import TIMING, input_column, rotation_column
+from counterspin.inference.joint.inputs import CLOCK, TIMING, input_column, rotation_column
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.physics import observation
 from counterspin.physics.own_velocity import AxisError, taken
@@ -207,7 +207,12 @@ def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternativ
                 if (symbol := fit.model.unknowns[place].symbol) in table
             }
             shown[i] = input_column(part.series, name, part.scale_factor, known, table)
-        yield Alternative("input", "", name, shown, typical=typical)
+        by_owner: dict[str, dict[int, Array]] = {}
+        for i, column in shown.items():
+            owner = fit.prepared[i].series.recorder if name == CLOCK else ""
+            by_owner.setdefault(owner, {})[i] = column
+        for owner, own in by_owner.items():
+            yield Alternative("input", owner, name, own, typical=typical)
 
 
 def of_terms(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[Alternative]:

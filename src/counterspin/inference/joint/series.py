@@ -49,6 +49,7 @@ class Series:
     error: Array
     #: Whether the record is in g, so that its size depends on the gravity assumed.
     in_g: bool = False
+    recorder: str = ""  #: The one whose clock its times have, where there are several.
     #: White noise of each sample, in the error's unit, that comes from noise of the time stamps,
     #: its rms; it is added to the accelerometer's own.
     jitter: float = 0.0

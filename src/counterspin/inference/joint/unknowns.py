@@ -7,6 +7,7 @@ from collections.abc import Collection
 from typing import Final
 
 from counterspin.frozen import frozen
+from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.physics.terms import (
@@ -36,7 +37,8 @@ def unit_of(symbol: str) -> str:
 class Unknown:
     """One unknown of the joint fit."""
 
-    owner: str  #: The accelerometer's name, the run's name, or empty for what all share.
+    #: Name of the accelerometer, the run, or the recorder of a clock; empty for what all share.
+    owner: str
     #: A term of the table, one of `ROTATION` or of `counterspin.inference.joint.encoder.SYMBOLS`.
     symbol: str
     #: (value, standard uncertainty) of the coefficient; infinite: nothing known. Of an input, its
@@ -79,7 +81,7 @@ class Unknown:
         if self.symbol in OWN_TERMS:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
-            return True
+            return self.symbol != CLOCK or self.owner == series.recorder
         if self.symbol not in SHARED_TERMS and shown_by_readings(self.symbol):
             return False
         return self.owner in ("", series.run)
