@@ -340,3 +340,24 @@ def test_repeats_that_are_alike_to_the_last_digit_have_no_less_noise_than_roundi
     (noise,) = result.accelerometers["A"].noise.values()
     assert noise.value == pytest.approx(1e-5 / 1.25 / math.sqrt(12.0), rel=1e-9)  # of their mean
     assert result.state == "good"
+
+
+def test_an_error_of_the_head_once_a_revolution_is_k_ii_and_covered_where_it_is_stated(tmp_path):
+    """e sin(t + p) sin t = e/2 (cos p - cos(2 t + p)): K_II = -e cos p, K_F = e cos p.
+
+    No residual shows it; an amplitude of 4.1 arcsec is an error of setting of 2.9 arcsec.
+    """
+    error, angle = 2e-5, np.radians(even(12))
+    for phase in (0.0, 1.0, math.pi):
+        values = simulated(tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
+        values += error * np.sin(angle + phase) * np.sin(angle)
+        asked = (*LEVEL, "K_II", "K_IP")
+        found = calibrated(tmp_path, even(12), values, terms=asked).accelerometers["A"].coefficients
+        off = found["K_F"].value - LEVEL["K_F"]
+        assert off == pytest.approx(error * math.cos(phase), abs=1e-9)
+        position = ('[fixture]\nposition = "0 ± 2.9 arcsec"\n',)
+        stated = calibrated(tmp_path, even(12), values, u=SIGMA, assume=[], more=position)
+        for symbol, size in LEVEL.items():
+            c = stated.accelerometers["A"].coefficients[symbol]
+            assert abs(c.value - size) < 3.0 * c.u
+        assert stated.state == "good"

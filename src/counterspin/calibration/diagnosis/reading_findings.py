@@ -108,6 +108,9 @@ def _few_left(view: AccelerometerView) -> list[Finding]:
     """Return a finding where readings of stated noise leave too little to judge them by."""
     stated = [part for part in view.readings if math.isinf(part.dof)]
     freedom = sum(part.freedom for part in stated)
+    if any(any(part.readings.position) for part in stated):
+        # Errors of setting a position take up residuals, but they are held to their stated size.
+        freedom = sum(part.readings.size for part in stated) - _taken_up(view)
     if view.has_records or view.poses or len(stated) < len(view.readings):
         return []
     if freedom >= FEWEST_FREEDOM:
@@ -120,6 +123,19 @@ def _few_left(view: AccelerometerView) -> list[Finding]:
         f"told{_noticed_from(freedom)}. Take more of them, or state what is known of more terms."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
+
+
+def _taken_up(view: AccelerometerView) -> float:
+    """Return how many degrees of freedom an accelerometer's own unknowns take up.
+
+    Of one with a prior the part by which the readings lessen its variance.
+    """
+    known = zip(view.fit.model.unknowns, view.fit.solution.u.tolist(), strict=True)
+    return sum(
+        1.0 - min(u / unknown.prior[1], 1.0) ** 2 if unknown.prior[1] > 0.0 else 0.0
+        for unknown, u in known
+        if unknown.owner == view.name
+    )
 
 
 def _noticed_from(freedom: float) -> str:
