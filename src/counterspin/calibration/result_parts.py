@@ -306,9 +306,12 @@ class TriadResult(ResultPart):
     accelerometers: list[str]  #: Their names, in the order of all that follows.
     parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles; second-order terms.
     correlation: Correlation | None = None  #: Of those that are determined.
+    #: What each of these moves by per m/s^2 of the g assumed; empty where g is exact.
+    by_gravity: dict[str, float] = {}
     #: f = matrix (y - bias): the specific force in the triad's frame, g, of the indications y by
     #: the nominal sensitivities, g; null where the matrix is not determined.
     matrix: list[list[float]] | None = None
+    u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix.
     bias: list[float] | None = None  #: The three offsets, g; null with the matrix.
     #: Root mean square over the poses of the size of f less g, by the nominal sensitivities, m/s^2;
     #: null without poses.

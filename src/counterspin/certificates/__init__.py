@@ -10,6 +10,7 @@ records do not determine is named as such, and missing data of the laboratory is
 - `elements`, `coverage`: words and numbers as the DCC has them, coverage factors
 - `conversion`: coefficients in SI, with what the uncertainty of g does there; `capability`: no U is
   below what the laboratory can do
+- `triad`: three accelerometers as one sensor
 - `evidence`: what bounds the terms that were taken as perfect
 - `amendment`: a certificate that another one replaces
 - `ledger`, `entering`: what was found, certified and amended, in a file that is only added to

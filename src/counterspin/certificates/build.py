@@ -21,6 +21,7 @@ from counterspin._version import __version__
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.notebook.si_estimate import SiEstimate
 from counterspin.calibration.pages.motions import readings_of
+from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates import wording
@@ -31,6 +32,14 @@ from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.elements import DCC, NAMESPACES, Element, clean, factor, number
 from counterspin.certificates.lab import ITEM_STATES, Lab
 from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
+from counterspin.certificates.triad import (
+    certified_triad,
+    matrix_dof,
+    output_lines,
+    parameter_line,
+    title,
+    triad_in_si,
+)
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.si_units import SiUnit, si_unit, to_si
@@ -91,6 +100,7 @@ def certificate(
             if symbol in SHARED_TERMS and wording.is_determined(c)
         },
         all_together=_all_together(stated, names),
+        triad=certified_triad(stated, names),
         warnings=_warnings(result, names),
         pages=pages,
     )
@@ -122,6 +132,7 @@ def _template() -> Template:
         "paragraphs": lambda lines: Markup("\n").join(map(clean, lines)),
         "number": number,
         "factor": factor,
+        "times": lambda values, by: [value * by for value in values],
         "plainly": wording.plainly,
         "base64": lambda data: b64encode(data).decode("ascii"),
     }
@@ -140,6 +151,12 @@ def _template() -> Template:
         "in_si": in_si,
         "output_in_si": output_in_si,
         "together": _together,
+        "triad_title": title,
+        "triad_in_si": triad_in_si,
+        "triad_output": output_lines,
+        "matrix_dof": matrix_dof,
+        "parameter_line": parameter_line,
+        "parameter_words": parameter_words,
         "item_id": item_id,
     }
     assets = resources.files("counterspin.certificates") / "assets"

@@ -11,7 +11,7 @@ from typing import Final
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient
+from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.capability import capability_lines, with_capability
@@ -21,6 +21,16 @@ from counterspin.certificates.elements import factor
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.statements import Issue, Verdicts
+from counterspin.certificates.triad import (
+    certified_triad,
+    matrix_dof,
+    output_lines,
+    shown_in_si,
+    triad_lines,
+)
+from counterspin.certificates.triad import (
+    title as triad_title,
+)
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import format_count, format_estimate, format_number
@@ -107,6 +117,8 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
             yield Paragraph(typeset(line))
         for line in wording.not_determined(name, accelerometer):
             yield Paragraph(typeset(line), "warning")
+    if (triad := certified_triad(stated, names)) is not None:
+        yield from map(typeset_block, _triad(stated, triad))
     yield Paragraph(
         "The XML holds the covariances of these coefficients"
         + (", also between accelerometers." if len(names) > 1 and stated.correlation else "."),
@@ -126,6 +138,39 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     yield from _part(wording.KNOWN, *map(typeset, known))
     yield from _part(wording.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
     yield from _part(wording.SUPPLIED, *wording.customer_lines(settings))
+
+
+def _triad(stated: Result, triad: TriadResult) -> Iterator[Block]:
+    """Yield a triad's parameters with U, and its corrected output."""
+    yield Heading(triad_title(triad), 3)
+    for line in triad_lines(triad):
+        yield Paragraph(typeset(line))
+    yield results_table("Parameter", *shown_in_si(stated, triad))
+    for line in output_lines(triad):
+        yield Paragraph(typeset(line))
+    if triad.matrix is not None and triad.u_matrix is not None:
+        k = coverage_factor(matrix_dof(triad))
+        rows = zip("xyz", triad.matrix, triad.u_matrix, strict=True)
+        yield Table(
+            (
+                Column("M ± U"),
+                *(Column(name, "right") for name in triad.accelerometers),
+                Column("k", "right"),
+            ),
+            tuple(
+                (
+                    f"f_{axis}",
+                    *(_element(m, k * u) for m, u in zip(row, u_row, strict=True)),
+                    factor(k),
+                )
+                for axis, row, u_row in rows
+            ),
+        )
+
+
+def _element(value: float, expanded: float) -> str:
+    """Return an element of a matrix, with U where it has one: not of what is zero by choice."""
+    return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
 
 
 def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:

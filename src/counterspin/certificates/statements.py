@@ -14,6 +14,7 @@ from counterspin.certificates.capability import capability_lines
 from counterspin.certificates.elements import ENGLISH
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
+from counterspin.certificates.triad import certified_triad, title, triad_lines
 from counterspin.frozen import frozen
 from counterspin.inference.conformity import Conformity
 
@@ -107,6 +108,8 @@ def _of_the_values(lab: Lab, result: Result, stated: Result) -> Iterator[Stateme
         yield Statement(
             f"Not determined, accelerometer {name}", lines, ref=item_id(lab, stated, name)
         )
+    if (triad := certified_triad(stated, names)) is not None:
+        yield Statement(title(triad), triad_lines(triad))
     for name in names:
         lines = wording.rest_lines(name, stated)
         about = f"{wording.RESTS_ON}, accelerometer {name}"

@@ -8,7 +8,7 @@ from typing import Final
 
 from counterspin.calibration.pages.accelerometer import rests_on
 from counterspin.calibration.pages.basis import model_blocks
-from counterspin.calibration.pages.motions import lines_of_tests, readings_of
+from counterspin.calibration.pages.motions import lines_of_tests, poses_of, readings_of
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.coverage import coverage_factor
@@ -145,7 +145,7 @@ def method_name(result: Result) -> str:
 
 def test_lines(result: Result) -> list[str]:
     """Return what was done with the item, a sentence for each kind of test."""
-    if readings_of(result):
+    if readings_of(result) or poses_of(result):
         return list(lines_of_tests(result))
     return ["The item was carried round by a double turntable centrifuge at the rates stated."]
 
@@ -283,13 +283,14 @@ def shown_in_g(coefficient: Coefficient, k: float) -> str:
 def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a sentence for each coefficient that is not certified, and why."""
     return [
-        f"{symbol} of {name}: {_why(c)}; no value is certified."
+        f"{symbol} of {name}: {why_not_determined(c)}; no value is certified."
         for symbol, c in accelerometer.coefficients.items()
         if not is_determined(c)
     ]
 
 
-def _why(coefficient: Coefficient) -> str:
+def why_not_determined(coefficient: Coefficient) -> str:
+    """Return why a coefficient is not certified."""
     if coefficient.value is None:
         return "not determined by the records"
     assert coefficient.u is not None

@@ -78,6 +78,42 @@ def test_uncertainties_and_correlations_are_those_of_the_parameters(tmp_path):
     u = np.array([c.u for c in triad.parameters.values()])
     np.testing.assert_allclose(u, np.sqrt(np.diag(expected)), rtol=1e-6)
     np.testing.assert_allclose(triad.correlation.values, expected / np.outer(u, u), atol=1e-6)
+    assert triad.by_gravity == {}
+
+    def inverse(x):
+        own = triads.SIGNS * x
+        return np.linalg.inv([[own[3], 0, 0], [own[4], own[5], 0], own[6:]]).ravel()
+
+    slopes = np.array(
+        [(inverse(at + step * e) - inverse(at - step * e)) / (2 * step) for e in np.eye(9)]
+    ).T
+    expected = np.sqrt(np.diag(slopes @ covariance @ slopes.T)).reshape(3, 3)
+    np.testing.assert_allclose(triad.u_matrix, expected, rtol=1e-6)
+
+
+def in_si(folder, values, gravity):
+    """Write a campaign of poses whose indications are in m/s^2, of shape (n, 3)."""
+    folder.mkdir()
+    runs = (
+        f'[[runs]]\nname = "p{k}"\nmotion = "static"\nattitude = "unknown"\nreading = {{ '
+        + ", ".join(f'{n} = "{v!r} ± 3e-3 m/s^2"' for n, v in zip("XYZ", row, strict=True))
+        + " }\n"
+        for k, row in enumerate(np.asarray(values).tolist())
+    )
+    description = triads.head().replace('"9.81 m/s^2"', f'"{gravity} m/s^2"')
+    (folder / "campaign.toml").write_text(description + "".join(runs), "utf-8")
+    return folder
+
+
+def test_what_g_does_to_the_parameters_is_what_another_g_does(tmp_path):
+    values = 9.81 * _values(20, 5)
+    stated = cs.calibrate(in_si(tmp_path / "stated", values, "9.81 ± 1e-3")).triad
+    low, high = (
+        cs.calibrate(in_si(tmp_path / g, values, g)).triad.parameters for g in ("9.809", "9.811")
+    )
+    found = {name: (high[name].value - low[name].value) / 2e-3 for name in high}
+    assert stated.by_gravity == pytest.approx(found, rel=1e-5, abs=1e-7)
+    assert abs(stated.by_gravity["sensitivity.X"]) == pytest.approx(1.004 / 9.81, rel=1e-2)
 
 
 def test_poses_without_a_stated_noise_have_students_intervals(tmp_path):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
-from counterspin.calibration.pages.motions import reading_blocks, readings_of
+from counterspin.calibration.pages.motions import poses_of, reading_blocks, readings_of
 from counterspin.calibration.result import Result
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.physics.effects import Product
@@ -51,7 +51,7 @@ def model_blocks(result: Result) -> Iterator[Block]:
             f"{_list(paths)}."
         )
     yield from reading_blocks(result)
-    if result.runs or not readings_of(result):
+    if result.runs or not (readings_of(result) or poses_of(result)):
         yield from _recorded(result)
     yield Paragraph(_method(result))
 
@@ -84,12 +84,15 @@ def _method(result: Result) -> str:
             "Two stages, as in the paper: a parabola through one sample a revolution where the "
             "reference displacement is zero, then its curvature against the rate."
         )
-    if readings_of(result):
-        beside = "all samples of the records and " if result.runs else ""
+    readings = ["all readings of all kinds of test"] if readings_of(result) else []
+    poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
+    if readings or poses:
+        records = ["all samples of the records"] if result.runs else []
+        every = " and ".join([*records, *readings, *poses])
         return (
-            f"{beside.capitalize()}{'all' if beside else 'All'} readings of all kinds of test in "
-            "one weighted least-squares fit, with what was known beforehand as further "
-            "observations; what is held and not estimated enters u by its sensitivity."
+            f"{every[:1].upper()}{every[1:]} in one weighted least-squares fit, with what was "
+            "known beforehand as further observations; what is held and not estimated enters u by "
+            "its sensitivity."
         )
     return (
         "All samples of all runs and accelerometers in one weighted least-squares fit, with what "

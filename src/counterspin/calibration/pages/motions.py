@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import ReadingResult
+from counterspin.calibration.result_parts import PoseResult, ReadingResult
 from counterspin.physics.terms import SHARED_TERMS, shown_by_readings
 from counterspin.reports.blocks import Block, Column, Paragraph, Table
 from counterspin.reports.numbers import format_number
@@ -37,8 +37,13 @@ def readings_of(result: Result) -> dict[str, list[ReadingResult]]:
     return by_motion
 
 
+def poses_of(result: Result) -> list[PoseResult]:
+    """Return the poses at attitudes that nobody knows."""
+    return [] if result.triad is None else result.triad.poses
+
+
 def lines_of_tests(result: Result) -> Iterator[str]:
-    """Yield a sentence for each kind of test that a campaign with readings had."""
+    """Yield a sentence for each kind of test that a campaign with readings or poses had."""
     for motion, readings in readings_of(result).items():
         count = _counted(len(readings), "reading")
         if motion == "static":
@@ -60,6 +65,8 @@ def lines_of_tests(result: Result) -> Iterator[str]:
             f"{carried} at {range_}, {senses}{places}: {count}, each the mean over whole "
             "revolutions."
         )
+    if poses := poses_of(result):
+        yield f"At rest in {_counted(len(poses), 'pose')} whose attitudes were unknown."
     if result.runs:
         runs = _counted(len(result.runs), "record")
         yield f"Carried round by a double turntable centrifuge at the rates stated: {runs}."
@@ -95,6 +102,11 @@ def table_of_tests(readings: Sequence[ReadingResult]) -> Table:
 
 def reading_blocks(result: Result) -> Iterator[Block]:
     """Yield what a reading was taken to be, and which forces act where it was taken."""
+    if poses_of(result):
+        yield Paragraph(
+            "In a pose whose attitude is unknown, |f| = g; the direction of f is estimated with "
+            "the coefficients."
+        )
     motions = readings_of(result)
     if not motions:
         return

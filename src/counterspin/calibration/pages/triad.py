@@ -94,16 +94,22 @@ def _parameters(triad: TriadResult) -> Table:
 
 
 def _row(name: str, c: Coefficient) -> tuple[str, ...]:
-    """Return a parameter as it is read: of an angle near 90 deg what it differs by."""
-    words = _words(name)
+    words, c = shown_parameter(name, c)
+    return (words, *coefficient_cells(c))
+
+
+def shown_parameter(name: str, c: Coefficient) -> tuple[str, Coefficient]:
+    """Return a parameter as it is read, in words: of an angle near 90 deg what it differs by."""
+    words = parameter_words(name)
     if name.startswith("angle.") and c.value is not None:
         near = abs(c.value - _RIGHT) < _NEARLY
         c = c.model_copy(update={"value": c.value - _RIGHT}) if near else c
         words += " less 90 deg" if near else ""
-    return (words, *coefficient_cells(c))
+    return words, c
 
 
-def _words(name: str) -> str:
+def parameter_words(name: str) -> str:
+    """Return what a parameter is called."""
     kind, *names = name.split(".")
     if kind in _WORDS and not is_term(".".join(names)):
         return _WORDS[kind].format(*names)

@@ -63,11 +63,11 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
         for place, unknown in enumerate(estimated.fit.model.unknowns)
     }
     at = _Linear.at(campaign, estimated, places)
-    parameters = dict(_parameters(campaign, names, at, places, estimated))
+    parameters = dict(_parameters(campaign, at, estimated))
     found = {name: _coefficient(estimated, one, read) for name, one in parameters.items()}
     determined = [name for name, c in found.items() if c.estimated]
     whole = all(found[name].value is not None for name in found if "." in name)
-    matrix = np.linalg.inv(at.rows) if whole else None
+    matrix = at.inverse() if whole else None
     poses: list[PoseResult] = []
     before, after = [], []
     for part in posed:
@@ -84,7 +84,9 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
         accelerometers=list(names),
         parameters=found,
         correlation=_correlation(estimated, {n: parameters[n] for n in determined}),
+        by_gravity=_by_gravity(estimated, {n: parameters[n] for n in determined}),
         matrix=None if matrix is None else matrix.tolist(),
+        u_matrix=None if matrix is None else _u_matrix(estimated, at, matrix),
         bias=None if matrix is None else at.bias.tolist(),
         rms_before=_rms(before, gravity),
         rms_after=_rms(after, gravity),
@@ -97,6 +99,9 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
 class _Linear:
     """Biases of a triad, and the vectors along which its accelerometers feel."""
 
+    names: Sequence[str]
+    places: Mapping[tuple[str, str], int]  # of the unknowns, p of them
+    count: int  # p
     bias: Array  # (3,), g
     rows: Array  # (3, 3), in the triad's frame
     axes: Array  # (3, 3, 3), I, P and O of each
@@ -123,51 +128,59 @@ class _Linear:
             )
             for name, own in zip(names, axes, strict=True)
         ]
-        return cls(np.array([value(name, "K_F") for name in names]), np.array(rows), axes)
+        return cls(
+            names,
+            places,
+            len(estimated.fit.model.unknowns),
+            np.array([value(name, "K_F") for name in names]),
+            np.array(rows),
+            axes,
+        )
 
-
-def _parameters(
-    campaign: Campaign,
-    names: Sequence[str],
-    at: _Linear,
-    places: Mapping[tuple[str, str], int],
-    estimated: Estimate,
-) -> Iterator[tuple[str, _Parameter]]:
-    """Yield the nine parameters, and the terms of second order that were asked for."""
-    count = len(estimated.fit.model.unknowns)
-
-    def slopes(name: str, by_symbol: Mapping[str, float]) -> Array:
-        found = np.zeros(count)
-        for symbol, slope in by_symbol.items():
-            if (name, symbol) in places:
-                found[places[name, symbol]] = slope
+    def inverse(self) -> Array:
+        """Return the matrix that takes indications less biases to the triad's frame, (3, 3)."""
+        found: Array = np.linalg.inv(self.rows).astype(np.float64) + 0.0  # which leaves no -0.0
         return found
 
-    def by_row(place: int, slope: Array) -> Array:
+    def slopes(self, name: str, by_symbol: Mapping[str, float]) -> Array:
+        """Return slopes by the unknowns, (p,), of what has slopes by an accelerometer's terms."""
+        found = np.zeros(self.count)
+        for symbol, slope in by_symbol.items():
+            if (name, symbol) in self.places:
+                found[self.places[name, symbol]] = slope
+        return found
+
+    def by_row(self, place: int, slope: Array) -> Array:
         """Return slopes by the unknowns of what has a slope by an accelerometer's vector."""
-        own = at.axes[place]
-        return slopes(
-            names[place],
+        own = self.axes[place]
+        return self.slopes(
+            self.names[place],
             {symbol: sign * float(slope @ own[axis]) for symbol, (axis, sign) in LINEAR.items()},
         )
 
+
+def _parameters(
+    campaign: Campaign, at: _Linear, estimated: Estimate
+) -> Iterator[tuple[str, _Parameter]]:
+    """Yield the nine parameters, and the terms of second order that were asked for."""
+    names, places = at.names, at.places
     for place, name in enumerate(names):
         limit = campaign.limit_of("K_F", name)
-        own = slopes(name, {"K_F": 1.0})
+        own = at.slopes(name, {"K_F": 1.0})
         yield f"offset.{name}", _Parameter(float(at.bias[place]), own, "g", limit)
     sizes = np.linalg.norm(at.rows, axis=1)
     units = at.rows / sizes[:, None]
     for place, name in enumerate(names):
         limit = campaign.limit_of("K_I", name)
-        own = by_row(place, units[place])
+        own = at.by_row(place, units[place])
         yield f"sensitivity.{name}", _Parameter(float(sizes[place]), own, "g/g", limit)
     for one, other in combinations(range(len(names)), 2):
         a, b = units[one], units[other]
         cosine = float(a @ b)
         angle = math.acos(max(-1.0, min(1.0, cosine)))
         sine = math.sin(angle)
-        found = by_row(one, -(b - cosine * a) / (sine * sizes[one]))
-        found = found + by_row(other, -(a - cosine * b) / (sine * sizes[other]))
+        found = at.by_row(one, -(b - cosine * a) / (sine * sizes[one]))
+        found = found + at.by_row(other, -(a - cosine * b) / (sine * sizes[other]))
         limit = max(campaign.limit_of("delta_O", names[k]) for k in (one, other))
         yield f"angle.{names[one]}.{names[other]}", _Parameter(angle, found, "rad", limit)
     for name in names:
@@ -176,7 +189,7 @@ def _parameters(
                 place = places[name, symbol]
                 value = TERMS[symbol].nominal + float(estimated.fit.solution.estimate[place])
                 limit = campaign.limit_of(symbol, name)
-                own = slopes(name, {symbol: 1.0})
+                own = at.slopes(name, {symbol: 1.0})
                 yield f"{name}.{symbol}", _Parameter(value, own, TERMS[symbol].unit, limit)
 
 
@@ -222,6 +235,32 @@ def _correlation(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> C
     covariance = slopes @ estimated.fit.solution.covariance @ slopes.T
     u = np.sqrt(np.diag(covariance))
     return Correlation(terms=list(parameters), matrix=(covariance / np.outer(u, u)).tolist())
+
+
+def _by_gravity(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> dict[str, float]:
+    """Return what each parameter moves by per m/s^2 of the g assumed; nothing where g is exact."""
+    model = estimated.fit.model
+    for held, terms in ((False, model.unknowns), (True, model.considered)):
+        for place, term in enumerate(terms):
+            if term.symbol == "site.gravity" and term.prior[1] > 0.0:
+                moved = {}
+                for name, one in parameters.items():
+                    parts = estimated.fit.solution.combine(one.slopes)
+                    moved[name] = float((parts.considered if held else parts.prior)[place])
+                return {name: by / term.prior[1] for name, by in moved.items()}
+    return {}
+
+
+def _u_matrix(estimated: Estimate, at: _Linear, matrix: Array) -> list[list[float]]:
+    """Return the standard uncertainties of the matrix: it moves by -M dR M with the rows R."""
+    found = np.zeros((3, 3))
+    for row, column in np.ndindex(3, 3):
+        slopes = sum(
+            (at.by_row(k, -matrix[row, k] * matrix[:, column]) for k in range(3)),
+            np.zeros(at.count),
+        )
+        found[row, column] = estimated.fit.solution.combine(slopes).u
+    return found.tolist()
 
 
 def _poses(part: FittedPoses, there: PosesAt) -> Iterator[PoseResult]:

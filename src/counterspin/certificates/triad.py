@@ -1,0 +1,112 @@
+"""A triad as a certificate states it: its parameters in SI units and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
+from counterspin.calibration.pages.triad import parameter_words, shown_parameter
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient, TriadResult
+from counterspin.certificates import wording
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.elements import factor
+from counterspin.physics.si_units import si_unit
+from counterspin.reports.numbers import format_number
+
+
+def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
+    """Return the triad, if all three of its accelerometers are certified."""
+    triad = result.triad
+    return None if triad is None or not set(triad.accelerometers) <= set(names) else triad
+
+
+def title(triad: TriadResult) -> str:
+    """Return what the triad is called in the whole certificate."""
+    return f"Triad {', '.join(triad.accelerometers)}"
+
+
+def triad_in_si(result: Result, triad: TriadResult) -> dict[str, SiEstimate]:
+    """Return the parameters that are determined, in SI units."""
+    return _in_si(result, triad, triad.parameters)
+
+
+def shown_in_si(
+    result: Result, triad: TriadResult
+) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
+    """Return the same by their words, in g-units and in SI, as pages show them."""
+    shown = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
+    in_si = _in_si(result, triad, {name: c for name, (_, c) in shown.items()})
+    return dict(shown.values()), {shown[name][0]: estimate for name, estimate in in_si.items()}
+
+
+def _in_si(
+    result: Result, triad: TriadResult, parameters: Mapping[str, Coefficient]
+) -> dict[str, SiEstimate]:
+    found, inputs = {}, result.inputs
+    for name, c in parameters.items():
+        if wording.is_determined(c):
+            assert c.value is not None
+            assert c.u is not None
+            by_g = triad.by_gravity.get(name, 0.0)
+            gravity = StatedGravity(inputs.gravity, inputs.u_gravity, by_g)
+            found[name] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
+    return found
+
+
+def matrix_dof(triad: TriadResult) -> float | None:
+    """Return the degrees of freedom of the matrix: the fewest of the parameters that make it."""
+    made = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
+    return min((c.dof for c in made if c.dof is not None), default=None)
+
+
+def triad_lines(triad: TriadResult) -> list[str]:
+    """Return what was done with the triad, what its parameters are, and which have no value."""
+    names = ", ".join(triad.accelerometers)
+    lines = [
+        f"{names} are one sensor. Beside their coefficients stand the parameters that do not "
+        "depend on how the sensor stands in its frame: offsets, sensitivities, and the angles "
+        "between the axes along which two of them feel (Geist, Gaitan et al., J. Res. NIST 122 "
+        "(2017) 32)."
+    ]
+    if triad.poses:
+        rms = ""
+        if triad.rms_before is not None:
+            rms = f" The size of f less g has an rms of {format_number(triad.rms_before, 3)} m/s^2"
+            after = triad.rms_after
+            rms += "." if after is None else f", corrected {format_number(after, 3)} m/s^2."
+        lines.append(
+            f"The sensor was at rest in {len(triad.poses)} poses whose attitudes were unknown: the "
+            "direction of each was estimated with the coefficients, and of the specific force "
+            f"nothing but its size, the local gravity, was taken as known.{rms}"
+        )
+    lines += [
+        f"{parameter_words(name)}: {wording.why_not_determined(c)}; no value is certified."
+        for name, c in triad.parameters.items()
+        if not wording.is_determined(c)
+    ]
+    return lines
+
+
+def parameter_line(name: str, parameter: Coefficient) -> str:
+    """Return a parameter that is determined, with U and k, in g-units and its SI unit."""
+    words, c = shown_parameter(name, parameter)
+    k = coverage_factor(c.dof)
+    whole = "the whole angle is " if c.value != parameter.value else ""
+    stated = wording.stated_in(si_unit(c.unit)[0])
+    return f"{words} = {wording.shown_in_g(c, k)} (U, k = {factor(k)}); {whole}{stated}"
+
+
+def output_lines(triad: TriadResult) -> list[str]:
+    """Return how the corrected output follows from the indications; nothing without a matrix."""
+    if triad.matrix is None:
+        return []
+    names = ", ".join(triad.accelerometers)
+    beside = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
+    less = f", less what {', '.join(beside)} add to them" if beside else ""
+    return [
+        f"Corrected output: f = M (y - b), y being the indications of {names} by their nominal "
+        f"sensitivities{less}, and b their offsets. f lies along the axes x, y, z in which the "
+        "campaign states their directions: east, north and up while the sensor is level. "
+        "Misalignments that are no coefficients above are there as stated, or zero."
+    ]
