@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
@@ -243,7 +243,8 @@ def _described(campaign: Campaign) -> tuple[str, str, str | None]:
         import numpy as np
 
         with np.printoptions(threshold=1_000_000, precision=17):
-            used = repr(replace(campaign, path=Path(), folder=Path()))
+            here = replace(campaign, path=Path(), folder=Path())
+            used = repr([getattr(here, one.name) for one in fields(here)])
         return DESCRIPTION_NAME, f"sha256:{sha256(used.encode()).hexdigest()}", "changed"
     name = DESCRIPTION_NAME if source.file is None else _name(campaign, source.file)
     how = None

@@ -34,12 +34,6 @@ _SCALE_TOLERANCE: Final = 1e-4
 #: noticeably: of its effect it changes a part as large as the input's own uncertainty.
 _FAR: Final = 20.0
 
-#: Rows of a record from which it is found where derivatives are to be taken.
-_FEW: Final = 512
-
-#: The golden section: multiples of it are spread evenly, with no period of their own.
-_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
-
 
 @frozen
 class Estimate:
@@ -144,39 +138,24 @@ def find_rotation(
 
 
 def first_fit(series: tuple[Series, ...], model: Unknowns, requests: Mapping[str, Noise]) -> _State:
-    """Fit all rows with equal weights, with derivatives taken where a few of them put it."""
-    known, at = _beforehand(series, model, requests)
-    values = np.array([at.get(unknown, 0.0) for unknown in model.unknowns])
-    prepared = prepare_columns(series, model, known, values)
+    """Fit all rows with equal weights, derivatives being taken where what is asked for lies.
+
+    What nobody asks for moves that by no more than the uncertainties that it brings.
+    """
+    known = _scale_factors(series, model, None)
+    at: dict[Unknown, float] = {}
+    if model.has_inputs:
+        asked = Unknowns(model.asked)
+        alone = solve_joint(prepare_columns(series, asked, known), asked, _rough(requests))
+        known = _scale_factors(series, model, alone)
+        at = dict(zip(asked.unknowns, alone.solution.estimate.tolist(), strict=True))
+        prepared = prepared_for(alone.prepared, asked, model, known, at)
+    else:
+        prepared = prepare_columns(series, model, known)
     white = _white({name: request.known for name, request in requests.items()})
     fit = solve_joint(*condense(prepared, model, white), _rough(requests))
     none = cleaning.nothing_left_out(series)
     return _State(requests, series, model, known, at, prepared, none, fit)
-
-
-def _beforehand(
-    series: Sequence[Series], model: Unknowns, requests: Mapping[str, Noise]
-) -> tuple[dict[str, float], dict[Unknown, float]]:
-    """Return K_I of each accelerometer and values of what is asked for, as a few rows say.
-
-    What nobody asks for moves it by no more than the uncertainties that it brings.
-    """
-    known = _scale_factors(series, model, None)
-    if not model.has_inputs:
-        return known, {}
-    asked = Unknowns(model.asked)
-    few = prepare_columns([_few_rows(record) for record in series], asked, known)
-    fit = solve_joint(few, asked, _rough(requests))
-    at = dict(zip(asked.unknowns, fit.solution.estimate.tolist(), strict=True))
-    return _scale_factors(series, model, fit), at
-
-
-def _few_rows(series: Series) -> Series:
-    """Return a series of few rows, spread over its length and over the revolution."""
-    size = series.time.size
-    drop = np.full(size, size > _FEW)
-    drop[(np.arange(_FEW) * _GOLDEN % 1.0 * size).astype(np.intp)] = False
-    return series.without(drop)
 
 
 def reject_outliers(state: _State) -> _State:
