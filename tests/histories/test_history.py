@@ -312,7 +312,11 @@ def test_wrong_usage(tmp_path, capsys):
     assert "2 mistakes" in told
     assert told.count("there is no such file or folder") == 2
     stored(tmp_path, a=result())
-    for term, words in (("K_IV", "no term is called"), ("platform.tilt.up", "to the machine")):
+    for term, words in (
+        ("K_IV", "no term is called"),
+        ("platform.tilt.up", "to the machine"),
+        ("offset.X", "of a triad; a history is of a term: K_F is the same"),
+    ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
         assert words in capsys.readouterr().err
 

@@ -6,7 +6,7 @@ beside it.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -15,12 +15,14 @@ from counterspin.arrays import Array
 from counterspin.calibration.notebook.labelled import Labelled
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
+from counterspin.calibration.notebook.tables import frame_of_rows
 from counterspin.campaign.quantity import Quantity
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, Kind
 from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.inference.joint.what_if import WhatIf
+from counterspin.reports.characters import visible
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 from counterspin.units import unit_factor
@@ -320,6 +322,31 @@ class TriadResult(ResultPart):
     rms_after: float | None = None
     poses: list[PoseResult] = []  #: Those at attitudes that nobody knows.
     records: dict[str, PosesInRecord] = {}  #: By run: records in which poses were found.
+
+    def frame(self, library: str = "polars") -> Any:
+        """Return the parameters as a frame with the columns of `Result.frame`.
+
+        Parameters
+        ----------
+        library
+            ``polars`` or ``pandas``.
+
+        Returns
+        -------
+        polars.DataFrame or pandas.DataFrame
+            The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
+        """
+        return frame_of_rows((("triad", n, c) for n, c in self.parameters.items()), library)
+
+    def __repr__(self) -> str:
+        """Return the parameters, a line each, and what the poses were off before and are now."""
+        lines = [f"Triad {', '.join(self.accelerometers)}: {len(self.poses)} poses"]
+        width = max(map(len, self.parameters), default=0)
+        lines += [f"  {visible(name):<{width}}  {c!r}" for name, c in self.parameters.items()]
+        if self.rms_before is not None and self.rms_after is not None:
+            rms = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
+            lines.append(f"  rms of |f| - g: {rms}")
+        return "\n".join(lines)
 
 
 class Shift(ResultPart):

@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import datetime
 from itertools import combinations
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -35,6 +36,13 @@ from counterspin.histories.result import (
 from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.terms import SHARED_TERMS, TERMS
+
+#: Kind of a triad's parameter -> which term of its accelerometers to follow.
+_OF_A_TRIAD: Final = {
+    "offset": "K_F is the same",
+    "sensitivity": "follow K_I, from which it differs by half the squares of the misalignments",
+    "angle": "follow delta_O and delta_P of the accelerometers",
+}
 
 
 def history(
@@ -110,6 +118,9 @@ def history(
 def _unknown(term: str) -> str:
     if term in SHARED_TERMS:
         return f'"{term}" belongs to the machine; a history is of an accelerometer\'s term'
+    kind, _, owner = term.partition(".")
+    if owner and kind in _OF_A_TRIAD:
+        return f'"{term}" is a parameter of a triad; a history is of a term: {_OF_A_TRIAD[kind]}'
     return f'no term is called "{term}"{did_you_mean(term, TERMS)}'
 
 

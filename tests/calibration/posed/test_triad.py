@@ -141,6 +141,19 @@ def test_result_is_read_back_and_printed(tmp_path):
         assert "attitudes that nobody knows" in report.read_text("utf-8")
 
 
+def test_a_notebook_shows_the_parameters_and_has_them_as_a_frame(tmp_path):
+    triad = cs.calibrate(triads.table(tmp_path, _values(20, 3))).triad
+    lines = repr(triad).splitlines()
+    assert lines[0] == "Triad X, Y, Z: 20 poses"
+    assert lines[1].split() == ["offset.X", *repr(triad.parameters["offset.X"]).split()]
+    assert len(lines) == 11
+    frame = triad.frame()
+    assert frame["term"].to_list() == list(triad.parameters)
+    assert set(frame["owner"]) == {"triad"}
+    values = dict(zip(frame["term"], frame["value"], strict=True))
+    assert values["offset.Y"] == pytest.approx(1e6 * triad.parameters["offset.Y"].value)  # ug
+
+
 def test_what_is_not_stated_is_in_u(tmp_path):
     values = _values(40, 4)
     perfect = cs.calibrate(triads.table(tmp_path / "a", values, u=NOISE))

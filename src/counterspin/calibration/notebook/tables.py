@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -38,6 +38,11 @@ def rows(result: Result) -> Iterator[tuple[str, str, Coefficient]]:
 
 def frame(result: Result, library: str = "polars") -> Any:
     """Return the coefficients as a frame, in the units of the field."""
+    return frame_of_rows(rows(result), library)
+
+
+def frame_of_rows(every: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
+    """Return owners, symbols and coefficients as a frame, in the units of the field."""
     columns: dict[str, list[Any]] = {
         name: []
         for name in (
@@ -45,7 +50,7 @@ def frame(result: Result, library: str = "polars") -> Any:
             *("low", "high", "u_unstated", "dof", "estimated"),
         )
     }
-    for owner, symbol, c in rows(result):
+    for owner, symbol, c in every:
         unit, factor = field_unit(c.unit)
         known = c.estimated and c.value is not None and c.u is not None
         low, high = c.interval() if known else (None, None)
