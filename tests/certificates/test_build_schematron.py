@@ -1,9 +1,12 @@
 """A certificate keeps to PTB's rules of good practice for a DCC (their schematron, of dcclib)."""
 
+import numpy as np
 import pytest
+import triads
 from results import CONFORMITY, coefficient, result, two_accelerometers
 
 from certificates import LAB, document
+from counterspin import calibrate
 from counterspin.inference.conformity import Conformity
 
 dcclib = pytest.importorskip("dcclib.validation", reason="PTB's dcclib is not installed")
@@ -68,3 +71,16 @@ def test_ptb_s_rules_find_no_error(tmp_path, rules, language):
 def test_the_rules_do_find_something(tmp_path, rules):
     made = document(tmp_path, result()).replace(b">v9.9<", b">9.9<")
     assert len([line for line in faults(rules, made) if line.startswith("error")]) == 2
+
+
+def test_they_find_no_error_of_a_triad(tmp_path, rules):
+    generator = np.random.default_rng(7)
+    values = triads.indications(triads.directions(25, generator))
+    values = values + 3e-4 * generator.standard_normal(values.shape)
+    made = document(
+        tmp_path,
+        calibrate(triads.table(tmp_path / "triad", values)),
+        text=LAB.replace('language = "de"', 'language = "en"') + '[evidence]\nall = "Type test."\n',
+    )
+    assert b">Triad X, Y, Z</dcc:content>" in made
+    assert faults(rules, made) == []
