@@ -348,6 +348,8 @@ class TriadResult(ResultPart):
             lines.append(f"  rms of |f| - g: {rms}")
         return "\n".join(lines)
 
+    __str__ = __repr__
+
 
 class Shift(ResultPart):
     """How far a coefficient moves when something is left out; `z` is the shift over its u."""

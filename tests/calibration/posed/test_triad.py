@@ -144,6 +144,7 @@ def test_result_is_read_back_and_printed(tmp_path):
 def test_a_notebook_shows_the_parameters_and_has_them_as_a_frame(tmp_path):
     triad = cs.calibrate(triads.table(tmp_path, _values(20, 3))).triad
     lines = repr(triad).splitlines()
+    assert str(triad) == repr(triad)
     assert lines[0] == "Triad X, Y, Z: 20 poses"
     assert lines[1].split() == ["offset.X", *repr(triad.parameters["offset.X"]).split()]
     assert len(lines) == 11
