@@ -182,9 +182,9 @@ def _observed(
 
 
 def _averaged_files(campaign: Campaign) -> dict[Path, FileIdentity]:
-    """Return the files whose means are readings, before they are read, each with its identity."""
+    """Return the files of means and of rest before they are read, each with its identity."""
     files: dict[Path, FileIdentity] = {}
-    for file in {reading.record for reading in campaign.readings} - {None}:
+    for file in {*(reading.record for reading in campaign.readings), campaign.rest} - {None}:
         if file is not None and isinstance(campaign.record_at(file), Path):
             with suppress(OSError):  # reading says why
                 files[file] = FileIdentity.of(file)
@@ -215,7 +215,8 @@ def _provenance(
     inputs = {description: checksum}
     in_memory = {description: how} if how else {}
     files = []
-    for file in (*(file for run in campaign.runs for file in run.files), *campaign.tables):
+    rest = [campaign.rest] if campaign.rest is not None else []
+    for file in (*(file for run in campaign.runs for file in run.files), *campaign.tables, *rest):
         if isinstance(record := campaign.record_at(file), Path):
             files.append(file)
         else:

@@ -16,6 +16,7 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
     Residual,
 )
+from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.distributions import countable
@@ -157,8 +158,23 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     if not view.has_records:
         return of_readings
     components = view.estimate.components.get(view.name)
-    of_records = record_noise(view.fit.noise[view.name], components, view.accelerometer.observable)
-    return of_records | of_readings
+    noise, observable = view.fit.noise[view.name], view.accelerometer.observable
+    of_records = record_noise(noise, components, observable)
+    return from_rest(of_records, view.campaign, noise, observable) | of_readings
+
+
+def from_rest(
+    lines: dict[str, NoiseLine], campaign: Campaign, noise: Noise, observable: str
+) -> dict[str, NoiseLine]:
+    """Return lines of noise that say which are from the record at rest, and how well it knows."""
+    said = dict(lines)
+    keys = (observable, "acceleration", "flicker", "bias_walk") if noise.covariance else ()
+    for place, key in enumerate(keys):
+        variance, line = noise.covariance[place][place], lines.get(key)
+        if variance > 0.0 and line is not None and not line.estimated and campaign.noise:
+            u = 0.5 * math.sqrt(variance) / line.value
+            said[key] = line.model_copy(update={"u": u, "record": campaign.noise.rest})
+    return said
 
 
 def record_noise(

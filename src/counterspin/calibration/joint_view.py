@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
+from counterspin.inference.joint.found_noise import level_dof
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.runs_left_out import Jackknife, leave_out
 
@@ -110,4 +112,11 @@ class AccelerometerView:
             freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
         noise_given = self.name not in self.estimate.components
         fits = len(self.campaign.accelerometers)
-        return diagnose(rows, freedom, noise_given=noise_given, times=times, fits=fits)
+        return diagnose(
+            rows,
+            freedom,
+            noise_given=noise_given,
+            noise_dof=level_dof(self.fit, self.name) if noise_given else math.inf,
+            times=times,
+            fits=fits,
+        )

@@ -124,9 +124,11 @@ def _refuse_missing(campaign: Campaign) -> None:
         for file in run.files
         if isinstance(campaign.record_at(file), Path)
     )
-    missing = [file for file in dict.fromkeys(on_disk) if not file.exists()]
+    missing = [f"{file}: " for file in dict.fromkeys(on_disk) if not file.exists()]
+    if campaign.rest is not None and not campaign.rest.exists():
+        missing.append(f"{campaign.rest} (noise.from): ")
     if missing:
-        raise RecordError("\n".join(f"{file}: there is no such file." for file in missing))
+        raise RecordError("\n".join(f"{file}there is no such file." for file in missing))
 
 
 def read_run(campaign: Campaign, run: Run) -> Record:

@@ -162,9 +162,11 @@ class NoiseLine(ResultPart):
     """One noise component: its size, whether it was estimated, and its uncertainty then."""
 
     value: float  #: Standard deviation a sample; of ``acceleration``, the random-walk coefficient.
-    u: float | None = None  #: Its uncertainty where it was estimated.
+    u: float | None = None  #: Its uncertainty where it was estimated, or found in another record.
     unit: str  #: Of value and uncertainty.
     estimated: bool  #: Whether it was estimated from the residuals; else as given.
+    #: The record at rest that it was found in; None where it was stated or estimated.
+    record: str | None = None
 
 
 class Comparison(ResultPart):

@@ -14,9 +14,10 @@ from counterspin.calibration.joint_parts import (
     coefficient,
     confounded,
     correlation,
+    from_rest,
     record_noise,
 )
-from counterspin.calibration.joint_problem import series_of
+from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import assumed_of, model_of, prior_of
 from counterspin.calibration.observed import ObservedRun
@@ -39,6 +40,7 @@ from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.found_noise import uncertain
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.joint.what_if import what_if
@@ -99,7 +101,9 @@ def two_stage(
         correlation=correlation(view),
         confounded=[*confounded(view), *sums_of_alike(view, second, coefficients)],
         residual=_residual(second.parabolas, view.estimate.components.get(name)),
-        noise=_noise_lines(second.parabolas, view),
+        noise=from_rest(
+            _noise_lines(second.parabolas, view), campaign, noise_of(campaign)[name], "displacement"
+        ),
         budget=budgets,
         what_if=what_if(second.fit, places, budgets, name),
         findings=[
@@ -163,8 +167,11 @@ def two_stage_view(
     ]
     model = two_stage_model(_known_model(campaign, name, known or {}), request, series)
     second = resolve(series, parabolas, model, request)
-    if components is not None:
-        second = with_found_noise(second, components)
+    own = {} if components is None else {name: components}
+    covariance = uncertain({name: noise_of(campaign)[name]}, own).get(name)
+    if covariance is not None:
+        unseen = None if components is None else components.unseen
+        second = with_found_noise(second, covariance, unseen)
     assessment = assess(second.fit.solution, [unknown.name for unknown in model.unknowns])
     # Asked to tell it from a term that acts exactly alike, the records say nothing.
     unknown = nothing_known(campaign, name, second)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from counterspin.calibration.joint_problem import noise_of, series_of
+from counterspin.calibration.joint_problem import noise_of, said_noise, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
+from counterspin.campaign.settings import StatedNoise
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.noise.search import FoundNoise
@@ -36,7 +37,8 @@ def request_of(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
             f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method"
         )
-    if campaign.noise is not None and campaign.noise.wanders:
+    stated = said_noise(campaign)[accelerometer.name].sizes
+    if stated is not None and stated.wanders:
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method knows nothing of a bias that wanders "
             "(noise.flicker, noise.bias_walk); use the joint method"
@@ -58,10 +60,10 @@ def request_of(
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
         weighted=options.weighted,
-        sigma=None if options.from_residuals else _sigma(campaign),
+        sigma=None if options.from_residuals else _sigma(stated),
         from_residuals=options.from_residuals,
         random_walk=None if "random_walk" in noise.wanted else noise.random_walk,
-        timing=_number(campaign, "timing") or 0.0,
+        timing=_number(stated, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
         limits={s: campaign.limit_of(s, accelerometer.name) for s in (*OWN_TERMS, *SHARED_TERMS)},
@@ -69,16 +71,16 @@ def request_of(
     return request if components is None else request.with_noise(components.noise)
 
 
-def _sigma(campaign: Campaign) -> float | None:
+def _sigma(noise: StatedNoise | None) -> float | None:
     """Return the displacement noise of a sample, m; None where it is not stated."""
-    white = _number(campaign, "displacement")
-    step = _number(campaign, "quantisation") or 0.0
+    white = _number(noise, "displacement")
+    step = _number(noise, "quantisation") or 0.0
     return None if white is None else math.hypot(white, step / math.sqrt(12.0)) or None
 
 
-def _number(campaign: Campaign, component: str) -> float | None:
+def _number(noise: StatedNoise | None, component: str) -> float | None:
     """Return a component of the stated noise; None where it is not a number."""
-    size = getattr(campaign.noise, component, None)
+    size = getattr(noise, component, None)
     return size if isinstance(size, float) else None
 
 

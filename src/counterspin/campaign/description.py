@@ -32,10 +32,10 @@ from counterspin.campaign.settings import (
     CentrifugeSettings,
     DocumentSettings,
     ModelSettings,
+    NoiseSettings,
     Output,
     SimulationSettings,
     SiteSettings,
-    StatedNoise,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import (
@@ -129,7 +129,7 @@ class Campaign:
     angle: Channel | None
     timing_offset: Quantity | None
     accelerometers: Mapping[str, Accelerometer]
-    noise: StatedNoise | None
+    noise: NoiseSettings | None
     model: ErrorModel
     runs: tuple[Run, ...]
     simulation: Simulation | None
@@ -258,6 +258,11 @@ class Campaign:
         read = (reading.record for reading in self.readings if reading.record is not None)
         posed = (one.record for one in self.triad.records) if self.triad else ()
         return (*(file for run in self.runs for file in run.files), *read, *posed)
+
+    @property
+    def rest(self) -> Path | None:
+        """The record at rest that says the noise; None where [noise] names none."""
+        return None if self.noise is None or not self.noise.rest else self.folder / self.noise.rest
 
     @property
     def posed(self) -> bool:
@@ -521,10 +526,17 @@ class _DescriptionReader:
             files.add(self.file.parent / self.raw["readings"]["file"])
         return tuple(sorted(files))
 
-    def _noise(self) -> StatedNoise | None:
-        if not isinstance(self.raw.get("noise"), dict):
+    def _noise(self) -> NoiseSettings | None:
+        if not isinstance(raw := self.raw.get("noise"), dict):
             return None
-        return self.problems.check(StatedNoise, self.raw["noise"], ("noise",), gravity=self.gravity)
+        noise = self.problems.check(NoiseSettings, raw, ("noise",), gravity=self.gravity)
+        if noise is not None and noise.rest is not None:
+            if all(map(is_reading, self.raw_runs)):
+                self.problems.add(("noise", "from"), "no run has a record; noise is of records")
+            named = [run.get("record") for run in self.raw_runs if isinstance(run, dict)]
+            if noise.rest in named:
+                self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
+        return noise
 
     def _runs(self) -> list[Run]:
         simulated = of_records(self._table("truth"), self.problems)
@@ -553,7 +565,7 @@ class _DescriptionReader:
 
     def _simulation(
         self,
-        noise: StatedNoise | None,
+        noise: NoiseSettings | None,
         readings: Sequence[Reading],
         outputs: Mapping[str, Output | None],
         centrifuge: CentrifugeSettings | None,

@@ -345,6 +345,17 @@ class StatedNoise(SettingsSection):
         return self.flicker != 0.0 or self.bias_walk != 0.0
 
 
+class NoiseSettings(StatedNoise):
+    """[noise]: sizes, or a record at rest that says those which are not stated."""
+
+    rest: Annotated[Text, AfterValidator(record_file)] | None = described(
+        "a record at rest, which says what is not stated beside it",
+        "rest.csv",
+        None,
+        alias="from",
+    )
+
+
 class ModelSettings(SettingsSection):
     """[model]; names and values are resolved in `terms`."""
 

@@ -102,11 +102,14 @@ def diagnose(
     dof: float | Mapping[str, float],
     *,
     noise_given: bool,
+    noise_dof: float = math.inf,
     times: Mapping[str, ArrayLike] | None = None,
     fits: int = 1,
 ) -> Diagnostics:
     """Test the whitened residuals of a fit.
 
+    noise_dof: Degrees of freedom of a noise that was given, infinite where it is exact: then chi2
+        over both is Fisher's F.
     residuals: By run, (n,) whitened residuals in the order of time; n >= 3.
     times: By run, the rows' times, s (any offset), for the frequency of a peak.
     fits: Of how many such fits, those of a campaign's accelerometers, this is one: the significance
@@ -127,20 +130,29 @@ def diagnose(
     runs = {}
     for name, rows in values.items():
         interval = 1.0 if times is None else float(np.median(np.diff(np.asarray(times[name]))))
-        runs[name] = _diagnose_run(rows, shares[name], interval)
+        runs[name] = _diagnose_run(rows, shares[name], interval, noise_dof)
 
     chi2 = float(sum(run.chi2 for run in runs.values()))
     if noise_given:
-        fit_p = chi_square_tail(whole, chi2)
+        fit_p = _tail(whole, chi2, noise_dof)
     else:
         smallest = min(min(run.sign_p, run.peak_p) for run in runs.values())
         fit_p = min(1.0, 2 * len(runs) * smallest)
     unit = "Hz" if times else "cycles per row"
-    findings = _findings(runs, (chi2, whole), unit, noise_given=noise_given, fits=fits)
+    findings = _findings(runs, (chi2, whole, fit_p), unit, noise_given=noise_given, fits=fits)
     return Diagnostics(chi2, whole, fit_p, noise_given, runs, findings)
 
 
-def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
+def _tail(dof: float, chi2: float, noise_dof: float) -> float:
+    """Return the probability of a larger chi2, against a noise that was given."""
+    if math.isinf(noise_dof):
+        return chi_square_tail(dof, chi2)
+    from scipy.special import fdtrc
+
+    return float(fdtrc(dof, noise_dof, chi2 / dof))
+
+
+def _diagnose_run(rows: Array, dof: float, interval: float, noise_dof: float) -> RunDiagnostics:
     chi2 = float(rows @ rows)
     _, z, sign_p = runs_test(rows)
     power = periodogram(rows)
@@ -149,7 +161,7 @@ def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
         rows=len(rows),
         chi2=chi2,
         dof=dof,
-        chi2_p=chi_square_tail(dof, chi2),
+        chi2_p=_tail(dof, chi2, noise_dof),
         sign_z=z,
         sign_p=sign_p,
         peak_frequency=frequency / interval,
@@ -161,23 +173,23 @@ def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
 
 def _findings(
     runs: Mapping[str, RunDiagnostics],
-    whole: tuple[float, float],
+    whole: tuple[float, float, float],
     unit: str,
     *,
     noise_given: bool,
     fits: int,
 ) -> tuple[str, ...]:
     """Sentences on what is too unlikely, all tests of all fits together at `SIGNIFICANCE`."""
-    chi2, dof = whole
+    chi2, dof, p = whole
     tests = fits * len(runs) * (6 if noise_given else 2)
     limit, of_chi2 = SIGNIFICANCE / tests, CHI_SQUARE_SIGNIFICANCE / fits
     found = []
-    if noise_given and chi_square_tail(dof, chi2) < of_chi2:
+    if noise_given and p < of_chi2:
         found.append(
             f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
             "the noise is stated too small or the model lacks a term."
         )
-    elif noise_given and chi_square_tail(dof, chi2) > 1 - of_chi2:
+    elif noise_given and p > 1 - of_chi2:
         found.append(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
             "noise: the noise is stated too large."

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
 from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
+from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign
@@ -65,7 +66,7 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
             squares += float((residuals.plain**2 * prepared.series.count).sum())
             rows += residuals.plain.size
     observable = view.accelerometer.observable
-    stated = getattr(campaign.noise, observable) if campaign.noise else None
+    stated = getattr(said_noise(campaign)[view.name].sizes, observable, None)
     return ResidualState(
         rms=math.sqrt(squares / rows),
         stated=stated if isinstance(stated, float) and stated > 0.0 else None,

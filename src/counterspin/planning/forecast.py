@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.model import model_of
 from counterspin.calibration.readings import block_name
 from counterspin.campaign.conditions import conditions_of
@@ -179,8 +180,8 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         problems.append("a prediction takes poses with readings, not those of a record")
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
-    noise = _noise(campaign)
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
+        noise = _noise(campaign, name)
         own = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
         for key in (*own, "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
@@ -192,9 +193,9 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         raise CampaignError(str(campaign.path), dict.fromkeys(problems))
 
 
-def _noise(campaign: Campaign) -> Mapping[str, float | str]:
-    """Return the noise that is stated; what is to be estimated, from a simulation's truth."""
-    stated = dict(campaign.noise or ())
+def _noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
+    """Return the noise that is said; what is to be estimated, from a simulation's truth."""
+    stated = dict(said_noise(campaign)[name].sizes or ())
     truth = vars(campaign.simulation.truth.noise) if campaign.simulation else {}
     return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
         key: size for key, size in truth.items() if not isinstance(stated.get(key), float)
@@ -203,9 +204,9 @@ def _noise(campaign: Campaign) -> Mapping[str, float | str]:
 
 def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
     """Return the noise of each accelerometer's records."""
-    noise = _noise(campaign)
     models = {}
     for name, accelerometer in campaign.accelerometers.items():
+        noise = _noise(campaign, name)
         step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
         models[name] = Noise(
             float(noise[accelerometer.observable]),
@@ -231,7 +232,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     first = np.arange(0, samples, block)
     count = np.minimum(block, samples - first).astype(np.float64)
     time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
-    noise = _noise(campaign)
+    noise = _noise(campaign, name)
     timing = float(noise.get("timing", 0.0))
     of_angle = math.hypot(float(noise.get("angle", 0.0)), run.rate * timing)
     series = Series(
@@ -311,7 +312,7 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
         )
         dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]
         model = Unknowns(model.unknowns + estimated).without(dated)
-    timing = float(_noise(campaign).get("timing", 0.0))
+    timing = float(_noise(campaign, next(iter(campaign.accelerometers))).get("timing", 0.0))
     noise = noise_of_records(campaign)
     return Setup(
         instruments=tuple(

@@ -224,7 +224,12 @@ def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
         problems.add(("noise", key), "a plan needs its size; nothing can be estimated yet")
-    return {key: size for key, size in noise.items() if key not in unknown}
+    if "from" in noise:
+        problems.add(
+            ("noise", "from"),
+            "a plan says nothing of how a record is read; write what `counterspin noise` prints",
+        )
+    return {key: size for key, size in noise.items() if key not in (*unknown, "from")}
 
 
 def _check_noise(campaign: Campaign, problems: Problems) -> None:

@@ -98,7 +98,7 @@ class FullEngine:
             ]
         second = second_stage(runs, self.world.mountings[self.owner], request, ignored=())
         if components is not None:
-            second = with_found_noise(second, components)
+            second = with_found_noise(second, components.covariance, components.unseen)
         solution = second.fit.solution
         return solution.estimate, solution.u, np.asarray(second.dof)
 

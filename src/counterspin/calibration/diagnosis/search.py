@@ -33,7 +33,6 @@ from counterspin.inference.diagnostics import (
     SIGNIFICANCE,
     normal_equivalent,
 )
-from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import (
     Alternative,
@@ -186,7 +185,7 @@ def _noise(view: AccelerometerView) -> Iterator[Cause]:
     Residuals of another size than the noise, alike in every run and independent of each other.
     """
     tests, name, fits = view.diagnostics, view.name, len(view.campaign.accelerometers)
-    p = chi_square_tail(tests.dof, tests.chi2)
+    p = tests.lack_of_fit_p
     if CHI_SQUARE_SIGNIFICANCE / fits < p < 1.0 - CHI_SQUARE_SIGNIFICANCE / fits:
         return
     ratio, least = tests.chi2 / tests.dof, SIGNIFICANCE / (3.0 * len(tests.runs))

@@ -255,7 +255,8 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
         if line.estimated and value == 0.0:
             lines.append(f"{words} none (the records show none)")
             continue
-        how = "estimated from the residuals" if line.estimated else "as given"
+        given = f"from {line.record}" if line.record else "as given"
+        how = "estimated from the residuals" if line.estimated else given
         lines.append(f"{words} {format_estimate(value, u or None, unit)} ({how})")
     return f"Noise: {'; '.join(lines)}."
 

@@ -27,6 +27,7 @@ _COMMON: Final = {
     "clock": "records.clock",
     "own_velocity": "records.reference",
     "noise": "noise",
+    "rest": "noise.from",
     "specifications": "specification",
 }
 

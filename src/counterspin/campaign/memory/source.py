@@ -91,6 +91,10 @@ class Documented(Protocol):
     def tables(self) -> tuple[Path, ...]:
         """Files of readings."""
 
+    @property
+    def rest(self) -> Path | None:
+        """The record at rest that says the noise."""
+
     def record_at(self, file: Path) -> Path | MemoryTable:
         """Return the record in memory that stands in the place of a file, or else the file."""
 

@@ -28,6 +28,9 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
     for table in campaign.tables:
         if table.is_relative_to(campaign.folder):
             targets.setdefault(folder / table.relative_to(campaign.folder), table)
+    if campaign.rest is not None:
+        name = _rest_placed(campaign.rest, campaign.folder, folder, targets)
+        document["noise"] = {**document["noise"], "from": name}
     description = folder / DESCRIPTION_NAME
     _refuse_overwriting([description, *targets], campaign, overwrite=overwrite)
     for target, record in targets.items():
@@ -45,6 +48,19 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
     else:
         write_text(description, write_document(document), overwrite=overwrite)
     return description
+
+
+def _rest_placed(
+    rest: Path, source: Path, folder: Path, targets: dict[Path, Path | MemoryTable]
+) -> str:
+    """Note where the record at rest goes, and return its name there."""
+    inside = rest.is_relative_to(source) and ".." not in rest.parts
+    name = rest.relative_to(source).as_posix() if inside else rest.name
+    taken = [target.relative_to(folder).as_posix() for target in targets]
+    if name.lower() in map(str.lower, taken):
+        name = record_name("rest", rest.suffix, taken)
+    targets[folder / name] = rest
+    return name
 
 
 def _placed(
@@ -96,7 +112,7 @@ def _refuse_overwriting(targets: list[Path], campaign: Documented, *, overwrite:
             raise CounterspinError(
                 f"{target} exists; write into another folder, or give `overwrite=True`"
             )
-    for file in campaign.files:
+    for file in (*campaign.files, *filter(None, [campaign.rest])):
         record = campaign.record_at(file)
         if isinstance(record, Path) and not record.is_file():
             raise CounterspinError(f"{record}: there is no such record to copy")

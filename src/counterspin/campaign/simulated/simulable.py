@@ -39,6 +39,11 @@ def unfit(campaign: Campaign) -> list[str]:
         for key, size in vars(truth.noise).items()
         if size == ESTIMATE
     ]
+    if stated and campaign.rest is not None:
+        problems.append(
+            "noise.from: a simulation needs true sizes; write those of the record at rest, as "
+            "`counterspin noise` prints them, in [truth.noise]"
+        )
     for name, coefficients in truth.coefficients.items():
         for symbol, value in coefficients.items():
             limit = campaign.limit_of(symbol, name)

@@ -20,7 +20,12 @@ from counterspin.inference.joint import cleaning, encoder, rotation
 from counterspin.inference.joint.cleaning import Rows
 from counterspin.inference.joint.condensed import condense
 from counterspin.inference.joint.fit import JointFit, solve_joint
-from counterspin.inference.joint.found_noise import losses, noise_of, with_found_noise
+from counterspin.inference.joint.found_noise import (
+    losses,
+    noise_of,
+    uncertain,
+    with_found_noise,
+)
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
@@ -42,14 +47,14 @@ class Estimate:
     fit: JointFit  #: The solved problem.
     #: Accelerometer -> its estimated noise; without those whose noise was given.
     components: Mapping[str, FoundNoise]
-    #: Effective degrees of freedom of each unknown, shape (p,); infinite where noise is given.
+    #: Effective degrees of freedom of each unknown, shape (p,); infinite where noise is exact.
     dof: Array
     outliers: Rows = ()  #: For each series, which of its rows were left out, bool.
     #: The data with these rows, about the rotation that was found where none was recorded.
     series: tuple[Series, ...] = ()
     #: The same fit with what nobody asks for condensed; None where there was nothing to condense.
     core: JointFit | None = None
-    #: Accelerometer with estimated noise -> `found_noise.losses` of the core.
+    #: Accelerometer whose noise is not exact -> `found_noise.losses` of the core.
     lost: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -241,7 +246,7 @@ def _finished(
     core: The same fit, condensed.
     """
     model = fit.model
-    lost = {name: losses(core, name) for name in found}
+    lost = {name: losses(core, name) for name in uncertain(core.noise, found)}
     core, dof = with_found_noise(core, found, lost)
     # In the condensed fit what is asked for comes first; one that has nothing condensed is whole.
     places = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]

@@ -12,6 +12,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.growth import information_lost
 from counterspin.inference.noise.model import COMPONENTS, Noise
@@ -21,6 +22,9 @@ from counterspin.inference.noise.unseen_noise import lengthened
 
 #: Least u of a prior in the likelihood, in units of the unknown's credible limit.
 _LEAST_PRIOR_U: Final = 1e-12
+
+#: Part of a variance by which it is varied.
+_SMALL: Final = 1e-3
 
 _WALK: Final = COMPONENTS.index("random_walk")
 
@@ -86,6 +90,45 @@ def losses(fit: JointFit, name: str) -> Array:
     return lost
 
 
+def uncertain(noise: Mapping[str, Noise], found: Mapping[str, FoundNoise]) -> dict[str, Array]:
+    """Return the covariance of each noise's variances, (4, 4), of those that are not exact."""
+    parts: dict[str, Array] = {name: one.covariance for name, one in found.items()}
+    for name, one in noise.items():
+        if one.covariance:
+            # What is found here and what another record said are of different components.
+            parts[name] = np.array(one.covariance) + parts.get(name, 0.0)
+    return parts
+
+
+def level_dof(fit: JointFit, name: str) -> float:
+    """Return how well the level of a noise is known from another record, in degrees of freedom.
+
+    Of the whitened residuals' sum of squares each variance makes a share, by which a change of its
+    logarithm changes the log-determinant of their covariance. A wander makes nearly none.
+    """
+    noise = fit.noise[name]
+    if not noise.covariance:
+        return math.inf
+    own = [part.series for part in fit.prepared if part.accelerometer == name]
+    shares = sum(_shares(series, noise) for series in own)
+    gradient, variances = np.zeros((1, len(COMPONENTS))), np.array(noise.variances[: _WALK + 1])
+    np.divide(shares, variances, out=gradient[0, : _WALK + 1], where=variances > 0.0)
+    rows = sum(series.differences.rows for series in own)
+    return float(effective_dof([rows], gradient, np.array(noise.covariance))[0])
+
+
+def _shares(series: Series, noise: Noise) -> Array:
+    """Return how many rows' worth of the whitened squares white noise and a walk make, (2,)."""
+    more, less = math.exp(_SMALL), math.exp(-_SMALL)
+
+    def level(white: float, walk: float) -> float:
+        own = white * noise.sample_variance + series.jitter_variance
+        return series.differences.factor(own, walk * noise.random_walk**2)[1]
+
+    by_white, by_walk = level(more, 1.0) - level(less, 1.0), level(1.0, more) - level(1.0, less)
+    return np.array([by_white, by_walk]) / (2.0 * _SMALL)
+
+
 def with_found_noise(
     fit: JointFit, found: Mapping[str, FoundNoise], lost: Mapping[str, Array]
 ) -> tuple[JointFit, Array]:
@@ -100,10 +143,10 @@ def with_found_noise(
     solution = fit.solution
     variance, inverse = np.diag(solution.covariance), np.zeros(len(fit.model.unknowns))
     root = solution.root_of(np.eye(inverse.size))
-    growth = {name: root @ lost[name].sum(axis=0) @ root.T for name in found}
-    for name, one in found.items():
+    growth = {name: root @ lost[name].sum(axis=0) @ root.T for name in lost}
+    for name, covariance in uncertain(fit.noise, found).items():
         gradient = np.diagonal(growth[name], axis1=1, axis2=2).T
-        inverse += 1.0 / effective_dof(variance, gradient, one.covariance)
+        inverse += 1.0 / effective_dof(variance, gradient, covariance)
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
     known = (solution.u > 0.0) & (solution.u < limits)
     unseen: dict[str, tuple[float, Array]] = {}
@@ -128,6 +171,7 @@ def with_found_noise(
 def unseen_covariance(fit: JointFit, found: Mapping[str, FoundNoise]) -> Array:
     """Return what walks that the records do not show may add to a fit's covariance, (p, p)."""
     hidden = {name: one for name, one in found.items() if one.unseen is not None}
-    wider, _ = with_found_noise(fit, hidden, {name: losses(fit, name) for name in hidden})
+    lost = {name: losses(fit, name) for name in uncertain(fit.noise, hidden)}
+    wider, _ = with_found_noise(fit, hidden, lost)
     added = wider.solution.covariance_unseen
     return np.zeros_like(fit.solution.covariance) if added is None else added

@@ -18,7 +18,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import countable
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.found_noise import losses
+from counterspin.inference.joint.found_noise import losses, uncertain
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.search import effective_dof
@@ -78,11 +78,12 @@ def _spread(
     inverse = np.zeros(len(runs))
     owner = fit.model.unknowns[index].owner
     found = estimated.components.get(owner)
-    if found is not None and runs:
+    covariance = uncertain(estimated.fit.noise, estimated.components).get(owner)
+    if covariance is not None and runs:
         lost = estimated.lost.get(owner)
         slopes = growth(fit, losses(fit, owner) if lost is None else lost, runs, index)
-        inverse = 1.0 / effective_dof(variance, slopes, found.covariance)
-        if found.unseen is not None:
+        inverse = 1.0 / effective_dof(variance, slopes, covariance)
+        if found is not None and found.unseen is not None:
             slope = slopes[:, COMPONENTS.index("random_walk")]
             variance, inverse = _with_unseen(found.unseen, variance, slope, inverse)
     with np.errstate(divide="ignore"):

@@ -24,8 +24,9 @@ Without a random walk a row is divided by its standard deviation, and nothing is
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,6 +76,8 @@ class Noise:
     #: `counterspin.inference.noise.wander`.
     flicker: float = 0.0
     bias_walk: float = 0.0
+    #: Of the variances, 4 by 4, of given sizes that another record said; empty: they are exact.
+    covariance: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         for name in (*COMPONENTS, "quantisation"):
@@ -92,7 +95,7 @@ class Noise:
     @property
     def known(self) -> Noise:
         """The same without what is to be estimated."""
-        return replace(self, **dict.fromkeys(self.wanted, 0.0))
+        return self.with_sizes(dict.fromkeys(self.wanted, 0.0))
 
     @property
     def sample_variance(self) -> float:
@@ -114,7 +117,12 @@ class Noise:
         """Return the noise with what is to be estimated as the variances say."""
         white = max(variances[0] - self.quantisation**2 / 12, 0.0)
         sizes = dict(zip(COMPONENTS, map(math.sqrt, (white, *variances[1:])), strict=True))
-        return replace(self, **{name: sizes[name] for name in self.wanted})
+        return self.with_sizes({name: sizes[name] for name in self.wanted})
+
+    def with_sizes(self, sizes: Mapping[str, float]) -> Noise:
+        """Return the noise with other sizes of some of `COMPONENTS`."""
+        changed: Mapping[str, Any] = sizes
+        return replace(self, **changed)
 
 
 @frozen

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -125,7 +124,7 @@ def _eliminated(
 
 
 def _choice(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> Choice:
-    return Choice(likelihood, replace(Noise(0.0), **dict.fromkeys(names, WANTED)), names)
+    return Choice(likelihood, Noise(0.0).with_sizes(dict.fromkeys(names, WANTED)), names)
 
 
 def _first_sizes(likelihood: RestrictedLikelihood) -> Variances:
@@ -200,11 +199,11 @@ def _profile(
     others = tuple(other for other in COMPONENTS if other != name)
     # From where nothing of it shows no step leads back.
     least = _least(likelihood, every)
-    wanted = replace(Noise(0.0), **dict.fromkeys(others, WANTED))
+    wanted = Noise(0.0).with_sizes(dict.fromkeys(others, WANTED))
     start = [every.variances]
 
     def value(log_size: float) -> float:
-        given = replace(wanted, **{name: math.exp(0.5 * log_size)})
+        given = wanted.with_sizes({name: math.exp(0.5 * log_size)})
         begin = tuple(map(max, start[0], least))
         found, start[0] = Choice(likelihood, given, others).greatest(begin)
         return found

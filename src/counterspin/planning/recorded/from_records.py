@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from counterspin.calibration.joint import estimate_campaign
+from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.settings import StatedNoise
+from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.noise.model import Noise
 
@@ -24,7 +25,7 @@ def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
         return False
     known = sampling_rate is not None and all(run.duration is not None for run in campaign.runs)
     there = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
-    return there and not (known and _to_be_found(campaign.noise) == set())
+    return there and not (known and _to_be_found(campaign) == set())
 
 
 def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
@@ -36,7 +37,7 @@ def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
 def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
     """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
     observed = list(observe(campaign))
-    if not _to_be_found(campaign.noise):
+    if not _to_be_found(campaign):
         return observed, {}
     estimated, _ = estimate_campaign(campaign, observed, model_of(campaign))
     return observed, noise_of_fit(estimated.fit)
@@ -76,13 +77,18 @@ def as_recorded(
         for key, size in sizes.items():
             found[key] = max(size, found.get(key, 0.0))
     angles = [one.rotation.rms for one in observed if one.rotation is not None]
-    stated = campaign.noise or StatedNoise()
-    sizes = {key: found.get(key, 0.0) for key in _to_be_found(campaign.noise)}
+    stated = campaign.noise or NoiseSettings()
+    sizes = {key: found.get(key, 0.0) for key in _to_be_found(campaign)}
     if not stated.angle and angles:
         sizes["angle"] = max(angles)
     return replace(campaign, runs=tuple(runs), noise=stated.model_copy(update=sizes))
 
 
-def _to_be_found(noise: StatedNoise | None) -> set[str]:
+def _to_be_found(campaign: Campaign) -> set[str]:
     """Return the components of noise that are left to the records."""
-    return {key for key, value in noise or StatedNoise() if noise is None or isinstance(value, str)}
+    said = [one.sizes for one in said_noise(campaign).values()]
+    return {
+        key
+        for key in StatedNoise.model_fields
+        if any(sizes is None or isinstance(getattr(sizes, key), str) for sizes in said)
+    }

@@ -1,0 +1,259 @@
+"""The noise of a campaign from a record of its accelerometers at rest."""
+
+import hashlib
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import polars as pl
+import pytest
+from campaigns import SMALL, changed, write
+from recorded_campaigns import record
+from scipy.stats import f as fisher
+
+import counterspin as cs
+from counterspin.calibration.joint_problem import noise_of
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.pages.full_report import document
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CampaignError, RecordError
+from counterspin.inference.joint.found_noise import level_dof
+from counterspin.inference.noise.model import WANTED, Differences, Noise
+from counterspin.planning.forecast import forecast
+
+STATED = '[noise]\ndisplacement = "0.01 m"'
+FROM = '[noise]\nfrom = "rest.csv"'
+#: True noise of a sample of the two columns, m.
+WHITE = {"east_m": 0.01, "north_m": 0.0101}
+
+
+def at_rest(folder, rows=4000, **columns):
+    """Write a record at rest at 20 Hz: white noise and, over an offset, a constant force."""
+    rng = np.random.default_rng(5)
+    time = np.arange(rows) / 20.0
+    made = {
+        name: 3.0 + 1e-3 * time**2 + white * rng.standard_normal(rows)
+        for name, white in WHITE.items()
+    }
+    pl.DataFrame({"time_s": time, **made, **columns}).write_csv(folder / "rest.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("rest")
+    return at_rest(record(made, tmp_path_factory.mktemp("plan"), SMALL))
+
+
+def texts(result):
+    return [block.text for block in document(result) if hasattr(block, "text")]
+
+
+def described(folder, **noise):
+    """Return Qx's campaign with another [noise]; values as they are written."""
+    campaign = read_campaign(folder).change(accelerometers=["Qx"])
+    return campaign.change(noise={"displacement": None, **noise})
+
+
+def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_own(folder):
+    found = cs.noise(folder / "rest.csv", campaign=folder)
+    noise = noise_of(read_campaign(folder).change(noise={"displacement": None, "from": "rest.csv"}))
+    for signal in found.signals:
+        one = noise[signal.name]
+        assert one.white == pytest.approx(signal.components["displacement"].value, rel=1e-12)
+        assert one.white == pytest.approx(WHITE[signal.column], rel=0.04)
+        # Of n independent samples the variance is known to 2 v^2/n, a little less by a drift.
+        assert one.covariance[0][0] == pytest.approx(2 * one.white**4 / 4000, rel=0.1)
+        # What the record does not show is left to the campaign's own.
+        assert signal.components["acceleration"].value is None
+        assert one.random_walk is WANTED
+        assert one.flicker == one.bias_walk == 0.0
+    assert noise["Qx"].white != noise["Qy"].white
+
+
+def test_a_key_beside_the_record_overrules_it(folder):
+    (one,) = noise_of(
+        described(
+            folder, **{"from": "rest.csv", "displacement": "2 cm", "acceleration": "1 ug/Hz^0.5"}
+        )
+    ).values()
+    assert one.white == 0.02
+    assert one.random_walk == pytest.approx(9.8066e-6, rel=1e-12)
+    assert one.covariance == ()
+
+
+def test_stated_steps_are_a_part_of_what_is_white(folder):
+    campaign = described(folder, **{"from": "rest.csv", "quantisation": "2 cm"})
+    plain = noise_of(described(folder, **{"from": "rest.csv"}))["Qx"]
+    assert noise_of(campaign)["Qx"].sample_variance == pytest.approx(plain.sample_variance)
+
+
+@pytest.fixture(scope="module")
+def both(folder):
+    """Return the results with the record at rest, and with its figure stated by hand."""
+    campaign = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
+    white = noise_of(campaign)["Qx"].white
+    by_hand = described(folder, displacement=f"{white!r} m")
+    return cs.calibrate(campaign), cs.calibrate(by_hand), noise_of(campaign)["Qx"]
+
+
+def test_the_answer_is_that_of_the_same_noise_by_hand_with_the_degrees_of_freedom_of_the_record(
+    both,
+):
+    found, by_hand, noise = both
+    dof = 2.0 * noise.white**4 / noise.covariance[0][0]
+    one, other = (r.accelerometers["Qx"].coefficients["K_II"] for r in (found, by_hand))
+    assert (one.value, one.u) == pytest.approx((other.value, other.u), rel=1e-9)
+    assert other.dof is None
+    assert one.dof == pytest.approx(dof, rel=0.01)
+    assert 3500 < dof < 4500
+
+
+def test_residuals_are_tested_against_a_noise_that_is_not_exact(both):
+    found, by_hand, noise = both
+    dof = 2.0 * noise.white**4 / noise.covariance[0][0]
+    one, other = (r.accelerometers["Qx"].residual for r in (found, by_hand))
+    assert one.chi2 == pytest.approx(other.chi2, rel=1e-9)
+    p = fisher.sf(one.chi2 / one.dof, one.dof, dof)
+    assert one.lack_of_fit_p == pytest.approx(p, rel=1e-6)
+    assert abs(one.lack_of_fit_p - 0.5) < abs(other.lack_of_fit_p - 0.5)
+
+
+def test_the_result_says_where_its_noise_is_from(folder, both):
+    result, _, noise = both
+    line = result.accelerometers["Qx"].noise["displacement"]
+    assert (line.value, line.record, line.estimated) == (noise.white, "rest.csv", False)
+    assert line.u == pytest.approx(0.5 * math.sqrt(noise.covariance[0][0]) / noise.white)
+    digest = hashlib.sha256((folder / "rest.csv").read_bytes()).hexdigest()
+    assert result.provenance.inputs["rest.csv"] == f"sha256:{digest}"
+    (shown,) = [text for text in texts(result) if text.startswith("Noise: ")]
+    assert "(from rest.csv)" in shown
+
+
+def test_a_record_too_quiet_for_the_residuals_contradicts_the_result(folder, tmp_path):
+    quiet = tmp_path / "quiet.csv"
+    frame = pl.read_csv(folder / "rest.csv")
+    frame.with_columns(pl.col("east_m") * 0.5).write_csv(quiet)
+    result = cs.calibrate(described(folder, **{"from": str(quiet), "acceleration": "0 g/Hz^0.5"}))
+    assert any(finding.contradicts for finding in result.findings)
+
+
+def test_the_two_stage_method_takes_it_too(folder, both):
+    _, _, noise = both
+    campaign = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
+    by_hand = described(folder, displacement=f"{noise.white!r} m")
+    (one, other) = (
+        cs.calibrate(c, method="two-stage", options=TwoStageOptions()).accelerometers["Qx"]
+        for c in (campaign, by_hand)
+    )
+    k, k_by_hand = one.coefficients["K_II"], other.coefficients["K_II"]
+    assert (k.value, k.u) == pytest.approx((k_by_hand.value, k_by_hand.u), rel=1e-9)
+    dof = 2.0 * noise.white**4 / noise.covariance[0][0]
+    assert k.dof is not None
+    assert k.dof >= 0.99 * dof
+    assert one.noise["displacement"].record == "rest.csv"
+
+
+def test_a_forecast_takes_it_too(folder, both):
+    _, _, noise = both
+    of_rest = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
+    by_hand = described(folder, displacement=f"{noise.white!r} m")
+    lengths = {name: {"revolutions": 20} for name in ("slow", "middle", "fast")}
+    one, other = (forecast(c.change(runs=lengths), sampling_rate=20.0) for c in (of_rest, by_hand))
+    assert one.u["Qx.K_II"] == pytest.approx(other.u["Qx.K_II"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("observable", "unit", "order"), [("velocity", "m/s", 1), ("specific_force", "m/s^2", 0)]
+)
+def test_records_of_velocity_and_force_say_the_noise_of_the_accelerometer(
+    observable, unit, order, tmp_path
+):
+    """N is the root of a density: of a force the standard deviation over the root of the rate."""
+    text = changed(SMALL, (STATED, FROM)).replace(
+        'displacement = { column = "east_m", unit = "m" }',
+        f'{observable} = {{ column = "east", unit = "{unit}" }}',
+    )
+    text = text[: text.index("[accelerometers.Qy]")] + text[text.index("[noise]") :]
+    text = text[: text.index("[simulation]")]
+    rng = np.random.default_rng(3)
+    force = 0.05 + 1e-3 * math.sqrt(20.0) * rng.standard_normal(20_000)
+    values = force
+    if order:
+        values = np.cumsum(force) / 20.0 + 1e-4 * rng.standard_normal(force.size)
+    frame = pl.DataFrame({"time_s": np.arange(force.size) / 20.0, "east": values})
+    frame.write_csv(tmp_path / "rest.csv")
+    (noise,) = noise_of(read_campaign(write(tmp_path, text))).values()
+    assert noise.random_walk == pytest.approx(1e-3, rel=0.03)
+    assert noise.covariance[1][1] == pytest.approx(2 * 1e-12 / 20_000, rel=0.3)
+    assert order or noise.white == 0.0
+
+
+def test_the_level_is_known_by_the_share_of_each_component():
+    """Against traces of dense matrices."""
+    differences = Differences.of(np.arange(60.0), 2)
+    part = SimpleNamespace(
+        accelerometer="Qx", series=SimpleNamespace(differences=differences, jitter_variance=0.0)
+    )
+    covariance = np.zeros((4, 4))
+    covariance[:2, :2] = [[0.04, -0.001], [-0.001, 1e-4]]
+    noise = Noise(2.0, 0.3, covariance=tuple(map(tuple, covariance)))
+
+    def dense(white, walk):
+        bands, _ = differences.factor(white, walk)
+        lower = sum(
+            np.diag(band[: band.size - k], -k) for k, band in enumerate(np.atleast_2d(bands))
+        )
+        return lower @ lower.T
+
+    inverse = np.linalg.inv(dense(4.0, 0.09))
+    traces = np.array([np.trace(inverse @ dense(*one)) for one in ((1.0, 0.0), (0.0, 1.0))])
+    expected = 2.0 * 58.0**2 / (traces @ covariance[:2, :2] @ traces)
+    fit = SimpleNamespace(prepared=[part], noise={"Qx": noise})
+    assert level_dof(fit, "Qx") == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_written_campaign_takes_its_record_along(folder, tmp_path):
+    campaign = described(folder, **{"from": "rest.csv"})
+    campaign.write(tmp_path / "inside")
+    assert (tmp_path / "inside" / "rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
+    far = at_rest(tmp_path) / "rest.csv"
+    described(folder, **{"from": str(far)}).write(tmp_path / "outside")
+    again = read_campaign(tmp_path / "outside")
+    assert again.rest == tmp_path / "outside" / "rest.csv"
+    assert again.rest.read_bytes() == far.read_bytes()
+
+
+def test_campaigns_with_other_records_at_rest_are_not_joined(folder, tmp_path):
+    described(folder, **{"from": "rest.csv"}).write(tmp_path / "copy")
+    with pytest.raises(CampaignError, match=r"noise\.from: is not the same in campaign 2"):
+        described(folder, **{"from": "rest.csv"}).join(read_campaign(tmp_path / "copy"))
+
+
+def test_a_record_that_cannot_be_used_is_named_with_its_key(folder, tmp_path):
+    missing = described(folder, **{"from": "none.csv"})
+    with pytest.raises(RecordError, match=r"none\.csv \(noise\.from\): there is no such file"):
+        cs.calibrate(missing)
+    with pytest.raises(RecordError, match=r"noise\.from: .*none\.csv: there is no such file"):
+        noise_of(missing)
+    pl.read_csv(folder / "rest.csv").head(20).write_csv(tmp_path / "short.csv")
+    with pytest.raises(RecordError, match=r"noise\.from: .*short\.csv.*20 samples are too few"):
+        noise_of(described(folder, **{"from": str(tmp_path / "short.csv")}))
+    pl.read_csv(folder / "rest.csv").drop("east_m").write_csv(tmp_path / "other.csv")
+    with pytest.raises(RecordError, match=r"(?s)noise\.from: .*other\.csv.*east_m"):
+        noise_of(described(folder, **{"from": str(tmp_path / "other.csv")}))
+
+
+def test_what_is_no_record_at_rest_is_refused(folder):
+    with pytest.raises(CampaignError, match=r"noise\.from: is the record of a run"):
+        described(folder, **{"from": "slow.csv"})
+    with pytest.raises(CampaignError, match=r"noise\.from: cannot read"):
+        described(folder, **{"from": "rest.doc"})
+
+
+def test_a_simulation_asks_for_true_sizes(tmp_path):
+    text = changed(
+        SMALL, (STATED, FROM), ('[truth.noise]\ndisplacement = "0.01 m"\nangle = "1e-6 rad"\n', "")
+    )
+    with pytest.raises(CampaignError, match=r"noise\.from: a simulation needs true sizes"):
+        cs.simulate(write(tmp_path, text), tmp_path / "out")
