@@ -215,7 +215,7 @@ class Result(ShownResult):
         ValueError
             If the forces are not finite, or of different lengths.
         """
-        made: Prediction = loaded("counterspin.calibration.notebook.prediction:predict")(
+        made: Prediction = loaded("counterspin.calibration.notebook.instrument:predict")(
             self, self._name(accelerometer), force, pendulous, output_axis
         )
         return made

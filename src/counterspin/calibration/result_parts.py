@@ -15,7 +15,6 @@ from counterspin.arrays import Array
 from counterspin.calibration.notebook.labelled import Labelled
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
-from counterspin.calibration.notebook.tables import frame_of_rows
 from counterspin.campaign.quantity import Quantity
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
@@ -24,6 +23,7 @@ from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.inference.joint.what_if import WhatIf
 from counterspin.reports.characters import visible
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
+from counterspin.reports.shown import loaded
 from counterspin.results import ResultPart
 from counterspin.units import unit_factor
 
@@ -338,7 +338,8 @@ class TriadResult(ResultPart):
         polars.DataFrame or pandas.DataFrame
             The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
         """
-        return frame_of_rows((("triad", n, c) for n, c in self.parameters.items()), library)
+        made = loaded("counterspin.calibration.notebook.tables:frame_of_rows")
+        return made((("triad", n, c) for n, c in self.parameters.items()), library)
 
     def __repr__(self) -> str:
         """Return the parameters, a line each, and what the poses were off before and are now."""

@@ -1,4 +1,4 @@
-"""The accelerometer that a result describes: its coefficients and their covariance."""
+"""The accelerometer that a result describes: its coefficients, and what it will indicate."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from counterspin.arrays import Array, semidefinite_root
+from counterspin.calibration.notebook.prediction import Prediction
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.correction import CalibratedAccelerometer
+from counterspin.physics.correction import CalibratedAccelerometer, indication
 from counterspin.physics.terms import TERMS
 
 if TYPE_CHECKING:
@@ -46,6 +48,22 @@ def with_unstated(
         else:
             lost[name] = (*lost.get(name, ()), symbol)
     return result.model_copy(update={"accelerometers": accelerometers}), lost
+
+
+def predict(
+    result: Result,
+    accelerometer: str,
+    force: npt.ArrayLike,
+    pendulous: npt.ArrayLike,
+    output_axis: npt.ArrayLike,
+) -> Prediction:
+    """Return what an accelerometer of a result indicates; see `Result.predict`."""
+    given = (np.atleast_1d(np.asarray(part, float)) for part in (force, pendulous, output_axis))
+    axes = np.stack(np.broadcast_arrays(*given))
+    if axes.ndim != 2 or not axes.size or not np.isfinite(axes).all():
+        raise ValueError("specific forces are finite numbers, or arrays of one and the same length")
+    whole, _ = with_unstated(result, ("I", "|I|", "P", "O"))
+    return Prediction(*indication(instrument_of(whole, accelerometer), axes))
 
 
 def instrument_of(result: Result, name: str, *, placed: bool = False) -> CalibratedAccelerometer:

@@ -2,18 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import numpy as np
-import numpy.typing as npt
-
 from counterspin.arrays import Array
-from counterspin.calibration.notebook.instrument import instrument_of, with_unstated
 from counterspin.frozen import frozen
-from counterspin.physics.correction import indication
-
-if TYPE_CHECKING:
-    from counterspin.calibration.result import Result
 
 
 @frozen(eq=False)
@@ -32,19 +22,3 @@ class Prediction:
         low, high = float(self.indicated.min()), float(self.indicated.max())
         largest = float(self.u.max())
         return f"<{n} indications from {low:.6g} to {high:.6g} g, u at most {largest:.2g} g>"
-
-
-def predict(
-    result: Result,
-    accelerometer: str,
-    force: npt.ArrayLike,
-    pendulous: npt.ArrayLike,
-    output_axis: npt.ArrayLike,
-) -> Prediction:
-    """Return what an accelerometer of a result indicates; see `Result.predict`."""
-    given = (np.atleast_1d(np.asarray(part, float)) for part in (force, pendulous, output_axis))
-    axes = np.stack(np.broadcast_arrays(*given))
-    if axes.ndim != 2 or not axes.size or not np.isfinite(axes).all():
-        raise ValueError("specific forces are finite numbers, or arrays of one and the same length")
-    whole, _ = with_unstated(result, ("I", "|I|", "P", "O"))
-    return Prediction(*indication(instrument_of(whole, accelerometer), axes))
