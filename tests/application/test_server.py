@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -61,6 +62,22 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
     assert list(beside.iterdir()) == []
 
 
+def test_what_is_being_loaded_is_waited_for_at_the_end(tmp_path, monkeypatch):
+    """An import in a thread when Python ends makes it abort."""
+    done = []
+
+    def load(desk, ended):
+        assert ended.wait(30.0)
+        time.sleep(0.2)
+        done.append(desk)
+
+    monkeypatch.setattr(server, "_load", load)
+    monkeypatch.setattr(server, "server_of", lambda *_: SimpleNamespace(run=lambda **_: None))
+    server.serve(tmp_path, browser=False, say=done.append)
+    *_, loaded, last = done
+    assert (type(loaded), last) == (server.Desk, "Ended.")
+
+
 def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, monkeypatch):
     """Every user of the machine reads the list of processes."""
     opened, seen, said = threading.Event(), [], []
@@ -72,7 +89,7 @@ def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, mo
         opened.set()
 
     monkeypatch.setattr("webbrowser.open", browse)
-    monkeypatch.setattr(server, "_load", lambda _: None)
+    monkeypatch.setattr(server, "_load", lambda *_: None)
     waiting = SimpleNamespace(run=lambda **_: opened.wait(60.0))
     monkeypatch.setattr(server, "server_of", lambda *_: waiting)
     server.serve(tmp_path, say=said.append)

@@ -38,6 +38,9 @@ from counterspin.errors import CounterspinError
 #: This machine, and no other.
 _ADDRESS: Final = "127.0.0.1"
 
+#: How long what is being loaded is waited for at the end, s.
+_LONGEST_LOADING: Final = 30.0
+
 #: Endings of the page's own files -> what they are.
 _KINDS: Final = {
     ".css": "text/css; charset=utf-8",
@@ -175,7 +178,9 @@ def serve(
             opening = threading.Timer(0.3, webbrowser.open, [_leading(Path(own), door.link)])
             opening.daemon = True
             opening.start()
-        threading.Thread(target=_load, args=(desk,), daemon=True).start()
+        ended = threading.Event()
+        loading = threading.Thread(target=_load, args=(desk, ended), daemon=True)
+        loading.start()
         # Having ended, uvicorn sends itself the signal again; what is left is to be removed first.
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -183,6 +188,9 @@ def serve(
                 server_of(desk, door).run(sockets=[listener])
         finally:
             signal.signal(signal.SIGTERM, before)
+            # Python aborts where it ends in the middle of an import of a library in C++.
+            ended.set()
+            loading.join(_LONGEST_LOADING)
     say("Ended.")
 
 
@@ -202,13 +210,15 @@ def _leading(folder: Path, link: str) -> str:
     return file.as_uri()
 
 
-def _load(desk: Desk) -> None:
+def _load(desk: Desk, ended: threading.Event) -> None:
     """Load, while nothing is asked yet, what the first records, words and pictures need.
 
     Fonts and templates are had only by drawing and writing something once.
     """
     pages = "counterspin.calibration.pages.full_report"
     for name in ("polars", "scipy.special", "counterspin.calibration.observed", pages):
+        if ended.is_set():
+            return
         import_module(name)
     from counterspin.reports.blocks import Bars
     from counterspin.reports.charts import svg
