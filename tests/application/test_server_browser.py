@@ -106,6 +106,7 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     tab = opened("/certificate/three%2Fresult.json")
     # What is left of the example is seen before anything is signed.
     tab.get_by_text("Still the example's: customer.name. What is issued now is a draft").wait_for()
+    assert tab.get_by_label("Password of the key").is_hidden()
     tab.get_by_label("Signature").select_option("With a key in a file")
     tab.get_by_text("Replace that below before you sign.").wait_for()
     button = tab.get_by_role("button", name="Sign and issue")
