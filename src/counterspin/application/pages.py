@@ -143,7 +143,9 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
         return {"job": made.shown()}
     files = [desk.file(name) for name in names]
     text = desk.remembered.get(
-        ("html", kind, *files, term), files, lambda: part(made.blocks, title=made.title)
+        ("html", kind, *files, term),
+        files,
+        lambda: desk.folder.spoken(part(made.blocks, title=made.title)),
     )
     told: dict[str, Any] = {"title": made.title, "html": text, "command": made.command}
     if kind == "result":
