@@ -17,6 +17,7 @@ import hashlib
 import json
 import os
 import shutil
+import threading
 from base64 import b64encode
 from importlib.resources import files
 from pathlib import Path
@@ -585,7 +586,7 @@ def application(place: Path) -> Format:
     valid = valid_requests(template)
     others = [said for _, _, said in valid.values() if isinstance(said, dict) and said]
     desk = Desk(ServedFolder(watched.folder))
-    server._load(desk)
+    server._load(desk, threading.Event())
 
     def use(path: Path) -> None:
         requests = json.loads(path.read_bytes())
