@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from chromium import needs_chromium
+from served import PLACES
 
 #: `make setup` installs it beside TypeScript, where there is node.
 AXE = Path(sys.prefix) / "typescript" / "node_modules" / "axe-core" / "axe.min.js"
@@ -13,21 +14,6 @@ pytestmark = [
     needs_chromium,
     pytest.mark.skipif(not AXE.is_file(), reason="no axe-core: make setup installs it, with npm"),
 ]
-
-PLACES = (
-    "/",
-    "/campaign/three",
-    "/description/three",
-    "/runs/three",
-    "/live/three",
-    "/try/three",
-    "/plans",
-    "/compare",
-    "/history",
-    "/result/three%2Fresult.json",
-    "/certificate/three%2Fresult.json",
-    "/nowhere",
-)
 
 #: Complaints that keep somebody from using the page.
 SERIOUS = """async () => {
@@ -49,7 +35,7 @@ def test_no_place_keeps_anybody_out(opened, desk, scheme, width):
     tab.emulate_media(color_scheme=scheme)
     tab.evaluate(AXE.read_text(encoding="utf-8"))
     complaints = {}
-    for place in PLACES:
+    for place in ("/", *PLACES):
         tab.evaluate(f"location.hash = {place!r}")
         tab.locator("main:not([aria-busy]) h1").wait_for()
         tab.wait_for_function("document.querySelector('main').ariaBusy === null")

@@ -14,7 +14,7 @@ from chromium import needs_chromium
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
 from posed_records import posed
-from served import InlineJobs, token_of
+from served import PLACES, InlineJobs, token_of
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_own
@@ -461,20 +461,6 @@ UNNAMED = """[..."input select textarea button".split(" ")]
     || [...one.labels ?? []].some((label) =>
       label.textContent.replace(one.textContent, "").trim())))
   .map((one) => one.outerHTML)"""
-
-PLACES = (
-    "/campaign/three",
-    "/description/three",
-    "/runs/three",
-    "/live/three",
-    "/try/three",
-    "/plans",
-    "/compare",
-    "/history",
-    "/result/three%2Fresult.json",
-    "/certificate/three%2Fresult.json",
-    "/nowhere",
-)
 
 
 def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):

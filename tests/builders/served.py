@@ -22,6 +22,21 @@ SHORT = (
     .replace("[accelerometers.Qx]", '[accelerometers.Qx]\nserial_number = "17"')
 )
 
+#: Every place of the page beside the first, and one that there is not.
+PLACES = (
+    "/campaign/three",
+    "/description/three",
+    "/runs/three",
+    "/live/three",
+    "/try/three",
+    "/plans",
+    "/compare",
+    "/history",
+    "/result/three%2Fresult.json",
+    "/certificate/three%2Fresult.json",
+    "/nowhere",
+)
+
 #: What a recorder's files do not say.
 ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
 

@@ -56,6 +56,37 @@ export const commandLine = (command) =>
 export const warning = (text) => make("p", { class: "warning", role: "alert" }, text);
 
 /**
+ * What asks one question at a time: of those that come meanwhile the last is asked once more, so that
+ * the last place of a slider is always asked.
+ * @param {() => Promise<void>} question
+ * @param {HTMLElement} wrong where it is said that it failed
+ * @returns {() => Promise<void>}
+ */
+export function oneAtATime(question, wrong) {
+  let busy = false;
+  let again = false;
+  const ask = async () => {
+    if (busy) {
+      again = true;
+      return;
+    }
+    busy = true;
+    try {
+      await question();
+      wrong.replaceChildren();
+    } catch (error) {
+      wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+    busy = false;
+    if (again) {
+      again = false;
+      ask();
+    }
+  };
+  return ask;
+}
+
+/**
  * Say something for a moment, aloud too.
  * @param {string} text
  */

@@ -3,7 +3,7 @@
 
 import { campaignAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { make, say, symbols, warning } from "./dom.js";
+import { make, oneAtATime, say, symbols, warning } from "./dom.js";
 import { follow } from "./job.js";
 
 /** @typedef {{name: string, words: string, u: number, factor: number, unit: string, share: number}} Source */
@@ -67,8 +67,6 @@ async function whatIf(result, accelerometer) {
   const wrong = make("div");
   /** @type {Record<string, number>} */
   const known = {};
-  let busy = false;
-  let again = false;
 
   /** @param {any} told */
   const show = (told) => {
@@ -78,25 +76,7 @@ async function whatIf(result, accelerometer) {
     const instead = Object.keys(known).length ? ` instead of ${first.text}` : "";
     answer.replaceChildren(...symbols(`Uncertainty of ${first.symbol} of ${accelerometer}: ${told.text}${instead}`));
   };
-  // One question at a time; the last place of a slider is always asked.
-  const ask = async () => {
-    if (busy) {
-      again = true;
-      return;
-    }
-    busy = true;
-    try {
-      show(await send("POST", "what-if", { ...asked, known: { ...known } }));
-      wrong.replaceChildren();
-    } catch (error) {
-      wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-    busy = false;
-    if (again) {
-      again = false;
-      ask();
-    }
-  };
+  const ask = oneAtATime(async () => show(await send("POST", "what-if", { ...asked, known: { ...known } })), wrong);
   show(first);
   const sliders = sources.map((source, place) => {
     const id = `known-${accelerometer}-${place}`;

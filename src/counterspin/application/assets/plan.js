@@ -2,7 +2,7 @@
 // Plans: limits as sliders, and the best plan's uncertainty while they move.
 
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, warning } from "./dom.js";
+import { commandLine, labelled, make, oneAtATime, warning } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
 import { follow } from "./job.js";
 import { fill } from "./result.js";
@@ -88,8 +88,6 @@ export async function planView(name) {
   const moved = {};
   /** @type {any} */
   let first = null;
-  let busy = false;
-  let again = false;
 
   /** @param {any} told */
   const show = (told) => {
@@ -133,25 +131,7 @@ export async function planView(name) {
       seconds.textContent = `, ${Math.round((Date.now() - begun) / 1000)} s`;
     }
   };
-  // One question at a time; the last place of a slider is always asked.
-  const ask = async () => {
-    if (busy) {
-      again = true;
-      return;
-    }
-    busy = true;
-    try {
-      show(await search({ ...moved }));
-      wrong.replaceChildren();
-    } catch (error) {
-      wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-    busy = false;
-    if (again) {
-      again = false;
-      ask();
-    }
-  };
+  const ask = oneAtATime(async () => show(await search({ ...moved })), wrong);
   const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
     const id = `limit-${limit.key}`;
     // The slider itself says its value.

@@ -197,24 +197,10 @@ def tumble() -> Canvas:
         kind = ("muted", "muted") if faint else (INPUT, PENDULOUS)
         words = ("", "") if faint else ("input axis", "pendulous axis")
         ahead, down = (_turned(NORTH, one, turn) for one in (UP, -EAST))
-        canvas.axis(
-            view,
-            (0, 0, 0),
-            ahead,
-            words[0],
-            length=1.3,
-            colour=kind[0],
-            aside=(6, -2),
-        )
-        canvas.axis(
-            view,
-            (0, 0, 0),
-            down,
-            words[1],
-            length=1.3,
-            colour=kind[1],
-            aside=(0, -8),
-        )
+        for along, word, colour, aside in zip(
+            (ahead, down), words, kind, ((6, -2), (0, -8)), strict=True
+        ):
+            canvas.axis(view, (0, 0, 0), along, word, length=1.3, colour=colour, aside=aside)
     canvas.text((view.at(1.3 * UP)[0], view.at(1.3 * UP)[1] - 6), "0°", "middle", "muted")
     arc = [view.at(0.62 * _turned(NORTH, UP, a)) for a in np.linspace(0.0, angle, 17)]
     canvas.arrow(arc, "ink", 1.8)
