@@ -162,6 +162,7 @@ def test_what_cannot_be_used_is_refused(frame, words, message):
         ({"columns": ["Qy"]}, "there is no 'Qy'"),
         ({"columns": ["temp"]}, "has no unit"),
         ({"columns": ["temp"], "unit": "degC"}, "is in 'degC'"),
+        ({"unit": "kg"}, "`unit`: 'kg': one of a length, a velocity"),
         ({"rate": "1 Hz"}, "rate"),
         ({"gravity": "9.8 s"}, "gravity"),
     ],

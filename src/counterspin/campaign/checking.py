@@ -106,6 +106,11 @@ class Problems:
                     message = str(mistake["ctx"]["error"])
                 else:
                     message = _PLAIN_MESSAGES.get(kind, mistake["msg"])
+                    sizes = mistake.get("ctx", {})
+                    if kind == "too_short" and sizes["min_length"] > 1:
+                        message = f"must have at least {sizes['min_length']} entries"
+                    elif kind == "too_long":
+                        message = f"must have at most {sizes['max_length']} entries"
                 self.add((*path, *loc), message)
             return None
 

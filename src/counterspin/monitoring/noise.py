@@ -198,6 +198,9 @@ def _guessed(
         values = column.values * factor
         order = observation.ORDERS[observable]
         taken.append(RestSignal(column.name, column.name, order, in_g, time, values))
+    if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
+        wanted = "one of a length, a velocity or a specific force is wanted, such as m/s^2"
+        raise CampaignError("noise", [f"`unit`: {unit!r}: {wanted}"])
     if not taken:
         raise RecordError(
             f"{source}: no column has a unit of length, velocity or specific force "

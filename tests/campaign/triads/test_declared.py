@@ -64,7 +64,14 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
         (("[triad]", "[fixture]"), "unknown key"),
         (('["X", "Y", "Z"]', '["X", "Y", "W"]'), 'no accelerometer is "W"'),
         (('["X", "Y", "Z"]', '["X", "Y", "Y"]'), '"Y" is listed twice'),
-        (('["X", "Y", "Z"]', '["X", "Y"]'), "triad.accelerometers"),
+        (
+            ('["X", "Y", "Z"]', '["X", "Y"]'),
+            "triad.accelerometers: must have at least 3 entries",
+        ),
+        (
+            ('["X", "Y", "Z"]', '["X", "Y", "Z", "X"]'),
+            "triad.accelerometers: must have at most 3 entries",
+        ),
         (('motion = "static"\n', 'motion = "arm"\nrate = "1 rad/s"\n'), "unknown at rest alone"),
         ((', Z = "0.97 g"', ""), "all of X, Y, Z are read"),
         (('attitude = "unknown"', 'attitude = "unknown"\nmounting = "in"'), "has no meaning"),
