@@ -3,7 +3,7 @@ import { beforeEach, mock, test } from "node:test";
 import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
-import { commandLine, make, say, stateMark, symbols, warning } from "./dom.js";
+import { commandLine, make, oneAtATime, say, stateMark, symbols, warning } from "./dom.js";
 import { asTable, tipOf } from "./exports.js";
 import { knownTo, named, percent, size } from "./improving.js";
 import { follow } from "./job.js";
@@ -32,6 +32,31 @@ test("a name is in an address as it is, whatever stands in it", () => {
 });
 
 // Elements
+
+test("of questions that come while one is asked the last alone is asked, and its failure said", async () => {
+  const asked = [];
+  const wrong = make("div");
+  const waiting = [];
+  let place = 0;
+  const ask = oneAtATime(() => {
+    asked.push(place);
+    return new Promise((done, failed) => waiting.push({ done, failed }));
+  }, wrong);
+  const turn = () => new Promise((done) => { setTimeout(done); });
+  for (place of [1, 2, 3]) ask();
+  assert.deepEqual(asked, [1]);
+  waiting[0].done();
+  await turn();
+  assert.deepEqual(asked, [1, 3]);
+  waiting[1].failed(new Error("No room"));
+  await turn();
+  assert.equal(wrong.textContent, "No room");
+  place = 4;
+  ask();
+  waiting[2].done();
+  await turn();
+  assert.deepEqual([asked, wrong.textContent], [[1, 3, 4], ""]);
+});
 
 test("attributes that are false, null or undefined are left out", () => {
   const given = { title: "a", hidden: false, id: null, lang: undefined, disabled: true, max: 0 };
