@@ -8,7 +8,6 @@ import pytest
 from reading_campaigns import TRUTH, arm, model, readings, simulated, tumble
 from scipy import stats
 
-from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.reading_tests import (
     DRIFT,
     HYSTERESIS,
@@ -31,15 +30,10 @@ def held(test, values, u, terms=LEVEL):
     problem = model(terms)
     fit = solve_readings([own], problem)
     (told,) = fit.groups
-    part = told.linear
-    rows = np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
-    joint = JointFit(
-        problem, fit.solution, (), (), {}, beside={"all": fit.blocks[0]}, beside_rows={"all": rows}
-    )
     estimated = u is None
     group = Group(
         own,
-        "all",
+        0,
         told.sigma,
         np.ones(own.size),
         told.dof if estimated else told.squares,
@@ -48,7 +42,7 @@ def held(test, values, u, terms=LEVEL):
         0.0,
     )
     columns = tuple(candidates(group, terms, ()))
-    return joint, group, columns
+    return fit.fit, group, columns
 
 
 def test_the_angle_of_the_head_is_from_where_the_input_axis_points_up():

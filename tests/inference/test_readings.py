@@ -353,7 +353,7 @@ def effective_dof(fit):
     """Satterthwaite's degrees of freedom of each unknown, from the definition."""
     total = np.diag(fit.solution.covariance)
     dof = []
-    ends = np.cumsum([block.factor.shape[0] for block in fit.blocks])
+    ends = np.cumsum([block.factor.shape[0] for block in fit.fit.blocks])
     for k, direction in enumerate(np.eye(total.size)):
         rows = fit.solution.combine(direction).noise_rows
         parts = [float(part @ part) for part in np.split(rows, ends[:-1])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, fields, replace
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,14 +24,12 @@ from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, dof_beside
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.least_squares import Solution
-from counterspin.inference.linear_readings import Readings
+from counterspin.inference.linear_readings import WORDS, Readings
 from counterspin.inference.poses import TriadPoses
 from counterspin.inference.readings import (
     FEWEST_FREEDOM,
@@ -40,15 +38,6 @@ from counterspin.inference.readings import (
     solve_readings,
 )
 from counterspin.records.mean import RecordMean, mean_of_record
-
-#: Words for the motions.
-_WORDS: Final = {
-    "static": "readings at rest",
-    "arm": "readings on the arm",
-    "counter-rotating": "readings on the double turntable",
-    "poses": "poses at unknown attitudes",
-}
-
 
 #: In so many of good campaigns a position, or a reading, is called off.
 _OF_SINGLE: Final = 0.5 * SIGNIFICANCE
@@ -64,24 +53,10 @@ def only_at_rest(campaign: Campaign) -> bool:
 class JudgedReadings(FittedReadings):
     """Readings or poses of a campaign, and how they fit."""
 
-    def relaxed(self, count: int) -> Self:
-        """Return the same for a fit of so many unknowns, what is considered among them.
-
-        Those after the considered ones are of records, and do not show in readings.
-        """
-        linear = self.linear.relaxed()
-        added = np.zeros((self.readings.size, count - linear.design.shape[1]))
-        return replace(self, linear=replace(linear, design=np.hstack([linear.design, added])))
-
-    @property
-    def block_name(self) -> str:
-        """What they are called in a budget, and among the blocks of the fit."""
-        return block_name(self.readings)
-
     @property
     def words(self) -> str:
         """What these readings are called."""
-        return _WORDS[self.readings.motion]
+        return WORDS[self.readings.motion]
 
     def outlying(self) -> list[tuple[str, float, float]]:
         """Return name, residual (g) and standardised residual of what noise leaves open.
@@ -218,28 +193,11 @@ def with_groups(
 ) -> tuple[Estimate, Fitted]:
     """Return the estimate with readings in groups; as `with_readings`."""
     if estimated is None:
-        beside: tuple[object, ...] = ()
         fit = solve_readings(groups, model)
-        joint = JointFit(model, fit.solution, (), (), {})
-        dof = np.full(len(model.unknowns), np.inf)
-        estimated = Estimate(joint, {}, dof)
+        estimated = Estimate(fit.fit, {}, np.full(len(model.unknowns), np.inf))
     else:
-        beside = estimated.fit.blocks
-        fit = solve_readings(groups, estimated.fit.model, estimated.fit.blocks)
-    before = estimated.fit.solution
-    solution = replace(fit.solution, covariance_unseen=before.covariance_unseen)
-    names = [block_name(group) for group in groups]
-    rows = (
-        np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
-        for part in (group.linear for group in fit.groups)
-    )
-    joint = replace(
-        estimated.fit,
-        solution=solution,
-        beside=dict(zip(names, fit.blocks, strict=True)),
-        beside_rows=dict(zip(names, rows, strict=True)),
-    )
-    dof = _effective_dof(estimated.dof, fit, len(beside))
+        fit = solve_readings(groups, estimated.fit.model, estimated.fit)
+    dof = _effective_dof(estimated.dof, fit)
     kinds = (
         FittedPoses if isinstance(group.readings, TriadPoses) else AccelerometerReadings
         for group in fit.groups
@@ -248,7 +206,7 @@ def with_groups(
         kind(**{each.name: getattr(group, each.name) for each in fields(group)})
         for kind, group in zip(kinds, fit.groups, strict=True)
     )
-    return replace(estimated, fit=joint, dof=dof, core=None, lost={}), parts
+    return replace(estimated, fit=fit.fit, dof=dof, core=None, lost={}), parts
 
 
 def _require_enough(campaign: Campaign, model: Unknowns) -> None:
@@ -268,37 +226,27 @@ def _require_enough(campaign: Campaign, model: Unknowns) -> None:
             )
 
 
-def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarray:
+def _effective_dof(dof: np.ndarray, fit: ReadingsFit) -> np.ndarray:
     """Return the degrees of freedom of each unknown with the readings' estimated noise counted.
 
     Satterthwaite's, or fewer where few readings tell a noise, so that the intervals cover. What the
     records' noise adds keeps the records' own degrees of freedom.
     """
-    every = np.eye(dof.size)
     own = [group.dof for group in fit.groups]
-    return np.array(
-        [
-            dof_of(weights, fit.solution, fit.blocks, own, float(dof[k]) if records else math.inf)
-            for k, weights in enumerate(every)
-        ]
-    )
+    of_records = dof if fit.fit.prepared else np.full(dof.size, math.inf)
+    every = zip(np.eye(dof.size), of_records.tolist(), strict=True)
+    return np.array([dof_of(weights, fit.fit, own, beside) for weights, beside in every])
 
 
-def dof_of(
-    weights: np.ndarray,
-    solution: Solution,
-    blocks: Sequence[Block],
-    dof: Sequence[float],
-    of_records: float,
-) -> float:
+def dof_of(weights: np.ndarray, fit: JointFit, dof: Sequence[float], of_records: float) -> float:
     """Return the degrees of freedom of a combination of the unknowns.
 
-    blocks: Of readings and poses, behind those of records; `dof` are those of their noise.
+    dof: Of the noise of readings and poses, in the order of the fit.
     of_records: What records' noise has in it.
     """
-    combined = solution.combine(weights)
-    rows, total = combined.noise_rows, float(weights @ solution.covariance @ weights)
-    sizes = [block.factor.shape[0] for block in blocks]
+    combined = fit.solution.combine(weights)
+    rows, total = combined.noise_rows, float(weights @ fit.solution.covariance @ weights)
+    sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.prepared) :]]
     ends = np.cumsum([rows.size - sum(sizes), *sizes])
     inverse = 1.0 / dof_beside(_share(rows[: ends[0]], total), of_records)
     for part, own in zip(np.split(rows, ends[:-1])[1:], dof, strict=True):
@@ -350,12 +298,6 @@ def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]
         # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
         in_si = not channel.in_g
         yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si), mean
-
-
-def block_name(group: Readings | TriadPoses) -> str:
-    """Return what a group of readings is called in a budget."""
-    estimated = "" if group.u is not None else " (noise estimated)"
-    return f"{group.accelerometer}: {_WORDS[group.motion]}{estimated}"
 
 
 def residual_of(parts: Sequence[JudgedReadings]) -> Residual:

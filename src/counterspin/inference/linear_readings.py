@@ -16,8 +16,10 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block, reduce_block
+from counterspin.inference.joint.observation import Observation
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
+from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Site
 from counterspin.physics.station import Station, mean_products, moved
 from counterspin.physics.terms import CONDITION_TERMS, TABLE, TERMS, is_term, mounting_of, term
@@ -35,6 +37,15 @@ _SYMBOLS: Final = tuple(TERMS)
 
 #: No readout resolves more of its range: one of 8.5 digits has ten times as much.
 FINEST: Final = 1e-9 / math.sqrt(12.0)
+
+
+#: Words for the motions.
+WORDS: Final = {
+    "static": "readings at rest",
+    "arm": "readings on the arm",
+    "counter-rotating": "readings on the double turntable",
+    "poses": "poses at unknown attitudes",
+}
 
 
 @frozen
@@ -159,17 +170,55 @@ class Readings:
         return self.temperature if condition == "temperature" else self.time
 
 
+class Measured(Protocol):
+    """A group of readings, or of poses of a triad, with noise of one kind."""
+
+    @property
+    def accelerometer(self) -> str:
+        """Its name, or all of them in one word."""
+
+    @property
+    def motion(self) -> str:
+        """That of every station; ``poses`` of those."""
+
+    @property
+    def u(self) -> Array | None:
+        """Standard uncertainties that are stated; None: one for all, from the residuals."""
+
+    def linearised(
+        self, model: Unknowns, estimate: Array, variance: Array | None = None
+    ) -> LinearReadings:
+        """Return their rows at an estimate; parameters as of `LinearReadings.of`."""
+
+
+def source_of(group: Measured) -> str:
+    """Return what a group is called in a budget: whose, of which motion, with which noise."""
+    estimated = "" if group.u is not None else " (noise estimated)"
+    return f"{group.accelerometer}: {WORDS[group.motion]}{estimated}"
+
+
 @frozen
-class LinearReadings:
+class LinearReadings(Observation):
     """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
 
-    design: Array  # (n, p)
-    fixed: Array  # (n, q)
+    group: Measured
     target: Array  # (n,), g, less what a perfect system indicates
     stated: Array | None  # (n,), g, without the head's part
     repeats: Array  # (n,)
     head: Array  # (n,), what the head and squares of setting errors add, g
     sigma: Array  # (n,), g, both together
+
+    @property
+    def source(self) -> str:
+        """What the readings are called."""
+        return source_of(self.group)
+
+    run = source
+
+    @property
+    def motion(self) -> str:
+        """That of every station; ``poses`` of those."""
+        return self.group.motion
 
     @classmethod
     def of(
@@ -230,29 +279,45 @@ class LinearReadings:
                 columns[:, index] = here.slope(*both, step)
             if symbol == "site.gravity":
                 columns[:, index] += group.in_si * indicated / group.site.gravity
-        head = np.sqrt(unseen)
-        return cls(
-            columns[:, : len(model.unknowns)],
-            columns[:, len(model.unknowns) :],
+        return cls.whole(
+            group,
+            model,
+            columns,
             group.value - perfect - shift,
             group.u,
             group.repeats,
-            head,
-            head,
+            np.sqrt(unseen),
         )
+
+    @classmethod
+    def whole(
+        cls,
+        group: Measured,
+        model: Unknowns,
+        columns: Array,
+        target: Array,
+        stated: Array | None,
+        repeats: Array,
+        head: Array,
+    ) -> LinearReadings:
+        """Return rows with columns of all that is estimated and considered, (n, p + q)."""
+        p, q = len(model.unknowns), len(model.considered)
+        sigma = head if stated is None else np.hypot(stated, head)
+        places = tuple(range(p)), columns[:, :p], tuple(range(q)), columns[:, p:]
+        return cls(*places, group, target, stated, repeats, head, sigma)
 
     def with_noise(self, noise: float) -> LinearReadings:
         """Return the same with a noise, of one repeat, for readings that state none."""
         own = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
         return replace(self, sigma=np.hypot(own, self.head))
 
-    def relaxed(self) -> LinearReadings:
-        """Return the same with what is considered among the unknowns, after the others."""
-        every = np.hstack([self.design, self.fixed])
-        return replace(self, design=every, fixed=self.fixed[:, :0])
+    def block(self, noise: Mapping[str, Noise]) -> Block:
+        """Return their square-root information; a noise counts where none is stated."""
+        own = noise.get(self.source)
+        return (self if own is None else self.with_noise(own.white)).weighed()
 
-    def block(self) -> Block:
-        """Return the square-root information of the readings."""
+    def weighed(self) -> Block:
+        """Return their square-root information by the noise that they have."""
         weight = 1.0 / self.sigma[:, None]
         return reduce_block(
             self.design * weight, self.target / self.sigma, None, self.fixed * weight
@@ -261,12 +326,12 @@ class LinearReadings:
     def left(self, solution: Solution, model: Unknowns) -> Array:
         """Return the residuals, the considered terms at their assumed values."""
         means = np.array([term.prior_mean for term in model.considered])
-        left: Array = self.left_at(solution.estimate) - self.fixed @ means
+        left: Array = self.left_at(solution.estimate) - self.fixed @ means[list(self.considered)]
         return left
 
     def left_at(self, estimate: Array) -> Array:
         """Return the residuals beside held terms of nothing, at an estimate."""
-        left: Array = self.target - self.design @ estimate
+        left: Array = self.target - self.design @ estimate[list(self.unknowns)]
         return left
 
     def squares(self, solution: Solution, model: Unknowns) -> float:
@@ -277,8 +342,7 @@ class LinearReadings:
         Matrix Algebra Useful for Statistics, 1982, section 10.7, has the identity).
         """
         left = self.left(solution, model) / self.sigma
-        moved = self.fixed + self.design @ solution.sensitivity_considered
-        moved = moved / self.sigma[:, None] * model.considered_sizes
+        moved = self.moved_by(solution) / self.sigma[:, None] * model.considered_sizes
         found = np.linalg.lstsq(
             np.vstack([moved, np.eye(moved.shape[1])]),
             np.append(left, np.zeros(moved.shape[1])),
@@ -287,10 +351,21 @@ class LinearReadings:
         rest = left - moved @ found
         return float(rest @ rest + found @ found)
 
+    def moved_by(self, solution: Solution) -> Array:
+        """Return what is left of the columns of what is considered, shape (n, q)."""
+        moved: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
+        moved[:, list(self.considered)] += self.fixed
+        return moved
+
+    def _covariance(self, solution: Solution) -> Array:
+        """Return the covariance that the weights minimise, of the own unknowns."""
+        found: Array = solution.least_covariance[np.ix_(self.unknowns, self.unknowns)]
+        return found
+
     def leverages(self, solution: Solution) -> Array:
         """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
         rows = self.design / self.sigma[:, None]
-        followed: Array = np.sum((rows @ solution.least_covariance) * rows, axis=1)
+        followed: Array = np.sum((rows @ self._covariance(solution)) * rows, axis=1)
         clipped: Array = np.clip(followed, 0.0, 1.0)
         return clipped
 
@@ -306,7 +381,7 @@ class LinearReadings:
         the unknowns where nothing is known beforehand and the head adds nothing.
         """
         rows, share = self.design / self.sigma[:, None], self.noise_share
-        weighed = solution.least_covariance @ (rows.T @ (share[:, None] * rows))
+        weighed = self._covariance(solution) @ (rows.T @ (share[:, None] * rows))
         once = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
         return once + float(np.sum(weighed * weighed.T))
 
@@ -319,33 +394,23 @@ class LinearReadings:
     def left_of(self, column: Array, solution: Solution) -> Array:
         """Return what the fit leaves of a column over the standard uncertainties, shape (n,)."""
         rows = self.design / self.sigma[:, None]
-        left: Array = column - rows @ (solution.least_covariance @ (rows.T @ column))
+        left: Array = column - rows @ (self._covariance(solution) @ (rows.T @ column))
         return left
 
 
-class Linearised(Protocol):
-    """Readings, or poses of a triad."""
-
-    def linearised(
-        self, model: Unknowns, estimate: Array, variance: Array | None = None
-    ) -> LinearReadings:
-        """Return their rows at an estimate; parameters as of `LinearReadings.of`."""
-
-
-def blocks_at(readings: Sequence[Linearised], model: Unknowns, estimate: Array) -> list[Block]:
+def blocks_at(readings: Sequence[Measured], model: Unknowns, estimate: Array) -> list[Block]:
     """Return the square-root information of readings whose noise is stated.
 
     estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
     """
-    parts = (group.linearised(model, estimate) for group in readings)
-    return [part.with_noise(math.nan).block() for part in parts]
+    return [group.linearised(model, estimate).weighed() for group in readings]
 
 
 def rows_at(
     readings: Sequence[Readings], model: Unknowns, estimate: Array
 ) -> list[tuple[Array, Array]]:
     """Return the rows of `blocks_at`, reading by reading, with unit variance."""
-    parts = [LinearReadings.of(group, model, estimate).with_noise(math.nan) for group in readings]
+    parts = [LinearReadings.of(group, model, estimate) for group in readings]
     return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
 
 

@@ -120,16 +120,8 @@ class TriadPoses:
         rows = np.einsum("nk,nkp->np", along, columns)
         stated = None if self.u is None else np.sqrt(np.sum((along * self.u) ** 2, axis=1))
         nothing = np.zeros(self.size)
-        count = len(model.unknowns)
-        return LinearReadings(
-            rows[:, :count],
-            rows[:, count:],
-            np.sum(along * (self.value - perfect), axis=1),
-            stated,
-            self.repeats,
-            nothing,
-            nothing,
-        )
+        target = np.sum(along * (self.value - perfect), axis=1)
+        return LinearReadings.whole(self, model, rows, target, stated, self.repeats, nothing)
 
     def at(self, model: Unknowns, estimate: Array) -> PosesAt:
         """Return the poses under the coefficients of an estimate, their angles found.

@@ -55,7 +55,7 @@ class Group:
     """Readings as they are tested."""
 
     readings: Readings  #: What was read.
-    block: str  #: What their block is called among those beside the records.
+    place: int  #: Among the observations of the fit.
     #: Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
     sigma: Array
     of_noise: Array
@@ -122,9 +122,7 @@ def candidates(
         *_of_approach(readings),
         *_of_sense(readings),
     ):
-        yield Alternative(
-            kind, readings.accelerometer, symbol, beside={group.block: column / group.sigma}
-        )
+        yield Alternative(kind, readings.accelerometer, symbol, {group.place: column})
 
 
 _Column = tuple[str, str, Array]
@@ -193,7 +191,7 @@ def most_followed(
 ) -> list[Followed]:
     """Return of each group the column that its residuals follow most, with those like it."""
     marks = [
-        Alternative("left out", "", str(k), beside={group.block: np.eye(group.readings.size)[k]})
+        Alternative("left out", "", str(k), {group.place: np.eye(group.readings.size)[k]})
         for group in groups
         for k in group.left_out
     ]
@@ -206,7 +204,7 @@ def most_followed(
     found, tests = [], 0
     start = len(marks)
     for place, (group, own) in enumerate(zip(groups, alternatives, strict=True)):
-        out = [k for k, mark in enumerate(marks) if group.block in mark.beside]
+        out = [k for k, mark in enumerate(marks) if group.place in mark.columns]
         own_columns, usable = columns[:, start : start + len(own)], there[start : start + len(own)]
         start += len(own)
         basis = np.linalg.qr(columns[:, out])[0]
@@ -231,7 +229,7 @@ def most_followed(
         tests += int(np.sum(~np.any(np.triu(alike, 1), axis=0))) + len(tried) - len(kept)
         squares = group.squares - float(apart @ apart)
         freedom = group.freedom - len(out)
-        gains, chances, rows = [], [], held.places[group.block]
+        gains, chances, rows = [], [], held.places[group.place]
         for places in tried:
             gains.append(_own_gain(np.linalg.qr(unit[:, places])[0], alone, rows))
             share = max(_share(group, kept[k], unit[rows, k]) for k in places)
@@ -290,7 +288,7 @@ def _share(group: Group, other: Alternative, own: Array) -> float:
 
     The head has another part, and priors have what is not in the readings' `own` rows.
     """
-    column = other.beside[group.block] ** 2
+    column = (other.columns[group.place] / group.sigma) ** 2
     by_noise = float(column @ group.of_noise) / float(column.sum())
     return min(by_noise * float(own @ own), 1.0)
 

@@ -17,13 +17,13 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.distributions import tail_beside
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.fit import solve_blocks, solve_relaxed
+from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_relaxed
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import LinearReadings, Readings
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.poses import TriadPoses
 
 #: Rounds in which derivatives and noise must settle; two or three are usual.
@@ -79,6 +79,13 @@ class FittedReadings:
     single: tuple[Position, ...] = ()
     positions: tuple[Position, ...] = ()
 
+    def place_in(self, fit: JointFit) -> int | None:
+        """Return which of a fit's observations they are; None if it is without them."""
+        for place, one in enumerate(fit.observations):
+            if isinstance(one, LinearReadings) and one.group is self.readings:
+                return place
+        return None
+
     @property
     def sigma(self) -> Array:
         """Standard uncertainty of each reading, the head's part included, g, shape (n,)."""
@@ -92,24 +99,24 @@ class FittedReadings:
         """
         return self.readings.u is not None or self.noise <= self.readings.least_noise
 
-    def under(
-        self,
-        solution: Solution,
-        model: Unknowns,
-        relaxed: tuple[LinearReadings, Solution] | None = None,
-    ) -> Self:
-        """Return how the same readings fit a solution, perhaps with others beside.
-
-        relaxed: The same with what is considered among the unknowns, by which noise is estimated.
-        """
-        group, part = self.readings, self.linear
-        told = None if self.weighed else _NoiseWithout(*(relaxed or (part, solution)), group)
+    def under(self, fit: JointFit) -> Self:
+        """Return how the same readings fit what a fit, which has them, says."""
+        group, solution, model = self.readings, fit.solution, fit.model
+        place = self.place_in(fit)
+        assert place is not None
+        part = fit.observations[place]
+        assert isinstance(part, LinearReadings)
+        told = None
+        if not self.weighed:
+            # Noise is estimated with what is considered among the unknowns.
+            told = _NoiseWithout(part.relaxed(len(model.unknowns)), fit.relaxed, group)
 
         def position(places: Sequence[int]) -> Position:
             return _position(part, places, solution, model, told)
 
         return replace(
             self,
+            linear=part,
             freedom=part.freedom(solution),
             residuals=part.left(solution, model),
             squares=part.squares(solution, model),
@@ -120,39 +127,44 @@ class FittedReadings:
 
 @frozen
 class ReadingsFit:
-    """A solved problem with readings; lists are in the order of the `Readings`."""
+    """A solved problem with readings."""
 
-    solution: Solution  #: Estimates less nominal.
-    blocks: tuple[Block, ...]  #: The readings' square-root information.
-    groups: tuple[FittedReadings, ...]  #: The readings as they fit.
+    fit: JointFit  #: Of records, if there are any, and readings.
+    groups: tuple[FittedReadings, ...]  #: The readings as they fit, in the order of the `Readings`.
+
+    @property
+    def solution(self) -> Solution:
+        """Estimates less nominal."""
+        return self.fit.solution
 
 
 def solve_readings(
-    readings: Sequence[Readings | TriadPoses], model: Unknowns, beside: Sequence[Block] = ()
+    readings: Sequence[Readings | TriadPoses], model: Unknowns, records: JointFit | None = None
 ) -> ReadingsFit:
     """Estimate a model from readings, together with what records say.
 
     model: What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     """
     try:
-        return _solved(readings, model, beside)
+        return _solved(readings, model, records)
     except NotIdentifiableError:
         if not any(group.u is None and any(group.position) for group in readings):
             raise
     # Where hardly a position is read twice, its error hides the noise. The residuals show both
     # together, and the noise is taken to be as large as that.
     unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
-    together = _solved(unset, model, beside)
-    return _solved(readings, model, beside, together)
+    together = _solved(unset, model, records)
+    return _solved(readings, model, records, together)
 
 
 def _solved(
     readings: Sequence[Readings | TriadPoses],
     model: Unknowns,
-    beside: Sequence[Block],
+    records: JointFit | None,
     together: ReadingsFit | None = None,
 ) -> ReadingsFit:
     """Return the solved problem; of `together`, where it is given, the noise is taken."""
+    beside = () if records is None else records.blocks[: len(records.prepared)]
     everything = [*model.unknowns, *model.considered]
     known = np.array([unknown.prior_mean for unknown in everything])
     point = known
@@ -175,11 +187,11 @@ def _solved(
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
-            blocks = [part.block() for part in weighted]
+            blocks = [part.weighed() for part in weighted]
             solution = solve_blocks([*beside, *blocks], model)
             before, followed, found = noise, weighted, solution
             if relaxed:
-                followed = [part.relaxed() for part in weighted]
+                followed = [part.relaxed(len(model.unknowns)) for part in weighted]
                 found = solve_relaxed([*beside, *blocks], model)
             if together is not None:
                 break
@@ -211,13 +223,25 @@ def _solved(
     ]
     if together is not None:
         dof = [group.dof for group in together.groups]
-    groups = (
-        FittedReadings(group, part, size, freedom).under(solution, model, (other, found))
-        for group, part, size, freedom, other in zip(
-            readings, weighted, noise, dof, followed, strict=True
+    told = {
+        part.source: Noise(size)
+        for group, part, size in zip(readings, weighted, noise, strict=True)
+        if group.u is None
+    }
+    fit = JointFit(model, solution, tuple(weighted), tuple(blocks), told)
+    if records is not None:
+        fit = replace(
+            records,
+            solution=replace(solution, covariance_unseen=records.solution.covariance_unseen),
+            observations=(*records.prepared, *weighted),
+            blocks=(*beside, *blocks),
+            noise={**records.noise, **told},
         )
+    groups = (
+        FittedReadings(group, part, size, freedom).under(fit)
+        for group, part, size, freedom in zip(readings, weighted, noise, dof, strict=True)
     )
-    return ReadingsFit(solution, tuple(blocks), tuple(groups))
+    return ReadingsFit(fit, tuple(groups))
 
 
 def _position(
@@ -234,8 +258,7 @@ def _position(
     own = weights * part.sigma
     column = part.left_of(own, solution)
     left = max(float(own @ column), 0.0)
-    moved = weights @ part.fixed + weights @ part.design @ solution.sensitivity_considered
-    shifted = moved * model.considered_sizes
+    shifted = weights @ part.moved_by(solution) * model.considered_sizes
     variance = left + float(shifted @ shifted)
     residual = float(weights @ part.left(solution, model))
     if variance <= 1e-9 * float(own @ own):

@@ -17,7 +17,6 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.model import model_of
-from counterspin.calibration.readings import block_name
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.resolved import Run, sample_count
@@ -28,11 +27,10 @@ from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.encoder import with_encoder
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
+from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.linear_readings import blocks_at
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, angle_error_to_come
@@ -130,10 +128,9 @@ def forecast(
     if expected is None:
         expected = expected_values(campaign, model.unknowns)
     groups = all_groups(campaign)
-    beside = dict(zip(map(block_name, groups), blocks_at(groups, model, expected), strict=True))
     if not campaign.runs:
-        solution = solve_blocks(list(beside.values()), model)
-        return Forecast(campaign, JointFit(model, solution, (), (), {}, beside=beside))
+        read = [group.linearised(model, expected) for group in groups]
+        return Forecast(campaign, solve_joint(read, model, {}))
     assert sampling_rate is not None
     rates = (
         dict(sampling_rate)
@@ -150,12 +147,8 @@ def forecast(
     whole = with_encoder(model, series, noise)
     expected = np.pad(expected, (0, len(whole.unknowns) - len(model.unknowns)))
     prepared = prepare_columns(series, whole, scale_factors(campaign), expected)
-    fit = solve_joint(prepared, whole, noise)
-    if beside:
-        beside = dict(zip(beside, blocks_at(groups, whole, expected), strict=True))
-        solution = solve_blocks([*fit.blocks, *beside.values()], whole)
-        fit = replace(fit, solution=solution, beside=beside)
-    return Forecast(campaign, fit)
+    read = [group.linearised(whole, expected) for group in groups]
+    return Forecast(campaign, solve_joint([*prepared, *read], whole, noise))
 
 
 def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:

@@ -48,7 +48,7 @@ def requirements_of(
     fit = replace(
         before,
         model=model,
-        prepared=prepared_for(before.prepared, before.model, model, factors, {}),
+        observations=prepared_for(before.prepared, before.model, model, factors, {}),
     )
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]

@@ -13,7 +13,7 @@ from counterspin.arrays import Array, triangle_of
 from counterspin.campaign.triads.grouped import all_groups
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
-from counterspin.inference.joint.fit import blocks_of, solve_blocks
+from counterspin.inference.joint.fit import solve_blocks
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import blocks_at
 from counterspin.planning.faults import Fault
@@ -104,7 +104,7 @@ def _together(prediction: Forecast, faults: Sequence[Fault]) -> Sensitivities:
             considered=(*record.considered, *(place for place, _ in seen)),
         )
         # One after the other: the columns of all of them together would take much memory.
-        blocks += blocks_of([prepared], extended, prediction.fit.noise)
+        blocks.append(prepared.block_in(extended, prediction.fit.noise))
     groups = all_groups(campaign)
     expected = expected_values(campaign, model.unknowns)
     blocks += blocks_at(groups, extended, expected)

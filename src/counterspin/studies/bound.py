@@ -9,10 +9,10 @@ import numpy as np
 
 from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.fit import blocks_of, solve_blocks
+from counterspin.inference.joint.fit import solve_blocks
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.linear_readings import Linearised, blocks_at
+from counterspin.inference.linear_readings import Measured, blocks_at
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import TERMS
 from counterspin.studies.draws import StudyTruth
@@ -22,7 +22,7 @@ from counterspin.studies.world import World
 
 
 def bounds(
-    truth: StudyTruth, model: Unknowns, world: World | None, readings: Sequence[Linearised] = ()
+    truth: StudyTruth, model: Unknowns, world: World | None, readings: Sequence[Measured] = ()
 ) -> dict[str, float]:
     """Return the least standard uncertainty from all samples and readings, by unknown.
 
@@ -69,4 +69,5 @@ def _blocks_of_records(world: World, truth: StudyTruth, model: Unknowns) -> list
         if name in names
     ]
     prepared = prepare_columns(series, model, scale_factors(series, model, truth))
-    return list(blocks_of(prepared, model, dict.fromkeys(names, noise)))
+    noises = dict.fromkeys(names, noise)
+    return [part.block_in(model, noises) for part in prepared]

@@ -410,7 +410,7 @@ def test_a_run_left_out_is_the_fit_without_its_records(paper):
     direct = solve_joint([fit.prepared[0], fit.prepared[2]], model, {"Qx": WHITE}).solution
     np.testing.assert_allclose(without.estimate, direct.estimate, rtol=1e-12)
     np.testing.assert_allclose(without.covariance, direct.covariance, rtol=1e-12)
-    alone = replace(fit, prepared=fit.prepared[:1], blocks=fit.blocks[:1])
+    alone = replace(fit, observations=fit.prepared[:1], blocks=fit.blocks[:1])
     assert alone.without_run("run1") is None
 
 

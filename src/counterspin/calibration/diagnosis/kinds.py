@@ -20,10 +20,8 @@ from counterspin.calibration.model import SQUARES
 from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTest, Shift
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.kinds import OfOneKind, agreements
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.least_squares import Solution
@@ -52,21 +50,16 @@ class Kinds:
 
 def compare_kinds(views: Sequence[AccelerometerView]) -> dict[str, Kinds]:
     """Return by accelerometer what each kind of test says."""
-    blocks = _blocks(views)
-    fit = views[0].fit
-    compared = agreements(blocks, fit.model, fit.solution) if len(blocks) > 1 else {}
+    compared = agreements(views[0].fit)
     kinds = {}
     for view in views:
         own = _counts(view)
         if len(own) < 2:
             kinds[view.name] = Kinds([], [], view)
             continue
-        results = [_kind(view, kind, count, compared[kind]) for kind, count in own.items()]
+        results = [_kind(view, motion, count, compared[motion]) for motion, count in own.items()]
         apart = view.with_parts(
-            [
-                part.under(compared[_NAMES[part.readings.motion]].alone, fit.model)
-                for part in view.parts
-            ]
+            [part.under(compared[part.readings.motion].alone) for part in view.parts]
         )
         findings = _disagreement(view, results, _excess(apart))
         kinds[view.name] = Kinds(results, findings, _apart(apart, compared) if findings else view)
@@ -75,47 +68,33 @@ def compare_kinds(views: Sequence[AccelerometerView]) -> dict[str, Kinds]:
 
 def _apart(view: AccelerometerView, compared: Mapping[str, OfOneKind]) -> AccelerometerView:
     """Return a view, whose readings are fitted apart, in which records are too."""
-    recorded = compared.get(_NAMES["counter-rotating"])
-    if recorded is None or not view.fit.blocks:
+    if not view.fit.prepared:
         return view
-    fit = replace(view.fit, solution=recorded.alone, beside={})
-    return replace(view, estimate=replace(view.estimate, fit=fit))
-
-
-def _blocks(views: Sequence[AccelerometerView]) -> dict[str, list[Block]]:
-    """Return the blocks of each kind of test, of all accelerometers."""
-    fit: JointFit = views[0].fit
-    blocks: dict[str, list[Block]] = {}
-    if fit.blocks:
-        blocks[_NAMES["counter-rotating"]] = list(fit.blocks)
-    # The readings' blocks stand in the order in which the fit has them.
-    parts = {part.block_name: part for view in views for part in view.parts}
-    for name, block in fit.beside.items():
-        blocks.setdefault(_NAMES[parts[name].readings.motion], []).append(block)
-    return blocks
+    recorded = compared["counter-rotating"].alone
+    return replace(view, estimate=replace(view.estimate, fit=recorded))
 
 
 def _counts(view: AccelerometerView) -> dict[str, int]:
-    """Return how many records and readings an accelerometer has of each kind."""
+    """Return by motion how many records and readings an accelerometer has."""
     counts: dict[str, int] = {}
     if view.has_records:
-        counts[_NAMES["counter-rotating"]] = sum(1 for _ in view.records())
+        counts["counter-rotating"] = sum(1 for _ in view.records())
     for part in view.parts:
-        kind = _NAMES[part.readings.motion]
-        counts[kind] = counts.get(kind, 0) + part.readings.size
+        motion = part.readings.motion
+        counts[motion] = counts.get(motion, 0) + part.readings.size
     return counts
 
 
-def _kind(view: AccelerometerView, kind: str, count: int, compared: OfOneKind) -> KindOfTest:
-    alone, without = (_determined(view, s) for s in (compared.alone, compared.without))
-    if kind == _NAMES["static"] and not _squares_known(view):
+def _kind(view: AccelerometerView, motion: str, count: int, compared: OfOneKind) -> KindOfTest:
+    alone, without = (_determined(view, s) for s in (compared.alone.solution, compared.without))
+    if motion == "static" and not _squares_known(view):
         # At rest the squares' sum is that of gravity: what K_II seems to be is K_PP and K_OO too.
         alone["K_II"] = False
     return KindOfTest(
-        kind=kind,
+        kind=_NAMES[motion],
         count=count,
         coefficients={
-            symbol: _coefficient(view, compared.alone, symbol, alone[symbol])
+            symbol: _coefficient(view, compared.alone.solution, symbol, alone[symbol])
             for symbol in view.places
         },
         without={

@@ -164,13 +164,11 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     judged = {
         place: part
         for place, part in enumerate(view.readings)
-        if part.block_name in fit.beside_rows
-        and part.block_name in fit.beside
-        and min(part.dof, part.freedom) >= FEWEST_FREEDOM
+        if part.place_in(fit) is not None and min(part.dof, part.freedom) >= FEWEST_FREEDOM
     }
     if not judged:
         return
-    groups = [_group(part) for part in judged.values()]
+    groups = [_group(part, part.place_in(fit) or 0) for part in judged.values()]
     own = [unknown for unknown in fit.model.unknowns if unknown.owner == view.name]
     known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
     columns = [
@@ -181,13 +179,13 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
         yield places[one.group], one
 
 
-def _group(part: AccelerometerReadings) -> Group:
+def _group(part: AccelerometerReadings, place: int) -> Group:
     readings, estimated = part.readings, not part.weighed
     names = {name for name, _, _ in part.outlying()}
     lone = tuple(k for k, name in enumerate(readings.names) if name in names)
     return Group(
         readings,
-        part.block_name,
+        place,
         part.sigma,
         part.linear.noise_share if estimated else np.ones(readings.size),
         # The noise that is estimated is such that they are what is expected.

@@ -553,11 +553,8 @@ def _concerned(
 
 def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
     """Return a view of a relaxed fit, with the readings as they fit that."""
-    fit = after.fit
-    count = len(fit.model.unknowns)
-    readings = tuple(part.relaxed(count).under(fit.solution, fit.model) for part in view.readings)
-    poses = tuple(part.relaxed(count).under(fit.solution, fit.model) for part in view.poses)
-    return replace(view, estimate=after, readings=readings, poses=poses)
+    parts = [part.under(after.fit) for part in view.parts]
+    return replace(view, estimate=after).with_parts(parts)
 
 
 def _checked(view: AccelerometerView) -> Iterator[Finding]:

@@ -222,10 +222,10 @@ def _coefficient(estimated: Estimate, one: _Parameter, read: Fitted) -> Coeffici
 def _dof(estimated: Estimate, slopes: Array, read: Fitted) -> float:
     """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
     fit, of_records = estimated.fit, math.inf
-    if fit.blocks:
+    if fit.prepared:
         of_records = float(np.min(estimated.dof[np.abs(slopes) > _NOTHING]))
     dof = [part.dof for part in read]
-    return dof_of(slopes, fit.solution, list(fit.beside.values()), dof, of_records)
+    return dof_of(slopes, fit, dof, of_records)
 
 
 def _correlation(estimated: Estimate, parameters: Mapping[str, _Parameter]) -> Correlation | None:

@@ -39,13 +39,10 @@ class Alternative:
     kind: str  #: What kind of thing it is, for words.
     owner: str  #: An accelerometer, a run, or empty: the campaign.
     symbol: str  #: What is otherwise: a term, an input, or a word of its own.
-    #: Place of a series -> what it shows of one unit, shape (n,).
+    #: Place of an observation -> what it shows of one unit, in its own unit, shape (n,).
     columns: Mapping[int, Array] = field(default_factory=dict, repr=False, compare=False)
     #: Place of an unknown -> by how much one unit moves its prior.
     priors: Mapping[int, float] = field(default_factory=dict, compare=False)
-    #: Name of a block beside the records -> what it shows of one unit, in rows of unit variance,
-    #: shape (n,).
-    beside: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
     at: float | None = None  #: Where in a run, s; None where it has no place.
     #: Between which sizes the parameter is credible.
     between: tuple[float, float] = (-math.inf, math.inf)
@@ -186,13 +183,12 @@ class Beside:
     rss: float  #: Sum of squares of what these rows do not hold of the residuals.
     before: Array  #: Sums of squares of the columns before anything was taken away, shape (m,).
     dof: float  #: Degrees of freedom of the fit.
-    #: By its name, which rows are those of a block beside the records.
-    places: Mapping[str, slice] = field(default_factory=dict)
+    places: tuple[slice, ...]  #: Which rows are those of each observation.
 
 
 def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
     """Put alternatives beside a fit; arguments as of `scores`."""
-    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns or a.beside])
+    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
     data, priors = _columns(alternatives, blocks, solution, beside)
     target = np.concatenate([block.target for block in blocks])
     known = solution.prior_sd == 0.0
@@ -207,27 +203,23 @@ def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
         rss=sum(block.rss for block in blocks),
         before=np.sum(data**2, axis=0) + np.sum(priors**2, axis=0),
         dof=solution.dof,
-        places=_places(fit, blocks),
+        places=_places(blocks),
     )
 
 
-def _places(fit: JointFit, blocks: Sequence[Block]) -> dict[str, slice]:
+def _places(blocks: Sequence[Block]) -> tuple[slice, ...]:
     ends = np.cumsum([block.factor.shape[0] for block in blocks]).tolist()
-    starts = [0, *ends]
-    first = len(fit.blocks)
-    return {name: slice(starts[first + k], ends[first + k]) for k, name in enumerate(fit.beside)}
+    return tuple(map(slice, [0, *ends], ends))
 
 
-def _in_rows_of(fit: JointFit, shown: Sequence[Alternative]) -> tuple[list[Block], Solution, Array]:
+def _in_rows_of(
+    fit: JointFit, shown: Sequence[Alternative]
+) -> tuple[Sequence[Block], Solution, Array]:
     """Return blocks and solution of a fit in rows that hold further columns, and these columns."""
-    blocks = [*fit.blocks, *fit.beside.values()]
     if not shown:
-        return blocks, fit.solution, np.empty((0, 0))
+        return fit.blocks, fit.solution, np.empty((0, 0))
     p = len(fit.model.unknowns)
-    _, records, readings = widened(
-        fit, [other.columns for other in shown], fit.noise, [other.beside for other in shown]
-    )
-    wide = [*records, *readings.values()]
+    _, wide = widened(fit, [other.columns for other in shown])
     blocks = [replace(block, factor=block.factor[:, :p]) for block in wide]
     beside = np.vstack([block.factor[:, p:] for block in wide])
     return blocks, solve_blocks(blocks, fit.model), beside
@@ -245,7 +237,7 @@ def _columns(
     priors = np.zeros((solution.estimate.size, len(alternatives)))
     shown = iter(beside.T)
     for k, other in enumerate(alternatives):
-        if other.columns or other.beside:
+        if other.columns:
             data[:, k] = next(shown)
         for place, moved in other.priors.items():
             sd = float(solution.prior_sd[place])

@@ -63,7 +63,7 @@ def budget(fit: JointFit, index: int, name: str = "") -> list[BudgetLine]:
     parts = solution.combine(weights)
     lines = [
         BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
-        for source, share in _noise_by_accelerometer(fit, parts.noise_rows).items()
+        for source, share in _noise_by_source(fit, parts.noise_rows).items()
     ]
     for source, (level, covariance) in fit.unseen.items():
         words = f"noise of {source} that does not show"
@@ -110,14 +110,14 @@ def _encoder_lines(
         yield BudgetLine(f"{run}.{part}", NOISE, u, unit, slope, abs(size), 0.0)
 
 
-def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:
-    """Sum the rows' contributions over the blocks of each accelerometer, and of each other."""
+def _noise_by_source(fit: JointFit, rows: Array) -> dict[str, float]:
+    """Sum the rows' contributions over the observations of each source."""
     squares: dict[str, float] = {}
     start = 0
-    names = [*(prepared.accelerometer for prepared in fit.prepared), *fit.beside]
-    for block, name in zip([*fit.blocks, *fit.beside.values()], names, strict=True):
+    for block, one in zip(fit.blocks, fit.observations, strict=True):
         end = start + block.factor.shape[0]
-        squares[name] = squares.get(name, 0.0) + float(np.sum(rows[start:end] ** 2))
+        own = float(np.sum(rows[start:end] ** 2))
+        squares[one.source] = squares.get(one.source, 0.0) + own
         start = end
     return {name: math.sqrt(square) for name, square in squares.items()}
 

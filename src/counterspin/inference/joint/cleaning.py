@@ -82,7 +82,7 @@ def taken_back(
     again = solve_joint(kept(whole, outliers), model, fit.noise)
     # The same estimate, held against all rows.
     standing = standing_out(
-        replace(again, prepared=tuple(whole)), series, requests, nothing_left_out(series)
+        replace(again, observations=tuple(whole)), series, requests, nothing_left_out(series)
     )
     if not any((mask & ~new).any() for mask, new in zip(outliers, standing, strict=True)):
         return fit, outliers

@@ -1,13 +1,12 @@
-"""Joint estimation from full records: every sample of every run and accelerometer in one fit.
+"""Joint estimation from all that was measured, in one fit.
 
-Each `Series` (one accelerometer in one run) is whitened and reduced to a block of square-root
-information about the shared unknowns, its own start offset and velocity projected out. All blocks
-are solved together with the priors and the considered terms. Whatever is asked next (another
-noise level, a run left out, one more considered input) starts from the prepared columns or the
-blocks, not from the records.
+Each observation, such as the record of one accelerometer in one run, is whitened and reduced to a
+block of square-root information about the shared unknowns. All blocks are solved together with the
+priors and the considered terms. Whatever is asked next (another noise level, a run left out, one
+more considered input) starts from the prepared columns or the blocks, not from the records.
 
-The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the prepared series
-(`counterspin.inference.joint.prepared`).
+The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the observations
+(`counterspin.inference.joint.observation`).
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block
+from counterspin.inference.joint.observation import Observation
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
@@ -43,39 +44,47 @@ class JointFit:
 
     model: Unknowns  #: What was solved.
     solution: Solution  #: Estimates less nominal, covariances by source, sensitivities.
-    #: The columns and each series' square-root information, in the order of the series.
-    prepared: tuple[Prepared, ...]
+    #: What was measured, records first, and the square-root information of each.
+    observations: tuple[Observation, ...]
     blocks: tuple[Block, ...]
-    noise: Mapping[str, Noise]  #: By accelerometer.
+    noise: Mapping[str, Noise]  #: By accelerometer, or group of readings whose noise was found.
     #: By accelerometer, where there is any: a random walk that the records do not show, N in
     #: (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
-    #: Blocks of data that are no records, by what they are called in a budget.
-    beside: Mapping[str, Block] = field(default_factory=dict)
-    #: Rows of unit variance that they were reduced from, [unknowns | considered | target].
-    beside_rows: Mapping[str, Array] = field(default_factory=dict)
+
+    @cached_property
+    def prepared(self) -> tuple[Prepared, ...]:
+        """The records among what was measured: the first of it."""
+        return tuple(one for one in self.observations if isinstance(one, Prepared))
 
     def with_noise(self, noise: Mapping[str, Noise]) -> JointFit:
-        """Return the fit with other noise; records whose noise stays remain as they are reduced."""
+        """Return the fit with other noise; what keeps its noise remains as it is reduced."""
+        every = {**self.noise, **noise}
         blocks = tuple(
-            _block(prepared, self.model, noise[name])
-            if (name := prepared.accelerometer) in noise
-            else block
-            for block, prepared in zip(self.blocks, self.prepared, strict=True)
+            one.block_in(self.model, every) if one.source in noise else block
+            for block, one in zip(self.blocks, self.observations, strict=True)
         )
-        solution = solve_blocks([*blocks, *self.beside.values()], self.model)
+        solution = solve_blocks(blocks, self.model)
+        return replace(self, solution=solution, blocks=blocks, noise=every, unseen={})
+
+    def only(self, kept: Sequence[bool]) -> JointFit:
+        """Return the fit of some of the observations."""
+        blocks = tuple(compress(self.blocks, kept))
         return replace(
-            self, solution=solution, blocks=blocks, noise={**self.noise, **noise}, unseen={}
+            self,
+            observations=tuple(compress(self.observations, kept)),
+            blocks=blocks,
+            solution=solve_blocks(blocks, self.model),
+            unseen={},
         )
 
     def without_run(self, run: str) -> Solution | None:
         """Return the solution without one run; None if nothing is left."""
         kept = [
             block
-            for block, prepared in zip(self.blocks, self.prepared, strict=True)
-            if prepared.run != run
+            for block, one in zip(self.blocks, self.observations, strict=True)
+            if one.run != run
         ]
-        kept += self.beside.values()
         return solve_blocks(kept, self.model) if kept else None
 
     @cached_property
@@ -88,7 +97,7 @@ class JointFit:
         """
         if not self.model.considered:
             return self.solution
-        return solve_relaxed([*self.blocks, *self.beside.values()], self.model)
+        return solve_relaxed(self.blocks, self.model)
 
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
@@ -112,9 +121,9 @@ class JointFit:
 
     @cached_property
     def degrees_of_freedom(self) -> tuple[float, ...]:
-        """Degrees of freedom of each series' residuals.
+        """Degrees of freedom of each observation's residuals.
 
-        Rows less the series' own unknowns, less what the fit of all series and priors follows.
+        Rows less its own unknowns, less what the fit of all observations and priors follows.
         """
         ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
         leverages = self.relaxed.leverages[: ends[-1]]
@@ -126,28 +135,11 @@ class JointFit:
 
 
 def solve_joint(
-    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, Noise]
+    observations: Sequence[Observation], model: Unknowns, noise: Mapping[str, Noise]
 ) -> JointFit:
     """Solve a prepared problem for given noise."""
-    blocks = blocks_of(prepared, model, noise)
-    return JointFit(model, solve_blocks(blocks, model), tuple(prepared), tuple(blocks), noise)
-
-
-def blocks_of(
-    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, Noise]
-) -> list[Block]:
-    """Return each record's square-root information; arguments and errors as of `solve_joint`."""
-    return [_block(part, model, noise[part.accelerometer]) for part in prepared]
-
-
-def _block(prepared: Prepared, model: Unknowns, noise: Noise) -> Block:
-    """Return a record's information, with its columns where the model has them."""
-    block = prepared.block(noise)
-    factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
-    factor[:, list(prepared.unknowns)] = block.factor
-    fixed = np.zeros((block.factor.shape[0], len(model.considered)))
-    fixed[:, list(prepared.considered)] = block.considered
-    return replace(block, factor=factor, considered=fixed)
+    blocks = tuple(one.block_in(model, noise) for one in observations)
+    return JointFit(model, solve_blocks(blocks, model), tuple(observations), blocks, noise)
 
 
 def solve_blocks(blocks: Sequence[Block], model: Unknowns) -> Solution:

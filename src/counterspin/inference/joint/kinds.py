@@ -7,7 +7,7 @@ alone; beside it stands how far each unknown moves when the kind is left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
-from counterspin.inference.joint.fit import relaxed_block, solve_blocks, solve_relaxed
+from counterspin.inference.joint.fit import JointFit, relaxed_block, solve_blocks, solve_relaxed
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 
@@ -33,7 +33,7 @@ class OfOneKind:
     """One kind of data against the others."""
 
     #: What it says by itself, and what the others say, each with all that is known beforehand.
-    alone: Solution
+    alone: JointFit
     without: Solution
     shift: Array  #: Estimates without it less those of everything, shape (p,).
     #: Standard uncertainty of these, what both share counted once, shape (p,); NaN where leaving
@@ -45,21 +45,18 @@ class OfOneKind:
     dof: int
 
 
-def agreements(
-    kinds: Mapping[str, Sequence[Block]], model: Unknowns, whole: Solution
-) -> dict[str, OfOneKind]:
-    """Compare each kind of data with all the others."""
-    return {
-        kind: _agreement(
-            own, [block for k, b in kinds.items() if k != kind for block in b], model, whole
-        )
-        for kind, own in kinds.items()
-    }
+def agreements(fit: JointFit) -> dict[str, OfOneKind]:
+    """Compare the data of each motion with all the others; empty where all are of one."""
+    kinds = list(dict.fromkeys(one.motion for one in fit.observations))
+    return {kind: _agreement(fit, kind) for kind in kinds} if len(kinds) > 1 else {}
 
 
-def _agreement(
-    own: Sequence[Block], others: Sequence[Block], model: Unknowns, whole: Solution
-) -> OfOneKind:
+def _agreement(fit: JointFit, kind: str) -> OfOneKind:
+    model, whole = fit.model, fit.solution
+    alone = fit.only([one.motion == kind for one in fit.observations])
+    others = [
+        block for block, one in zip(fit.blocks, fit.observations, strict=True) if one.motion != kind
+    ]
     without = solve_blocks(others, model)
     # The whole is the better estimate of the two, so that variances subtract (Hausman); what is
     # considered moves both, and the shift by the difference.
@@ -68,9 +65,9 @@ def _agreement(
     spread = np.maximum(before - after, 0.0) + np.sum(moved**2, axis=1)
     if whole.covariance_unseen is not None:
         spread = spread + np.diag(whole.covariance_unseen)
-    chi2, dof = _surprise(own, others, model)
+    chi2, dof = _surprise(alone.blocks, others, model)
     return OfOneKind(
-        alone=solve_blocks(own, model),
+        alone=alone,
         without=without,
         shift=without.estimate - whole.estimate,
         u_shift=np.sqrt(np.where(spread > _ROUNDING * before, spread, np.nan)),

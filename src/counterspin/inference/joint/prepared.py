@@ -16,6 +16,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
+from counterspin.inference.joint.observation import Observation
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
@@ -23,30 +24,32 @@ from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 
 @frozen
-class Prepared:
+class Prepared(Observation):
     """A series and its columns, ready to be weighted with any noise."""
 
     series: Series  #: The series.
     scale_factor: float  #: K_I with which it sees the platform's errors.
-    #: Which of the model's unknowns and considered columns the columns below belong to.
-    unknowns: tuple[int, ...]
-    #: Their columns, shapes (n, m) and (n, c).
-    design: Array
-    considered: tuple[int, ...]
-    fixed: Array
 
     @property
     def accelerometer(self) -> str:
-        """Whose record it is."""
+        """Whose record it is, and so its noise."""
         return self.series.accelerometer
+
+    source = accelerometer
 
     @property
     def run(self) -> str:
         """The run in which it was taken."""
         return self.series.run
 
-    def block(self, noise: Noise) -> Block:
+    @property
+    def motion(self) -> str:
+        """Records are of a double turntable."""
+        return "counter-rotating"
+
+    def block(self, noises: Mapping[str, Noise]) -> Block:
         """Return what the record says of its columns, its own start errors projected out."""
+        noise = noises[self.accelerometer]
         uneven = noise.random_walk > 0.0 or noise.wanders or self.series.jitter > 0.0
         if uneven or noise.sample_variance == 0.0:
             return self._weighted(noise)
@@ -166,12 +169,12 @@ def _prepare(
     base = series.reference() if inputs else None
     table |= {s: input_column(series, s, scale_factor, known, shown_terms, base) for s in inputs}
     return Prepared(
-        series,
-        scale_factor,
         unknowns,
         _stacked(series, [table[symbol] for symbol in symbols]),
         considered,
         _stacked(series, [table[symbol] for symbol in ignored]),
+        series,
+        scale_factor,
     )
 
 

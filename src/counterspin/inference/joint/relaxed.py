@@ -13,12 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.blocks import Block, reduce_block
-from counterspin.inference.joint.fit import JointFit, blocks_of, relaxed_block, solve_blocks
-from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.blocks import Block
+from counterspin.inference.joint.fit import JointFit, relaxed_block, solve_blocks
+from counterspin.inference.joint.observation import Observation
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.inference.noise.model import Noise
 
 
 def relax(fit: JointFit) -> JointFit:
@@ -36,92 +35,44 @@ def relax(fit: JointFit) -> JointFit:
         for other in model.considered
     ]
     whole = Unknowns((*model.unknowns, *considered))
-    prepared = tuple(
-        replace(
-            part,
-            unknowns=(*part.unknowns, *(p + place for place in part.considered)),
-            design=np.hstack([part.design, part.fixed]),
-            considered=(),
-            fixed=part.fixed[:, :0],
-        )
-        for part in fit.prepared
-    )
     return replace(
         fit,
         model=whole,
         solution=fit.relaxed,
-        prepared=prepared,
+        observations=tuple(one.relaxed(p) for one in fit.observations),
         blocks=tuple(relaxed_block(block) for block in fit.blocks),
-        beside={name: relaxed_block(block) for name, block in fit.beside.items()},
         unseen={},
     )
 
 
 def widened(
-    fit: JointFit,
-    columns: Sequence[Mapping[int, Array]],
-    noise: Mapping[str, Noise],
-    readings: Sequence[Mapping[str, Array]] = (),
-) -> tuple[tuple[Prepared, ...], tuple[Block, ...], dict[str, Block]]:
-    """Return records and blocks of a relaxed fit, readings' last, with further columns.
+    fit: JointFit, columns: Sequence[Mapping[int, Array]]
+) -> tuple[tuple[Observation, ...], tuple[Block, ...]]:
+    """Return observations and blocks of a relaxed fit with further columns, behind the unknowns'.
 
-    Arguments as of `extended`; the columns stand after those of the unknowns. `readings` has of
-    each what it shows of a block beside the records: its name -> shape (n,), in `fit.beside_rows`.
+    columns: Of each: the place of an observation -> what it shows of one unit, shape (n,); one
+        that is not named shows nothing.
     """
     p, m = len(fit.model.unknowns), len(columns)
     added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m)]
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *added))
-    prepared = tuple(
-        _extended(part, [(p + k, shown[i]) for k, shown in enumerate(columns) if i in shown])
-        for i, part in enumerate(fit.prepared)
-    )
-    blocks = tuple(blocks_of(prepared, model, noise))
-    beside = {
-        name: _beside(block, fit.beside_rows.get(name), [shown.get(name) for shown in readings], m)
-        for name, block in fit.beside.items()
-    }
-    return prepared, blocks, beside
-
-
-def _beside(block: Block, rows: Array | None, columns: Sequence[Array | None], m: int) -> Block:
-    """Return a block beside the records with m further columns, zero where it shows nothing."""
-    if rows is None or not any(column is not None for column in columns):
-        return replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
-    added = [np.zeros(rows.shape[0]) if column is None else column for column in columns]
-    return reduce_block(np.column_stack([rows[:, :-1], *added]), rows[:, -1])
+    observations, blocks = [], []
+    for i, (one, block) in enumerate(zip(fit.observations, fit.blocks, strict=True)):
+        shown = {p + k: column[i] for k, column in enumerate(columns) if i in column}
+        observations.append(one.with_columns(tuple(shown), tuple(shown.values())))
+        blocks.append(
+            observations[-1].block_in(model, fit.noise)
+            if shown
+            else replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
+        )
+    return tuple(observations), tuple(blocks)
 
 
 def extended(
     fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
 ) -> JointFit:
-    """Return a relaxed fit with further unknowns, which readings beside the records do not see.
-
-    unknowns: What is added, m of them.
-    columns: Of each: the place of a series -> what it shows per unit of it, shape (n,); a series
-        that is not named shows nothing.
-    """
-    prepared, blocks, beside = widened(fit, columns, fit.noise)
+    """Return a relaxed fit with further unknowns; columns as of `widened`."""
+    observations, blocks = widened(fit, columns)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))
-    solution = solve_blocks([*blocks, *beside.values()], model)
-    return replace(
-        fit,
-        model=model,
-        solution=solution,
-        prepared=prepared,
-        blocks=blocks,
-        beside=beside,
-        beside_rows={
-            name: np.hstack([rows[:, :-1], np.zeros((len(rows), len(columns))), rows[:, -1:]])
-            for name, rows in fit.beside_rows.items()
-        },
-    )
-
-
-def _extended(part: Prepared, added: Sequence[tuple[int, Array]]) -> Prepared:
-    if not added:
-        return part
-    return replace(
-        part,
-        unknowns=(*part.unknowns, *(place for place, _ in added)),
-        design=np.column_stack([part.design, *(column for _, column in added)]),
-    )
+    solution = solve_blocks(blocks, model)
+    return replace(fit, model=model, solution=solution, observations=observations, blocks=blocks)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.inference.joint.fit import JointFit, blocks_of, solve_blocks
+from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import TERMS
@@ -32,13 +32,14 @@ def turned(mounting: Mounting, quarters: int) -> Mounting:
 
 def with_turned(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:
     """Return a relaxed fit with an accelerometer turned; what was stated is of its axes then."""
-    prepared, blocks = list(fit.prepared), list(fit.blocks)
-    for i, part in enumerate(prepared):
-        if part.accelerometer == accelerometer:
-            prepared[i] = _with_columns(fit, part, quarters)
-            (blocks[i],) = blocks_of([prepared[i]], fit.model, fit.noise)
-    solution = solve_blocks([*blocks, *fit.beside.values()], fit.model)
-    return replace(fit, solution=solution, prepared=tuple(prepared), blocks=tuple(blocks))
+    observations = tuple(
+        _with_columns(fit, one, quarters)
+        if isinstance(one, Prepared) and one.accelerometer == accelerometer
+        else one
+        for one in fit.observations
+    )
+    fit = replace(fit, observations=observations)
+    return fit.with_noise({name: fit.noise[name] for name in fit.noise if name == accelerometer})
 
 
 def _with_columns(fit: JointFit, part: Prepared, quarters: int) -> Prepared:

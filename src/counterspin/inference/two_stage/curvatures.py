@@ -9,19 +9,21 @@ coefficient's column.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.inputs import rotation_column
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Considered, Unknown, Unknowns
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
@@ -96,16 +98,27 @@ def two_stage_model(
     return Unknowns(estimated, held(model, request.unknowns, series))
 
 
-def curvature_row(prepared: Prepared, parabola: Parabola, model: Unknowns) -> Block:
-    """Return what the strobes of a run say as one row of unit variance, and what they leave."""
-    sigma = max(parabola.u_b2, LEAST_SIGMA)
-    curvature = parabola.gain[2] / sigma
-    factor = np.zeros((1, len(model.unknowns)))
-    factor[0, list(prepared.unknowns)] = curvature @ prepared.design
-    fixed = np.zeros((1, len(model.considered)))
-    fixed[0, list(prepared.considered)] = curvature @ prepared.fixed
-    chi2 = parabola.chi2 if math.isfinite(parabola.chi2) else 0.0
-    return Block(factor, np.array([parabola.b2 / sigma]), fixed, chi2, parabola.dof + 3, 2)
+@frozen
+class Curvature(Prepared):
+    """A record at its strobes, of which only the curvature counts."""
+
+    parabola: Parabola  #: Through the strobes.
+
+    @classmethod
+    def of(cls, prepared: Prepared, parabola: Parabola) -> Curvature:
+        """Return the curvature of prepared strobes."""
+        own = {each.name: getattr(prepared, each.name) for each in fields(prepared)}
+        return cls(**own, parabola=parabola)
+
+    def block(self, noises: Mapping[str, Noise]) -> Block:  # noqa: ARG002 -- it has its own
+        """Return what the strobes say as one row of unit variance, and what they leave."""
+        parabola = self.parabola
+        sigma = max(parabola.u_b2, LEAST_SIGMA)
+        curvature = parabola.gain[2][None, :] / sigma
+        chi2 = parabola.chi2 if math.isfinite(parabola.chi2) else 0.0
+        target = np.array([parabola.b2 / sigma])
+        factor, fixed = curvature @ self.design, curvature @ self.fixed
+        return Block(factor, target, fixed, chi2, parabola.dof + 3, 2)
 
 
 def exact_columns(
@@ -159,12 +172,12 @@ def printed_columns(
     others = [other.symbol for other in model.considered]
     square = series.time**2
     return Prepared(
-        series,
-        scale_factor,
         tuple(range(len(symbols))),
         np.outer(square, [sizes[symbol] for symbol in symbols]),
         tuple(range(len(others))),
         np.outer(square, [sizes.get(symbol, 0.0) for symbol in others]),
+        series,
+        scale_factor,
     )
 
 

@@ -23,14 +23,14 @@ from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import NEAR_COLLINEAR, TWIN_AGREEMENT
-from counterspin.inference.joint.fit import JointFit, solve_blocks
+from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.curvatures import (
     LEAST_SIGMA,
-    curvature_row,
+    Curvature,
     exact_columns,
     printed_columns,
     two_stage_model,
@@ -209,22 +209,16 @@ def resolve(
     noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}
 
     def solved(prepared: Sequence[Prepared], model: Unknowns) -> JointFit:
-        blocks = tuple(
-            curvature_row(part, parabola, model)
-            for part, parabola in zip(prepared, parabolas, strict=True)
-        )
-        solution = solve_blocks(blocks, model)
-        if not request.weighted:
-            # Rows of one common variance, and then the uncertainty of the actual b2.
-            sigma = _sigma(parabolas)
-            ratios = sigma / math.sqrt(np.mean(sigma**2))
-            even = [
-                replace(b, factor=r * b.factor, target=r * b.target, considered=r * b.considered)
-                for b, r in zip(blocks, ratios, strict=True)
-            ]
-            unweighted = solve_blocks(even, model).with_row_noise(ratios)
-            solution = replace(unweighted, information=solution.information)
-        return JointFit(model, solution, tuple(prepared), blocks, noise)
+        rows = map(Curvature.of, prepared, parabolas)
+        fit = solve_joint(tuple(rows), model, noise)
+        if request.weighted:
+            return fit
+        # Rows of one common variance, and then the uncertainty of the actual b2.
+        sigma = _sigma(parabolas)
+        ratios = sigma / math.sqrt(np.mean(sigma**2))
+        even = [block.scaled(ratio) for block, ratio in zip(fit.blocks, ratios, strict=True)]
+        solution = solve_blocks(even, model).with_row_noise(ratios)
+        return replace(fit, solution=replace(solution, information=fit.solution.information))
 
     def columns(fit: JointFit | None, model: Unknowns) -> Sequence[Prepared]:
         if request.model == "as-printed":

@@ -161,10 +161,9 @@ def _taken(described: ReadingPlan, model: Unknowns, expected: Array) -> tuple[Ar
         model=model,
         expected=expected,
     )
-    blocks = [*there.fit.blocks, *there.fit.beside.values()]
     return (
-        np.vstack([block.factor for block in blocks]),
-        np.vstack([block.considered for block in blocks]),
+        np.vstack([block.factor for block in there.fit.blocks]),
+        np.vstack([block.considered for block in there.fit.blocks]),
     )
 
 
