@@ -2,6 +2,7 @@
 
 - `series`: one accelerometer's output in one run, with its columns and its whitening
 - `unknowns`, `inputs`: what a joint fit estimates and considers; what uncertain inputs change
+- `observation`: what records, readings and curvatures are to a fit
 - `prepared`: the columns of each record, computed once
 - `encoder`: what the encoder's noise leaves open of each run's rotation
 - `fit`: one weighted fit of everything
