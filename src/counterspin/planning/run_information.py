@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -31,12 +31,12 @@ from counterspin.arrays import Array
 from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.noise.model import Noise
-from counterspin.physics.effects import RunConditions
+from counterspin.physics.effects import Product, RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import CONDITION_TERMS
+from counterspin.physics.terms import CONDITION_TERMS, term
 from counterspin.planning import even_samples
 from counterspin.planning.angle_functions import functions, integration
 from counterspin.planning.even_samples import EvenSamples
@@ -45,12 +45,19 @@ from counterspin.planning.information_table import InformationTable
 from counterspin.records.reduction import block_size
 
 #: Highest harmonics of the angle that are tried, until the columns are combinations of the
-#: functions to `_RESIDUAL` of their size; |a_I| has all harmonics, falling off as n^-4 or so.
+#: functions to `_RESIDUAL` of their size, or as well as they ever are: difference quotients have
+#: rounding. A term with a kink has all harmonics, those of its force falling off as n^-3: of it
+#: what is left in the record counts, whose square is missing from the information.
 _HARMONICS: Final = (3, 4, 6, 11)
 _RESIDUAL: Final = 1e-6
+_RESIDUAL_OF_KINK: Final = 5e-4
 
 #: Nodes in the rate: the weights are polynomials of the tenth degree (a_I^4 goes as w^8).
 _RATE_NODES: Final = 13
+
+#: Owner and symbol of a term, the latter with an ending for what it adds in each second.
+Key = tuple[str, str]
+_A_SECOND: Final = " in a second"
 
 #: Step of the derivative by the clock.
 _CLOCK_STEP: Final = 1e-6
@@ -70,43 +77,83 @@ class RunInformation:
         rates: tuple[float, float],
         revolutions: tuple[float, float],
         senses: Sequence[int],
-        like: RunInformation | None = None,
     ) -> None:
         self.setup = setup
         low, high = rates
         # A single rate is a range too, or there would be nothing to interpolate.
         self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rates
         self._revolutions = revolutions
+        kinds = [(name, sense) for name in setup.attitudes for sense in senses]
+        self._kinds = {kind: index for index, kind in enumerate(kinds)}
+        forces = [[self._forces(i, *kind) for kind in kinds] for i in setup.instruments]
+        for self._harmonics in _HARMONICS:
+            if all(
+                self._suffice(instrument, *shown)
+                for instrument, of_kinds in zip(setup.instruments, forces, strict=True)
+                for shown in of_kinds
+            ):
+                break
+        #: Of each instrument and kind of run, the weights of each term.
+        self._terms = [
+            [self._weights_of(instrument, *shown) for shown in of_kinds]
+            for instrument, of_kinds in zip(setup.instruments, forces, strict=True)
+        ]
+        self._tables = self._made_tables()
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Put the weights in the order of the set-up's model."""
+        setup = self.setup
         #: Places, among the shared unknowns, of those that go with how warm a run is, and of those
         #: that go with when it is made.
         self._by_warmth, self._by_time = (
             _by_condition(setup, condition) for condition in ("temperature", "time")
         )
-        for self._harmonics in _HARMONICS:
-            fits = {
-                (name, sense): [self._weight(i, name, sense) for i in setup.instruments]
-                for name in setup.attitudes
-                for sense in senses
-            }
-            if all(residual < _RESIDUAL for fit in fits.values() for _, residual in fit):
-                break
-        self._kinds = {kind: index for index, kind in enumerate(fits)}
-        self._owns = max(len(setup.own(name)[0]) for name in setup.attitudes)
-        self._weights: list[Array] = []
+        model = setup.model
+        late = [_key(model.unknowns[setup.shared[i]], _A_SECOND) for i in self._by_time]
+        owns = {name: setup.own(name) for name in setup.attitudes}
+        self._owns, known = (max(len(own[i]) for own in owns.values()) for i in (0, 1))
+        shared = [_key(model.unknowns[i]) for i in setup.shared]
+        shared += [_key(model.considered[i]) for i in setup.considered]
+        columns = {
+            name: [
+                *_filled([_key(model.unknowns[i]) for i in own], self._owns),
+                *shared,
+                *_filled([_key(model.considered[i]) for i in considered], known),
+            ]
+            for name, (own, considered) in owns.items()
+        }
+
+        def chosen(terms: Mapping[Key, Array], keys: Sequence[Key]) -> Array:
+            nothing = np.zeros((_RATE_NODES, 4 + 4 * self._harmonics))
+            return np.stack([terms.get(key, nothing) for key in keys] or [nothing[..., :0]], axis=2)
+
+        self._weights = [
+            np.array(
+                [
+                    chosen(terms, columns[name])
+                    for terms, (name, _) in zip(own, self._kinds, strict=True)
+                ]
+            )
+            for own in self._terms
+        ]
         #: Of what goes with time, the weights of one second later.
-        self._late: list[Array] = []
-        for i in range(len(setup.instruments)):
-            found = [(name, fit[i][0]) for (name, _), fit in fits.items()]
-            end = found[0][1].shape[2] - len(self._by_time)
-            self._weights.append(np.array([self._padded(w[..., :end], name) for name, w in found]))
-            self._late.append(np.array([w[..., end:] for _, w in found]))
-        self._priors = np.ones((len(fits), self._owns))
-        for kind, (name, _) in enumerate(fits):
-            known = _weights_of_priors(setup.model, setup.own(name)[0])
-            self._priors[kind, : known.size] = known
-        serves = like is not None and like._harmonics == self._harmonics
-        self._tables: list[list[InformationTable | None]]
-        self._tables = like._tables if like and serves else self._made_tables()
+        self._late = [
+            np.array([chosen(terms, late) for terms in own]) if late else None
+            for own in self._terms
+        ]
+        self._priors = np.ones((len(self._kinds), self._owns))
+        for kind, (name, _) in enumerate(self._kinds):
+            own = [model.unknowns[i] for i in owns[name][0]]
+            # Of nothing known, the solver's regularisation.
+            self._priors[kind, : len(own)] = [1.0 / unknown.spread for unknown in own]
+
+    def of_model(self, setup: Setup) -> RunInformation:
+        """Return the same for a set-up whose model has some of these terms, in other parts."""
+        other = copy.copy(self)
+        other.setup = setup
+        other._arrange()
+        return other
 
     def _made_tables(self) -> list[list[InformationTable | None]]:
         """Return what is interpolated for each instrument and kind; None: there is a closed form.
@@ -199,8 +246,9 @@ class RunInformation:
         ):
             weights = self._in_rate(weight, kinds, rate, instrument.order)
             weights[..., [self._owns + place for place in self._by_warmth]] *= warmth
-            since = start * self._in_rate(late, kinds, rate, instrument.order)
-            weights[..., [self._owns + place for place in self._by_time]] += since
+            if late is not None:
+                since = start * self._in_rate(late, kinds, rate, instrument.order)
+                weights[..., [self._owns + place for place in self._by_time]] += since
             part = np.empty((rate.size, weights.shape[1] - instrument.order, weights.shape[2]))
             for table in dict.fromkeys(tables[kind] for kind in np.unique(kinds)):
                 here = np.array([tables[kind] is table for kind in kinds])
@@ -255,58 +303,65 @@ class RunInformation:
 
     # The weights
 
-    def _weight(
-        self, instrument: PlannedInstrument, attitude: str, sense: int
-    ) -> tuple[Array, float]:
-        """Return Chebyshev coefficients of the weights over the rate, (nodes, b, columns).
-
-        And how well the columns are combinations of the functions: the largest residual, as a
-        part of its column.
-        """
-        setup = self.setup
-        own, own_considered = setup.own(attitude)
-        wanted = [*own, *setup.shared]
-        fixed = [*setup.considered, *own_considered]
-        points = 24 * (self._harmonics + 1)  # to each of three revolutions
-        angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
-        integrate = integration(self._harmonics, instrument.order)
+    @property
+    def _nodes(self) -> Array:
+        """Sizes of the rate at which the weights are computed, rad/s."""
         low, high = self._rates
-        nodes = chebyshev.chebpts1(_RATE_NODES)
-        values, worst = [], 0.0
-        for rate in 0.5 * (low + high) + 0.5 * (high - low) * nodes:
-            prepared = self._forces(instrument, attitude, sense * rate, angle / rate)
-            columns = np.zeros((angle.size, len(wanted) + len(fixed) + len(self._by_time)))
-            for column, index in zip(prepared.design.T, prepared.unknowns, strict=True):
-                columns[:, wanted.index(index)] = column
-            for column, index in zip(prepared.fixed.T, prepared.considered, strict=True):
-                columns[:, len(wanted) + fixed.index(index)] = column
-            for k, place in enumerate(self._by_time):
-                unknown = setup.model.unknowns[setup.shared[place]]
-                if unknown.concerns(prepared.series):
-                    base = CONDITION_TERMS[unknown.symbol].effect.coefficient
-                    columns[:, len(wanted) + len(fixed) + k] = prepared.series.columns([base], 1.0)[
-                        :, 0
-                    ]
-            weights, residual = _combination(angle, columns, self._harmonics)
-            worst = max(worst, residual)
-            # At a given angle forces are polynomials in the rate; times the rate, so is what
-            # grows with time.
-            values.append(rate * (integrate @ weights))
-        vander = chebyshev.chebvander(nodes, _RATE_NODES - 1)
-        flat = np.array(values).reshape(_RATE_NODES, -1)
-        coefficients: Array = np.asarray(np.linalg.solve(vander, flat), dtype=np.float64)
-        return coefficients.reshape(_RATE_NODES, -1, columns.shape[1]), worst
+        return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * chebyshev.chebpts1(_RATE_NODES))
 
-    def _padded(self, weight: Array, attitude: str) -> Array:
-        """Return weights with as many columns of a run's own as any attitude has."""
-        setup = self.setup
-        own, considered = setup.own(attitude)
-        most = max(len(setup.own(name)[1]) for name in setup.attitudes)
-        before, after = self._owns - len(own), most - len(considered)
-        place = len(own)
-        zeros = np.zeros((*weight.shape[:2], before))
-        parts = [weight[..., :place], zeros, weight[..., place:]]
-        return np.concatenate([*parts, np.zeros((*weight.shape[:2], after))], axis=2)
+    def _forces(
+        self, instrument: PlannedInstrument, attitude: str, sense: int
+    ) -> tuple[list[Key], Array]:
+        """Return the terms that act, and their forces at the nodes of the rate, (nodes, n, k).
+
+        At n even angles in three revolutions.
+        """
+        points = 24 * (_HARMONICS[-1] + 1)
+        angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
+        model, shown = self.setup.model, []
+        for rate in self._nodes:
+            prepared = self._columns(instrument, attitude, sense * rate, angle / rate)
+            keys = [_key(model.unknowns[i]) for i in prepared.unknowns]
+            keys += [_key(model.considered[i]) for i in prepared.considered]
+            columns = [prepared.design, prepared.fixed]
+            for owner, symbol in keys[: len(prepared.unknowns)]:
+                row = CONDITION_TERMS.get(symbol)
+                if row is not None and row.effect.condition == "time":
+                    keys.append((owner, symbol + _A_SECOND))
+                    columns.append(prepared.series.columns([row.effect.coefficient], 1.0))
+            shown.append(np.hstack(columns))
+        return keys, np.array(shown)
+
+    def _suffice(self, instrument: PlannedInstrument, keys: list[Key], forces: Array) -> bool:
+        """Return whether the terms are combinations of the functions, as well as they have to be.
+
+        forces: Of the terms, as of `_forces`.
+        """
+        residual, least = (
+            _combination(forces, harmonics)[1] for harmonics in (self._harmonics, _HARMONICS[-1])
+        )
+        # Integration divides what the first harmonics leave by their number at least.
+        of_kink = _RESIDUAL_OF_KINK * (self._harmonics + 1.0) ** instrument.order
+        kinked = [_has_kink(symbol.removesuffix(_A_SECOND)) for _, symbol in keys]
+        allowed = np.where(kinked, of_kink, np.maximum(_RESIDUAL, 1.1 * least))
+        return bool(np.all(residual < allowed))
+
+    def _weights_of(
+        self, instrument: PlannedInstrument, keys: list[Key], forces: Array
+    ) -> dict[Key, Array]:
+        """Return Chebyshev coefficients of each term's weights over the rate, (nodes, b).
+
+        forces: Of the terms, as of `_forces`.
+        """
+        weights, _ = _combination(forces, self._harmonics)
+        # At a given angle forces are polynomials in the rate; times the rate, so is what grows with
+        # time.
+        turning = integration(self._harmonics, instrument.order)
+        values = self._nodes[:, None, None] * (turning @ weights)
+        vander = chebyshev.chebvander(chebyshev.chebpts1(_RATE_NODES), _RATE_NODES - 1)
+        coefficients = np.linalg.solve(vander, values.reshape(_RATE_NODES, -1))
+        columns = np.moveaxis(coefficients.reshape(values.shape), 2, 0)
+        return dict(zip(keys, columns, strict=True))
 
     def _in_rate(
         self, weights: Array, kinds: npt.NDArray[np.intp], rate: Array, order: int
@@ -321,7 +376,7 @@ class RunInformation:
             result[which] = np.tensordot(vander[which], weights[kind], axes=1)
         return result
 
-    def _forces(
+    def _columns(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
     ) -> Prepared:
         """Return the columns of the specific force, before any integration."""
@@ -376,25 +431,29 @@ class RunInformation:
         return shown
 
 
-def _combination(angle: Array, columns: Array, harmonics: int) -> tuple[Array, float]:
-    """Return the weights of 1, th, cos, sin, th cos and th sin in columns over three revolutions.
+def _combination(columns: Array, harmonics: int) -> tuple[Array, Array]:
+    """Return the weights of 1, th, cos, sin, th cos and th sin in columns, (..., b, k).
 
     What grows with the angle is the difference of two revolutions, and is exact whatever harmonics
-    the rest has. Also the largest residual of a column, as a part of its size.
+    the rest has. Also the largest residual of each column, as a part of its size, (k,).
+
+    columns: Over three revolutions, shape (..., n, k).
     """
-    points = len(angle) // 3
+    points = columns.shape[-2] // 3
+    angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
     shapes = functions(angle, harmonics)
     periodic = [0, *(place for m in range(1, harmonics + 1) for place in (4 * m, 4 * m + 1))]
     growing = [1, *(place for m in range(1, harmonics + 1) for place in (4 * m + 2, 4 * m + 3))]
     project = 2.0 / points * shapes[:points, periodic].T
     project[0] *= 0.5
-    first, second = columns[:points], columns[points : 2 * points]
+    first, second = columns[..., :points, :], columns[..., points : 2 * points, :]
     slope = (second - first) / (2.0 * math.pi)
-    weights = np.zeros((shapes.shape[1], columns.shape[1]))
-    weights[growing] = project @ slope
-    weights[periodic] = project @ (first - angle[:points, None] * slope)
-    size = np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
-    return weights, float(np.max(np.abs(columns - shapes @ weights) / size, initial=0.0))
+    weights = np.zeros((*columns.shape[:-2], shapes.shape[1], columns.shape[-1]))
+    weights[..., growing, :] = project @ slope
+    weights[..., periodic, :] = project @ (first - angle[:points, None] * slope)
+    size = np.maximum(np.abs(columns).max(axis=-2), np.finfo(float).tiny)
+    residual = np.abs(columns - shapes @ weights).max(axis=-2) / size
+    return weights, residual.reshape(-1, columns.shape[-1]).max(axis=0)
 
 
 def _without_first(rows: Array, prior: Array) -> Array:
@@ -420,7 +479,15 @@ def _by_condition(setup: Setup, condition: str) -> list[int]:
     ]
 
 
-def _weights_of_priors(model: Unknowns, places: Sequence[int]) -> Array:
-    """Return 1/u of what is known of some unknowns; of nothing, the solver's regularisation."""
-    chosen = [model.unknowns[i] for i in places]
-    return np.array([1.0 / unknown.spread for unknown in chosen])
+def _key(one: Unknown, ending: str = "") -> Key:
+    return one.owner, one.symbol + ending
+
+
+def _has_kink(symbol: str) -> bool:
+    effect = getattr(term(symbol), "effect", None)
+    return isinstance(effect, Product) and effect.has_kink
+
+
+def _filled(keys: list[Key], count: int) -> list[Key]:
+    """Return as many keys as another attitude has, the last ones of nothing."""
+    return [*keys, *[("", "")] * (count - len(keys))]

@@ -34,28 +34,22 @@ class Search:
     def __init__(self, plan: Plan, reach: tuple[float, float] = (1.11, 1.11)) -> None:
         self.plan = plan
         self.limits = plan.limits
-        self._reach = reach
-        self.predictor = self._predictor(considering=True)
+        low, high = plan.limits.rate
+        longest = min(plan.limits.longest_run * 1.11, plan.limits.total_time)
+        turns = longest * reach[0] * high * reach[1] / (2.0 * math.pi)
+        information = RunInformation(
+            setup_of(plan.stand_in, plan.sampling_rate),
+            (low * 0.89, high * reach[1]),
+            (max(1.0, 0.89 * plan.limits.revolutions), turns),
+            (1, -1),
+        )
+        self.predictor = Predictor(information)
         names = list(self.predictor.names)
         self.criterion = Criterion(
             tuple(names.index(name) for name in plan.goal.sizes),
             tuple(plan.goal.sizes.values()),
             plan.goal.criterion,
         )
-
-    def _predictor(self, *, considering: bool) -> Predictor:
-        low, high = self.limits.rate
-        longest = min(self.limits.longest_run * 1.11, self.limits.total_time)
-        turns = longest * self._reach[0] * high * self._reach[1] / (2.0 * math.pi)
-        setup = setup_of(self.plan.stand_in, self.plan.sampling_rate, considering=considering)
-        information = RunInformation(
-            setup,
-            (low * 0.89, high * self._reach[1]),
-            (max(1.0, 0.89 * self.limits.revolutions), turns),
-            (1, -1),
-            like=None if considering else self.predictor.information,
-        )
-        return Predictor(information)
 
     @cached_property
     def relaxing(self) -> Predictor | None:
@@ -66,7 +60,8 @@ class Search:
         information = self.predictor.information
         if not information.dated and not information.setup.considered_sizes.size:
             return None
-        return self._predictor(considering=False)
+        setup = setup_of(self.plan.stand_in, self.plan.sampling_rate, considering=False)
+        return Predictor(information.of_model(setup))
 
     @property
     def bounded(self) -> bool:
