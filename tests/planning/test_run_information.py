@@ -1,11 +1,13 @@
 """The smooth prediction of runs against the joint fit of every sample."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO, make_setup, u_by_joint_fit
 
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.planning.angle_functions import functions, integration, prefix_factors
 from counterspin.planning.design import Design, Predictor, RunType
@@ -52,6 +54,13 @@ CASES = {
 }
 
 
+HELD = {
+    "platform": ("platform.drift.north",),
+    "considered": ("platform.tilt.north", "records.clock", *INPUTS),
+    "priors": PRIORS | {"records.clock": 2e-5},
+}
+CASES["a clock that is held"] = HELD
+
 BOTH = (RunType("level", 1), RunType("level", -1))
 
 
@@ -84,6 +93,25 @@ def test_prediction_of_records_with_few_samples_to_a_revolution():
     # From 26 samples to a revolution down to 5, where the third harmonics are barely told apart.
     design = Design(BOTH * 2, np.array([1.2, 3.0, 5.0, 6.5]), np.array([7.3, 20.0, 41.7, 60.2]))
     assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=2e-4)
+
+
+def test_columns_serve_a_model_that_estimates_what_another_holds():
+    setup = make_setup(**HELD)
+    others = (estimated_one(one) for one in setup.model.considered)
+    model = Unknowns((*setup.model.unknowns, *others))
+    values = np.append(setup.estimate, np.zeros(len(setup.model.considered)))
+    estimated = replace(setup, model=model, estimate=values)
+    taken_over = RunInformation(setup, RATES, TURNS, (1, -1)).of_model(estimated)
+    anew = RunInformation(estimated, RATES, TURNS, (1, -1))
+    design = design_of(setup, np.random.default_rng(3))
+    u = Predictor(taken_over).u(design)
+    assert u == pytest.approx(Predictor(anew).u(design), rel=1e-9)
+    assert u == pytest.approx(u_by_joint_fit(estimated, design), rel=2e-4)
+
+
+def estimated_one(held):
+    """Return a term that is held as one that is estimated and not asked for."""
+    return Unknown(held.owner, held.symbol, held.prior, held.limit, False, held.unstated)
 
 
 def test_integration_of_the_functions_is_exact():

@@ -385,10 +385,12 @@ class RunInformation:
         series = self._series(forced, attitude, rate, times)
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
         (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
-        symbols = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
-        if CLOCK in symbols and instrument.order > 0:
-            column = prepared.design[:, symbols.index(CLOCK)]
-            column[:] = self._by_clock(prepared, column, instrument.order)
+        asked = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
+        held = [setup.model.considered[i].symbol for i in prepared.considered]
+        for symbols, columns in ((asked, prepared.design), (held, prepared.fixed)):
+            if CLOCK in symbols and instrument.order > 0:
+                column = columns[:, symbols.index(CLOCK)]
+                column[:] = self._by_clock(prepared, column, instrument.order)
         return prepared
 
     def _series(
