@@ -24,7 +24,9 @@ from mistaken_campaigns import (
 )
 
 from counterspin import calibrate
+from counterspin.calibration.diagnosis import search
 from counterspin.errors import CounterspinError
+from counterspin.inference.joint.estimation import estimate_again
 
 PAGE = Path(__file__).parents[3] / "docs" / "diagnosis.md"
 RADIUS = 'radius = "2.5 m"'
@@ -378,6 +380,30 @@ def test_a_mistake_in_a_record_is_named_beside_a_reading_too(mistake, sound, tmp
     found = calibrate(folder)
     first = [f"{finding.code} {finding.subject}" for finding in found.findings][:1]
     assert first == [mistake.says] * bool(mistake.says)
+
+
+def test_readings_remain_in_the_fit_while_the_noise_of_records_is_found_anew(
+    sound, tmp_path, monkeypatch
+):
+    mistake = Mistake(
+        "", "", records=multiplied("middle", EAST, 1.002), description=((NOISE, "\n"),)
+    )
+    folder = mistaken(tmp_path, mistake, sound)
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    at = text.index("[simulation]") if "[simulation]" in text else len(text)
+    (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
+    again = []
+
+    def watched(before, fit, requests):
+        again.append((fit, estimate_again(before, fit, requests)))
+        return again[-1][1]
+
+    monkeypatch.setattr(search, "estimate_again", watched)
+    calibrate(folder)
+    assert again
+    for fit, after in again:
+        assert len(fit.observations) > len(fit.prepared)
+        assert after.fit.observations == fit.observations
 
 
 def test_a_bias_that_drifts_in_every_run_is_named_beside_a_drift_of_the_platform(sound, tmp_path):

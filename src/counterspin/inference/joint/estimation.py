@@ -120,12 +120,11 @@ def estimate(
 
 
 def estimate_again(before: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
-    """Return the estimate of another fit to the same rows, its noise found anew."""
+    """Return the estimate of another fit to the same rows, the noise of its records found anew."""
     core = solve_joint(*condense(fit.prepared, fit.model, _white(fit.noise)), fit.noise)
     noise, found = noise_of(core.prepared, core.model, requests)
     core = core.with_noise(noise)
-    whole = solve_joint(fit.prepared, fit.model, noise)
-    return _finished(whole, core, found, before.outliers, before.series)
+    return _finished(fit.with_noise(noise), core, found, before.outliers, before.series)
 
 
 # The stages -----------------------------------------------------------------------------------
