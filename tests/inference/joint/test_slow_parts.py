@@ -64,4 +64,4 @@ def test_a_bend_of_one_run_is_not():
 
 
 def test_one_record_has_no_other_to_be_compared_with(walking):
-    assert slow_parts(replace(walking, prepared=walking.prepared[:1]), "Qx") == []
+    assert slow_parts(replace(walking, observations=walking.prepared[:1]), "Qx") == []
