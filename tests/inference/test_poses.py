@@ -6,9 +6,12 @@ import time
 import numpy as np
 import pytest
 import triads
+from scipy import stats
 from scipy.optimize import least_squares
 
+from counterspin.calibration.readings import with_groups
 from counterspin.errors import NotIdentifiableError
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.readings import solve_readings
 
 #: g.
@@ -94,6 +97,55 @@ def test_fewer_poses_cannot_tell_their_noise():
         match=r"6 poses .* 9 unknowns .*determine .*Y.delta_P.*Z.delta_O, Z.delta_P",
     ):
         solve_readings([triads.group(triads.indications(along))], triads.unknowns())
+
+
+@pytest.fixture(scope="module")
+def beside_unstated_terms():
+    """Return the model of a triad and 18 terms of second order at sizes that nobody states."""
+    sizes = {"K_II": 1e-3, **dict.fromkeys(("K_PP", "K_OO", "K_IP", "K_IO", "K_PO"), 2e-4)}
+    unstated = (
+        Unknown(name, symbol, (0.0, size), 0.1, False, True)
+        for name in triads.NAMES
+        for symbol, size in sizes.items()
+    )
+    return Unknowns((*triads.unknowns().unknowns, *unstated))
+
+
+def _few(model, generator):
+    """Return 13 poses of which nothing is stated, their unstated terms drawn at their sizes."""
+    values = triads.indications(triads.directions(13, generator))
+    true = np.append(triads.truth() - _nominal(), np.zeros(18))
+    probe = triads.group(values)
+    columns = probe.linearised(model, true).design[:, 9:]
+    drawn = np.array([one.prior[1] for one in model.unknowns[9:]]) * generator.standard_normal(18)
+    off = columns @ drawn + NOISE * generator.standard_normal(13)
+    return triads.group(values + probe.at(model, true).along * off[:, None])
+
+
+def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
+    # They cannot tell their noise beside 16 combinations of terms. Of 60 triads whose 9 parameters
+    # are as good as one each; 4 standard deviations of how often a 95 % interval holds.
+    generator, trials = np.random.default_rng(5), 60
+    held = 0
+    for _ in range(trials):
+        poses = _few(beside_unstated_terms, generator)
+        estimated, _ = with_groups(None, beside_unstated_terms, [poses])
+        solution, dof = estimated.fit.solution, estimated.dof[:9]
+        off = np.abs(solution.estimate[:9] + _nominal() - triads.truth())
+        held += int((off < stats.t.ppf(0.975, dof) * solution.u[:9]).sum())
+    assert held / (9 * trials) > 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / trials)
+
+
+def test_few_poses_are_weighed_as_a_dense_least_squares_weighs_them(beside_unstated_terms):
+    model = beside_unstated_terms
+    poses = _few(model, np.random.default_rng(7))
+    estimated, (part,) = with_groups(None, model, [poses])
+    solution = estimated.fit.solution
+    design = poses.linearised(model, solution.estimate).design
+    shared = design[:, 9:] * [one.prior[1] for one in model.unknowns[9:]]
+    total = part.noise**2 * np.eye(13) + shared @ shared.T
+    covariance = np.linalg.inv(design[:, :9].T @ np.linalg.solve(total, design[:, :9]))
+    np.testing.assert_allclose(solution.u[:9], np.sqrt(np.diag(covariance)), rtol=1e-6)
 
 
 def test_second_order_terms_that_poses_determine_are_found():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import field, replace
-from typing import Final, Self
+from typing import Final, Self, TypeVar
 
 import numpy as np
 
@@ -20,11 +20,13 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import tail_beside
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_relaxed
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import LinearReadings, Readings
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.poses import TriadPoses
+
+U = TypeVar("U", bound=Unknown)
 
 #: Rounds in which derivatives and noise must settle; two or three are usual.
 _ROUNDS: Final = 50
@@ -41,6 +43,9 @@ _LEAST_REST: Final = 1e-6
 
 #: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone.
 FEWEST_FREEDOM: Final = 5.0
+
+#: Part of a standard uncertainty that is as good as none.
+_HELD: Final = 1e-6
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
 _LARGEST_MOVE: Final = 1e-5
@@ -145,16 +150,36 @@ def solve_readings(
 
     model: What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     """
+    unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
+    bare = _without_unasked(readings, model)
     try:
         return _solved(readings, model, records)
     except NotIdentifiableError:
-        if not any(group.u is None and any(group.position) for group in readings):
+        set_by_hand = any(group.u is None and any(group.position) for group in readings)
+        if not set_by_hand and bare == model:
             raise
-    # Where hardly a position is read twice, its error hides the noise. The residuals show both
-    # together, and the noise is taken to be as large as that.
-    unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
-    together = _solved(unset, model, records)
+    # Where hardly a position is read twice, its error hides the noise, and in few poses terms that
+    # nobody asks for do. The residuals show both together, and the noise is taken to be as large as
+    # that.
+    together = _solved(unset, bare, records)
     return _solved(readings, model, records, together)
+
+
+def _without_unasked(readings: Sequence[Readings | TriadPoses], model: Unknowns) -> Unknowns:
+    """Return a model in which what is not asked for, and poses without u show, is as assumed."""
+    posed = {
+        name
+        for group in readings
+        if isinstance(group, TriadPoses) and group.u is None
+        for name in group.accelerometers
+    }
+
+    def held(other: U) -> U:
+        if other.owner not in posed or other.asked or math.isinf(other.prior[1]):
+            return other
+        return replace(other, prior=(other.prior[0], _HELD * other.prior[1]))
+
+    return Unknowns(tuple(map(held, model.unknowns)), tuple(map(held, model.considered)))
 
 
 def _solved(
