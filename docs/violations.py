@@ -220,7 +220,7 @@ def of_table() -> list[Violation]:
         value = f'"{row.typical!r} {row.unit}"'
         if symbol in OWN_TERMS:
             world = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
-            if symbol.endswith(".temperature"):
+            if ".temperature" in symbol:
                 size += ", 1 K not recorded"
                 world |= WARMING
             rows.append(Violation(symbol, size, symbol, world))

@@ -562,6 +562,7 @@ def under_conditions(*changes):
         ("K_F.trend", 2e-8, "g/s"),
         ("K_F.temperature", 3e-5, "g/K"),
         ("K_I.temperature", -1e-3, "g/g/K"),
+        ("K_F.temperature.2", 3e-5, "g/K^2"),
         ("K_II.temperature", 2e-6, "g/g^2/K"),
     ],
 )

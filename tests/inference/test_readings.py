@@ -221,6 +221,8 @@ TILT = [considered(f"centrifuge.axis_tilt.{axis}", U_TURN) for axis in ("east", 
 SLOPES = {
     "K_F.temperature": 5e-6,
     "K_I.temperature": 1e-5,
+    "K_F.temperature.2": 1e-6,
+    "K_I.temperature.3": 1e-6,
     "K_II.temperature": 1e-8,
     "K_F.trend": 2e-9,
 }

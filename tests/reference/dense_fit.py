@@ -167,11 +167,16 @@ def indicated(own, a_ipo, more):
 
 def conditions(own, warmth, begins, force):
     """What temperature, time and the size of the force add to coefficients."""
+
+    def warmed(symbol):
+        powers = ((1, ""), (2, ".2"), (3, ".3"))
+        return sum(own.get(f"{symbol}.temperature{end}", 0.0) * warmth**n for n, end in powers)
+
     return {
-        "K_F": own.get("K_F.temperature", 0.0) * warmth
+        "K_F": warmed("K_F")
         + own.get("K_F.trend", 0.0) * begins
         + own.get("K_F.heating", 0.0) * force**2,
-        "K_I": own.get("K_I.temperature", 0.0) * warmth,
+        "K_I": warmed("K_I"),
         "K_II": own.get("K_II.temperature", 0.0) * warmth,
     }
 

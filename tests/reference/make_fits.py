@@ -49,6 +49,11 @@ OWN = {
     **{"K_F.temperature": 5e-6, "K_I.temperature": 1e-4, "K_II.temperature": 1e-8},
     **{"K_F.trend": 1.7e-9, "K_F.heating": 1e-7},
 }
+#: Beside these where temperatures were taken.
+WARM = {
+    **{"K_F.temperature.2": 5e-8, "K_F.temperature.3": 5e-10},
+    **{"K_I.temperature.2": 1e-6, "K_I.temperature.3": 1e-8},
+}
 PLATFORM = {
     **{f"platform.drift.{e}": 0.01 * DEGREE_PER_HOUR for e in COMPASS},
     **{f"platform.g_sensitivity.{i}{j}": 0.01 * DEGREE_PER_HOUR for i in "xyz" for j in "xyz"},
@@ -295,7 +300,7 @@ def observables(folder):
         **{f"{a}.K_OO": (0.0, 2e-7) for a in names},
         **{f"{r.name}.platform.tilt.{e}": (0.0, 2.0 * ARCSEC) for r in runs for e in COMPASS},
     }
-    unstated = {f"{a}.{s}": v for a in names for s, v in OWN.items()}
+    unstated = {f"{a}.{s}": v for a in names for s, v in (OWN | WARM).items()}
     unstated |= {**PLATFORM, **PATH, **LATITUDE, **DELAY}
     held = {f"{a}.K_PP": (1e-6, 5e-7) for a in names}
     asked.append("platform.drift.north")
@@ -362,7 +367,7 @@ def readings(folder):
         "centrifuge.droop": (1e-7, 2e-8),
     }
     sides = [(m, e) for m in ("in", "out") for e in ("outward", "forward", "up")]
-    unstated = {f"A.{s}": v for s, v in OWN.items()} | AXIS_TILT | LATITUDE
+    unstated = {f"A.{s}": v for s, v in (OWN | WARM).items()} | AXIS_TILT | LATITUDE
     unstated |= {"centrifuge.stretch": 4.6e-9}
     unstated |= {f"fixture.misalignment.{m}.{e}": 5e-5 for m, e in sides}
     asked = ["A.K_F", "A.K_I", "A.K_II", "A.K_III", "A.delta_O"]

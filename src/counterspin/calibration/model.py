@@ -177,7 +177,10 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
         times = {reading.time for reading in campaign.all_readings} - {None}
         return bool(campaign.runs) or any(time != origin.time for time in times)
     warm = {reading.temperature for reading in campaign.all_readings} - {None}
-    of_runs = (run.warmth for run in conditions_of(campaign).values())
+    recorded = any(run.temperature is not None for run in campaign.runs)
+    # Where nobody took temperatures, what a change of 1 K may have done is a slope.
+    assumed_warm = recorded or row.effect.power == 1
+    of_runs = (run.warmth for run in conditions_of(campaign).values() if assumed_warm)
     return any(of_runs) or any(temperature != origin.temperature for temperature in warm)
 
 

@@ -237,7 +237,12 @@ def _is_machine(name: str) -> bool:
 
 
 def expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
-    """Return the terms that a name stands for: itself, or all that begin with it."""
+    """Return the terms that a name stands for: itself, or all that begin with it.
+
+    The slope of a coefficient is one term, whatever goes with a power of the same condition.
+    """
+    if name in CONDITION_TERMS:
+        return tuple(s for s in known if s == name)
     return tuple(s for s in known if s == name or s.startswith(f"{name}."))
 
 

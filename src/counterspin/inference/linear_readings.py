@@ -161,13 +161,9 @@ class Readings:
         return np.array([float(own == name) for own in names or ("",) * self.size])
 
     def lever(self, symbol: str) -> Array:
-        """Return what a slope of a coefficient is multiplied with: K, s or g^2, shape (n,)."""
-        condition = CONDITION_TERMS[symbol].effect.condition
-        if condition == "force":
-            g = self.site.gravity
-            forces = [station.radius * station.rate**2 / g for station in self.stations]
-            return np.asarray(np.square(forces))
-        return self.temperature if condition == "temperature" else self.time
+        """Return what a slope of a coefficient is multiplied with, shape (n,)."""
+        forces = np.array([one.radius * one.rate**2 for one in self.stations]) / self.site.gravity
+        return CONDITION_TERMS[symbol].effect.levers(self.time, self.temperature, forces)
 
 
 class Measured(Protocol):

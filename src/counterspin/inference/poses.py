@@ -226,10 +226,10 @@ def indications_along(
 def _lever(poses: TriadPoses, symbol: str) -> tuple[int, Array] | None:
     """Return of a slope which term changes, and by what it is multiplied; None if it is nothing."""
     slope = CONDITION_TERMS[symbol].effect
-    levers = {"temperature": poses.temperature, "time": poses.time}
-    if slope.condition not in levers:
+    if slope.condition == "force":
         return None
-    return _SYMBOLS.index(slope.coefficient), levers[slope.condition]
+    lever = slope.levers(poses.time, poses.temperature, np.zeros(poses.size))
+    return _SYMBOLS.index(slope.coefficient), lever
 
 
 def _levers(

@@ -93,14 +93,19 @@ class Slope:
     #: ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
     #: campaign) or ``force`` (the square of the centripetal one at the run's rate, g^2).
     condition: str
+    power: int = 1  #: With which power of the condition it grows.
 
     def lever(self, conditions: RunConditions, force: float) -> float:
         """Return what the slope is multiplied with at the start of a run.
 
         force: Centripetal force at the run's rate, g.
         """
-        levers = {"temperature": conditions.warmth, "time": conditions.start, "force": force**2}
-        return levers[self.condition]
+        return float(self.levers(*map(np.asarray, (conditions.start, conditions.warmth, force))))
+
+    def levers(self, start: Array, warmth: Array, force: Array) -> Array:
+        """Return the same for several, given as in `RunConditions`, of one shape."""
+        levers = {"temperature": warmth, "time": start, "force": force**2}
+        return np.asarray(levers[self.condition] ** self.power)
 
 
 @frozen

@@ -54,6 +54,12 @@ _MISALIGNMENT: Final = (
     (0.2, 2e-2, "between ADXL313 and ADXL350: cross-axis sensitivity ±1 % and ±3 %"),
 )
 
+#: HASI's bias has 0.6 µg/K at 293 K and 2.3 µg/K at 100 K: 4e-9 g/K^2.
+_OF_POWER: Final = {
+    2: "order of magnitude, no source: a hundredth of the first power's, per K",
+    3: "order of magnitude, no source: a hundredth of the square's, per K",
+}
+
 _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "K_F": (
         (
@@ -104,6 +110,17 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (1e-2, 1e-4, "as of the grades above and below, which agree"),
         (1e-2, 1e-4, "ADXL313 and ADXL350: ±0.01 %/K"),
     ),
+    **{
+        f"{symbol}.temperature.{n}": tuple(
+            (limit / 100.0 ** (n - 1), typical / 100.0 ** (n - 1), _OF_POWER[n])
+            for limit, typical in sizes
+        )
+        for symbol, sizes in (
+            ("K_F", ((1e-2, 5e-6), (1e-2, 1e-4), (1e-2, 2e-4))),
+            ("K_I", ((1e-2, 1e-4), (1e-2, 1e-4), (1e-2, 1e-4))),
+        )
+        for n in (2, 3)
+    },
     "K_II.temperature": ((1e-5, 1e-8, _NONE), (1e-4, 3e-7, _NONE), (1e-3, 1e-6, _NONE)),
     "K_F.trend": (
         (1e-3, 1.7e-9, "order of magnitude, no source: 0.1 µg/min"),

@@ -136,15 +136,25 @@ def _products() -> Iterator[Term[Product]]:
 
 def _slopes() -> Iterator[Term[Slope]]:
     heating = "rise of K_F with the square of the centripetal force"
+    warming = "change of {} with {}temperature"
+    powers = ((1, ""), (2, "the square of "), (3, "the cube of "))
     for symbol, condition, unit, words in (
-        ("K_F.temperature", "temperature", "g/K", "change of K_F with temperature"),
-        ("K_I.temperature", "temperature", "g/g/K", "change of K_I with temperature"),
-        ("K_II.temperature", "temperature", "g/g^2/K", "change of K_II with temperature"),
+        *(
+            (
+                f"{of}.temperature{f'.{n}' if n > 1 else ''}",
+                "temperature",
+                f"{unit}/K{f'^{n}' if n > 1 else ''}",
+                warming.format(of, power),
+            )
+            for of, unit, degree in (("K_F", "g", 3), ("K_I", "g/g", 3), ("K_II", "g/g^2", 1))
+            for n, power in powers[:degree]
+        ),
         ("K_F.trend", "time", "g/s", "change of K_F with time"),
         ("K_F.heating", "force", "g/g^2", heating),
     ):
         motions = _TURNING if condition == "force" else _EVERYWHERE
-        slope = Slope(symbol.partition(".")[0], condition)
+        power = symbol.rpartition(".")[2]
+        slope = Slope(symbol.partition(".")[0], condition, int(power) if power.isdigit() else 1)
         yield _own(symbol, slope, words, unit, motions=motions)
 
 

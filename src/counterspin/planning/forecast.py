@@ -298,6 +298,8 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
     reference = campaign.reference_temperature or 0.0
     warm = tuple(replace(run, temperature=reference + 1.0) for run in campaign.runs)
     model = model_of(replace(campaign, reference_temperature=reference, runs=warm))
+    # By how much it becomes warmer is assumed, as where nobody takes it: a slope is all it has.
+    model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
     if not considering:
         estimated = tuple(
             Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.unstated)

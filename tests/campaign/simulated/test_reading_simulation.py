@@ -104,6 +104,16 @@ MACHINE = {
         cubic(A_REST) + 3 * 1e-7 * A_REST**2,
         cubic(A_IN) - 2 * 1e-7 * A_IN**2,
     ),
+    "K_F by the square of temperature": (
+        '[truth.A]\n"K_F.temperature.2" = "5e-6 g/K^2"',
+        cubic(A_REST) + 9 * 5e-6,
+        cubic(A_IN) + 4 * 5e-6,
+    ),
+    "K_I by the cube of temperature, in volts": (
+        '[truth.A]\n"K_I.temperature.3" = "4e-4 V/g/K^3"',
+        cubic(A_REST) + 27 * 2e-4 * A_REST,
+        cubic(A_IN) - 8 * 2e-4 * A_IN,
+    ),
     "heating": (
         '[truth.A]\n"K_F.heating" = "1e-7 g/g^2"',
         None,
