@@ -126,6 +126,19 @@ def test_a_table_is_written_as_records_may_be(tmp_path, said):
     assert [reading.value * 1.25 for reading in found] == pytest.approx([1250.5, 0.5, -1249.5])
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "utf-8", "utf-16"])
+def test_words_are_what_they_are_in_every_encoding(tmp_path, encoding):
+    table = "Lage;Winkel;Strom;Temp\n;deg;mA;°C\naußen;0,0;1,25;21,5\nüber Kopf;180,0;-1,25;22\n"
+    (tmp_path / "r.csv").write_bytes(table.encode(encoding))
+    keys = GERMAN_KEYS.replace('encoding = "latin-1"\n', "").replace(
+        'reading = "Strom"', 'reading = "Strom", temperature = "Temp"'
+    )
+    found = read(tmp_path, f'[readings]\nfile = "r.csv"\n{keys}').readings
+    assert [reading.name for reading in found] == ["außen", "über Kopf"]
+    # The row of units is one, temperatures among them, and no reading.
+    assert [reading.temperature for reading in found] == [294.65, 295.15]  # K
+
+
 def test_a_row_of_units_is_compared_with_what_is_said(tmp_path):
     (tmp_path / "r.csv").write_bytes(GERMAN.encode("latin-1"))
     with pytest.raises(CampaignError, match='column "Strom" is in uA by the row of units, but in '):

@@ -191,6 +191,9 @@ class CsvFile(ColumnFile):
         import polars as pl
 
         self._require(self.names)
+        if self._content is None and self._encoding != "utf-8":
+            # Numbers are the same in all, but words are not.
+            self._content = self.content().decode(self._encoding, errors="replace").encode()
         try:
             return self._text(self.names).collect()
         except pl.exceptions.PolarsError:

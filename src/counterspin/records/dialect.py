@@ -70,6 +70,8 @@ _WORDS: Final = {
     "m/s²": "m/s^2",
     "m/s2": "m/s^2",
 }
+#: There is no factor from a temperature in these to one in another unit.
+_TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
 
 
 @frozen
@@ -324,6 +326,8 @@ def bracketed_unit(name: str) -> str:
 
 @lru_cache(maxsize=256)
 def _known_unit(text: str) -> str | None:
+    if text in _TEMPERATURES:
+        return "degC"
     try:
         return check_unit(_WORDS.get(text.lower(), text))
     except ValueError:
