@@ -150,17 +150,17 @@ def solve_readings(
 
     model: What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     """
-    unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
-    bare = _without_unasked(readings, model)
     try:
         return _solved(readings, model, records)
     except NotIdentifiableError:
+        bare = _without_unasked(readings, model)
         set_by_hand = any(group.u is None and any(group.position) for group in readings)
         if not set_by_hand and bare == model:
             raise
     # Where hardly a position is read twice, its error hides the noise, and in few poses terms that
     # nobody asks for do. The residuals show both together, and the noise is taken to be as large as
     # that.
+    unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
     together = _solved(unset, bare, records)
     return _solved(readings, model, records, together)
 
