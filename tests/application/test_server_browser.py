@@ -151,6 +151,22 @@ def test_a_drawing_stands_beside_the_fields_that_it_explains(opened):
     tab.get_by_role("img", name="Double turntable").wait_for()
 
 
+def test_what_was_said_outlives_another_kind_of_test(opened, folder):
+    tab = opened()
+    tab.get_by_label("Folder of the new campaign").fill("mine")
+    records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
+    tab.get_by_label("The recorder's files").set_input_files(records)
+    for question, said in PLACE:
+        tab.get_by_label(question).fill(said)
+    kind = tab.get_by_label("What the files are")
+    kind.select_option("tumble")
+    tab.get_by_label("How far is the platform").wait_for(state="detached")
+    kind.select_option("double-turntable")
+    for question, said in PLACE:
+        tab.get_by_label(question).wait_for()
+        assert tab.get_by_label(question).input_value() == said
+
+
 def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     rows = [
         f"{angle},{1.25 * math.cos(math.radians(angle)) + 0.003:.6f},2e-6"

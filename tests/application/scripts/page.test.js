@@ -4,7 +4,7 @@ import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
 import { commandLine, make, oneAtATime, say, stateMark, symbols, warning } from "./dom.js";
-import { asTable, tipOf } from "./exports.js";
+import { answersTo, asTable, tipOf } from "./exports.js";
 import { knownTo, named, percent, size } from "./improving.js";
 import { follow } from "./job.js";
 import { columnsOf, withPoint } from "./live.js";
@@ -84,6 +84,14 @@ test("a source is named in words with its symbol, and its size is in its own uni
 
 test("a pasted table is lines without empty ones, its tabs and commas as they are", () => {
   assert.equal(asTable("pos\treading\r\n0\t1,25\r\n\r\n30\t1,08\t\n"), "pos\treading\n0\t1,25\n30\t1,08\n");
+});
+
+test("answers are sent to the questions that ask for them, and none is dropped", () => {
+  const question = (/** @type {string} */ key, /** @type {string[]} */ choices = []) => ({ key, text: "", example: "", choices, guess: null });
+  const answers = { gravity: "9.81 m/s^2", radius: "2.5 m", sense: "ccw", time: "t" };
+  assert.deepEqual(answersTo([question("gravity"), question("time", ["s", "none"])], answers), { gravity: "9.81 m/s^2" });
+  assert.deepEqual(answersTo([question("sense", ["ccw", "cw"]), question("radius")], answers), { sense: "ccw", radius: "2.5 m" });
+  assert.equal(Object.keys(answers).length, 4);
 });
 
 test("arrows on the circle begin at up and turn clockwise", () => {

@@ -22,6 +22,8 @@ const ROLES = {
   "poses": { parts: ["time", "X", "Y", "Z"], others: [], blank: "unused" },
 };
 const NONE = "none";
+/** How often files are looked at anew after a change, while that brings up answers given before. */
+const MOST_LOOKS = 4;
 
 /** What begins a campaign from files. */
 export function exportsPart() {
@@ -42,7 +44,7 @@ export function exportsPart() {
     preview?.end();
     place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
     try {
-      const own = preview = new Preview(place, names, () => folder.value, test.value);
+      const own = preview = new Preview(place, names, () => folder.value, test.value, preview?.answers);
       await own.update();
       if (own === preview) test.value = own.test;
     } catch (error) {
@@ -115,6 +117,15 @@ function pastedTable(take) {
 export const asTable = (text) =>
   `${text.split(/\r\n?|\n/).map((line) => line.trimEnd()).filter(Boolean).join("\n")}\n`;
 
+/**
+ * The answers to what is asked; an answer to another kind of test is kept for when it is chosen again.
+ * @param {Question[]} questions
+ * @param {Record<string, string>} answers by the keys of questions
+ */
+export const answersTo = (questions, answers) => Object.fromEntries(questions
+  .filter(({ key, choices }) => key in answers && (!choices.length || choices.includes(answers[key])))
+  .map(({ key }) => [key, answers[key]]));
+
 /** What is in the files, with a field for all that may be answered. */
 class Preview {
   /**
@@ -122,14 +133,19 @@ class Preview {
    * @param {string[]} names of the files
    * @param {() => string} folder of the new campaign
    * @param {string} test its kind; empty: to be guessed
+   * @param {Record<string, string>} answers said already, of the same or another kind of test
    */
-  constructor(place, names, folder, test) {
+  constructor(place, names, folder, test, answers = {}) {
     this.test = test;
     this.place = place;
     this.names = names;
     this.folder = folder;
     /** @type {Record<string, string>} what a person has said, by the keys of questions */
-    this.answers = {};
+    this.answers = answers;
+    /** @type {Record<string, string>} those of them that this kind of test asks for */
+    this.sent = {};
+    /** @type {Question[]} of this kind of test, as far as they are known */
+    this.questions = [];
     /** @type {Map<string, HTMLInputElement|HTMLSelectElement>} kept, so that nothing typed is lost */
     this.fields = new Map();
     this.asked = 0;
@@ -139,7 +155,8 @@ class Preview {
 
   /** What is said of the files so far. */
   said() {
-    return { names: this.names, answers: this.answers, test: this.test || null };
+    this.sent = answersTo(this.questions, this.answers);
+    return { names: this.names, answers: this.sent, test: this.test || null };
   }
 
   /** Show nothing more: another preview has taken the place. */
@@ -155,9 +172,17 @@ class Preview {
   /** Ask what the files show with the answers so far, and show it. */
   async update() {
     const asked = ++this.asked;
-    const told = await send("POST", "draft", this.said());
-    if (asked !== this.asked) return;
-    this.test = told.test;
+    /** @type {any} */
+    let told;
+    // An answer may lead to a question that is answered already.
+    for (let look = 0; look < MOST_LOOKS; look++) {
+      told = await send("POST", "draft", this.said());
+      if (asked !== this.asked) return;
+      this.test = told.test;
+      this.questions = told.questions;
+      const sent = this.sent;
+      if (Object.keys(this.said().answers).every((key) => key in sent)) break;
+    }
     if (!this.drawing.length) this.drawing = [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)];
     this.show(told, told.problems);
   }
@@ -171,7 +196,7 @@ class Preview {
     const questions = new Map(told.questions.map((/** @type {Question} */ one) => [one.key, one]));
     const wrong = new Map(problems.map((line) => {
       const key = [...questions.keys()].find((one) => line.startsWith(`${one}: `)) ?? "";
-      const open = key && !(key in this.answers);
+      const open = key && !(key in this.sent);
       return [key, open ? `Needed, such as ${questions.get(key)?.example}.` : line.slice(key ? key.length + 2 : 0)];
     }));
     const active = /** @type {HTMLElement} */ (document.activeElement);
@@ -203,7 +228,7 @@ class Preview {
     /** @type {Record<string, (Node|null)[]>} */
     const rows = { is: [], unit: [], axis: [], picture: [] };
     for (const { name, extent } of told.columns) {
-      const part = parts.find((one) => (this.answers[one] ?? questions.get(one)?.guess) === name);
+      const part = parts.find((one) => (this.sent[one] ?? questions.get(one)?.guess) === name);
       const own = part ? [null, `${part} unit`, null] : ["is", "unit", "axis"].map((one) => `${name} ${one}`);
       const [unit, axis] = own.slice(1).map((key) => {
         const question = key && questions.get(key);
@@ -236,7 +261,7 @@ class Preview {
    * @param {Map<string, string>} wrong
    */
   kind(name, part, questions, wrong) {
-    const value = part ?? this.answers[`${name} is`] ?? questions.get(`${name} is`)?.guess ?? "";
+    const value = part ?? this.sent[`${name} is`] ?? questions.get(`${name} is`)?.guess ?? "";
     const { parts, others, blank } = this.roles();
     const choices = [...parts, ...others];
     const control = make("select", {
@@ -274,13 +299,14 @@ class Preview {
       : make("input", { placeholder: example, autocomplete: "off", spellcheck: "false" }));
     if (!kept) {
       this.fields.set(key, made);
+      made.value = this.sent[key] ?? "";
       made.addEventListener("change", () => {
         if (made.value.trim()) this.answers[key] = made.value;
         else delete this.answers[key];
         this.changed();
       });
     }
-    if (!(key in this.answers) && made !== document.activeElement) made.value = guess ?? "";
+    if (!(key in this.sent) && made !== document.activeElement) made.value = guess ?? "";
     if (bare) made.setAttribute("aria-label", text);
     return bare ? withMistake(made, wrong.get(key)) : withMistake(labelled(text, made), wrong.get(key), made);
   }
