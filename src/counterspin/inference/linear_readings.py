@@ -403,10 +403,10 @@ def blocks_at(readings: Sequence[Measured], model: Unknowns, estimate: Array) ->
 
 
 def rows_at(
-    readings: Sequence[Readings], model: Unknowns, estimate: Array
+    readings: Sequence[Measured], model: Unknowns, estimate: Array
 ) -> list[tuple[Array, Array]]:
     """Return the rows of `blocks_at`, reading by reading, with unit variance."""
-    parts = [LinearReadings.of(group, model, estimate) for group in readings]
+    parts = [group.linearised(model, estimate) for group in readings]
     return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
 
 

@@ -170,7 +170,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         if math.isnan(reading.value)
     ]
     if campaign.triad is not None and campaign.triad.records:
-        problems.append("a prediction takes poses with readings, not those of a record")
+        problems.append("a prediction takes the poses that a record has, not the record")
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():

@@ -25,6 +25,7 @@ from counterspin.planning.predicted import result_of
 from counterspin.planning.readings.reading_plan import plan_readings
 from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.recorded.from_records import from_records, lacks
+from counterspin.planning.recorded.told_poses import with_told_poses
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
@@ -238,7 +239,7 @@ def check(
     CampaignError
         If the description is wrong, or does not say what a forecast needs.
     """
-    campaign = read_campaign(where)
+    campaign = with_told_poses(read_campaign(where))
     lacking = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:
         lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}

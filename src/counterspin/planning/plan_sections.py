@@ -170,11 +170,17 @@ class ReadingPlanDocument(SettingsSection):
         "how the files of `runs` will be read, as in a campaign", {}, None
     )
     noise: dict[str, Any] | None = described("of the records of `runs`, as in a campaign", {}, None)
+    triad: dict[str, Any] | None = described(
+        "three accelerometers of one sensor, as in a campaign", {}, None
+    )
     runs: list[Any] = described(
         "records and readings that are taken in any case, as in a campaign",
         [],
         absent="none",
         default_factory=list,
+    )
+    readings: dict[str, Any] | None = described(
+        "a table of readings that are taken in any case, as in a campaign", {}, None
     )
     stations: list[Any] = described("readings that may be taken", [{}], min_length=1)
     limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
@@ -195,6 +201,16 @@ class StationsSettings(SettingsSection):
         "in place of `positions`: a list, as in [campaigns](readings.md#keys)",
         ["level", "90 deg about east"],
         None,
+    )
+    attitude: Literal["unknown"] | None = described(
+        "[poses](poses.md#which-poses-next) of a triad, set by hand", "unknown", None
+    )
+    up: Annotated[list[Text], Field(min_length=1)] | None = described(
+        "of poses: the axes that point up, those with a minus down; where there are several, all "
+        "of them equally",
+        ["X", "-X", "Y - Z"],
+        None,
+        absent="each axis, every two and every three of them: 26",
     )
     about: Text = described("the axis about which they turn", "east", "north")
     u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = described(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -16,6 +16,7 @@ from counterspin.calibration.model import assumed
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
+from counterspin.campaign.readings import Reading
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.what_if import what_if
@@ -210,7 +211,24 @@ def planned_readings(campaign: Campaign) -> list[PlannedReading]:
             time=reading.time,
         )
         for reading in campaign.readings
-    ]
+    ] + [_planned_pose(pose) for pose in (campaign.triad.poses if campaign.triad else ())]
+
+
+def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
+    """Return a pose of a triad, which is one reading of all three."""
+    values = np.array([reading.value for reading in pose])
+    parts = zip(pose, values / np.linalg.norm(values), strict=True)
+    return PlannedReading(
+        name=pose[0].name,
+        accelerometer=", ".join(reading.accelerometer for reading in pose),
+        motion=pose[0].motion,
+        mounting="",
+        rate=0.0,
+        specific_force=0.0,
+        axes="up: " + ", ".join(f"{r.accelerometer} {part:+.2f}" for r, part in parts),
+        u=max(reading.u or 0.0 for reading in pose),
+        time=pose[0].time,
+    )
 
 
 def _direction(axis: Array, names: Mapping[str, tuple[float, float, float]]) -> str:

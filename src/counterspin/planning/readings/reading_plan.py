@@ -14,9 +14,11 @@ from counterspin.calibration.model import model_of
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import MOST_READINGS
+from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.linear_readings import rows_at
+from counterspin.inference.linear_readings import Readings, rows_at
+from counterspin.inference.poses import TriadPoses
 from counterspin.planning.design import Criterion
 from counterspin.planning.feasibility import missed, not_determined
 from counterspin.planning.forecast import Forecast, expected_values, forecast
@@ -128,15 +130,22 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
     model = model_of(campaign)
     expected = expected_values(campaign, model.unknowns)
     names = [reading.name for reading in described.possible]
-    groups = groups_of(campaign, [r for r in campaign.readings if r.name in names])
     accelerometers = list(campaign.accelerometers)
+    readings = [r for r in campaign.readings if r.name in names]
+    poses = campaign.triad.poses if campaign.triad else ()
+    poses = tuple(pose for pose in poses if pose[0].name in names)
+    groups: list[Readings | TriadPoses] = [
+        *groups_of(campaign, readings),
+        *poses_together(campaign, poses),
+    ]
     p, q = len(model.unknowns), len(model.considered)
     taken, taken_fixed = _taken(described, model, expected)
     design = np.zeros((len(names), len(accelerometers), p))
     fixed = np.zeros((len(names), len(accelerometers), q))
     for group, (own, others) in zip(groups, rows_at(groups, model, expected), strict=True):
         places = [names.index(name) for name in group.names]
-        row = accelerometers.index(group.accelerometer)
+        # All three accelerometers of a pose together tell one thing.
+        row = 0 if isinstance(group, TriadPoses) else accelerometers.index(group.accelerometer)
         design[places, row], fixed[places, row] = own, others
     return (
         Possibilities(
@@ -170,7 +179,10 @@ def _taken(described: ReadingPlan, model: Unknowns, expected: Array) -> tuple[Ar
 def _new_of(described: ReadingPlan, campaign: Campaign) -> Campaign:
     """Return a planned campaign with the readings alone that are still to be taken."""
     before = len(described.campaign_as_it_is().readings)
-    return replace(campaign, readings=campaign.readings[before:])
+    triad = campaign.triad
+    if triad is not None:
+        triad = replace(triad, poses=triad.poses[len(described.poses) :])
+    return replace(campaign, readings=campaign.readings[before:], triad=triad)
 
 
 def _forecast_of(described: ReadingPlan, readings: Sequence[PossibleReading]) -> Forecast:

@@ -9,15 +9,20 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems
+from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.campaign.readings import BLANK
+from counterspin.campaign.readings import BLANK, Reading
+from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.inference.poses import indications_along
 from counterspin.planning.plan_file import Goal, load_plan, plan_name, resolve_goal
 from counterspin.planning.plan_sections import (
     GoalSettings,
@@ -25,6 +30,7 @@ from counterspin.planning.plan_sections import (
     ReadingPlanDocument,
     StationsSettings,
 )
+from counterspin.planning.recorded.told_poses import with_told_poses
 
 #: Most possible readings: what an exchange of one for another would gain is asked of all pairs.
 _MOST_POSSIBLE: Final = 3600
@@ -36,6 +42,8 @@ class PossibleReading:
 
     run: Mapping[str, Any]  #: As [[runs]] has it, its values blank.
     time: float  #: That it takes, s.
+    #: Of a pose: accelerometer -> 1 where its input axis points up, -1 where it points down.
+    up: Mapping[str, float] | None = None
 
     @property
     def name(self) -> str:
@@ -53,6 +61,7 @@ class ReadingPlan:
     sampling_rate: float | None  #: Of the records among them, Hz; None where there is none.
     stand_in: Campaign  #: The campaign with what it has, and each possible reading once.
     possible: tuple[PossibleReading, ...]  #: The possible readings.
+    poses: tuple[tuple[Reading, ...], ...]  #: Those that it has already, with their u.
     #: Most of them, and s; infinite where there is no such limit.
     readings: float
     total_time: float
@@ -64,11 +73,9 @@ class ReadingPlan:
     ) -> dict[str, Any]:
         """Return the document of the campaign with readings in this order."""
         timed = any(reading.time > 0.0 for reading in chosen)
-        digits, now, runs = len(str(len(chosen))), 0.0, []
-        for index, reading in enumerate(chosen):
-            run = _with_value(reading.run, value) | {
-                "name": f"{index + 1:0{digits}d} {reading.name}"
-            }
+        now, runs = 0.0, []
+        for name, reading in zip(_numbered(chosen), chosen, strict=True):
+            run = _with_value(reading.run, value) | {"name": name}
             if timed:
                 # The time in the middle of the reading, from the start of the first.
                 run["time"] = f"{round(now + 0.5 * reading.time, 6)!r} s"
@@ -80,7 +87,8 @@ class ReadingPlan:
         """Return the campaign with what it has already, of the same model."""
         names = {reading.name for reading in self.possible}
         there = tuple(r for r in self.stand_in.readings if r.name not in names)
-        return replace(self.stand_in, readings=there)
+        triad = self.stand_in.triad and replace(self.stand_in.triad, poses=self.poses)
+        return replace(self.stand_in, readings=there, triad=triad)
 
     def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
         """Return the campaign with readings in this order, their values zero."""
@@ -89,7 +97,37 @@ class ReadingPlan:
         campaign = resolve_campaign(document, self.path, problems)
         if campaign is None:
             raise CampaignError(str(self.path), problems.lines)
-        return campaign
+        if campaign.triad is None:
+            return campaign
+        planned = _pointed(campaign, dict(zip(_numbered(chosen), chosen, strict=True)))
+        triad = replace(campaign.triad, poses=(*self.poses, *planned), records=())
+        return replace(campaign, triad=triad)
+
+
+def _numbered(chosen: Sequence[PossibleReading]) -> list[str]:
+    digits = len(str(len(chosen)))
+    return [f"{index:0{digits}d} {reading.name}" for index, reading in enumerate(chosen, start=1)]
+
+
+def _pointed(
+    campaign: Campaign, planned: Mapping[str, PossibleReading]
+) -> tuple[tuple[Reading, ...], ...]:
+    """Return the poses that are planned, by the names of their runs, as they will be read."""
+    assert campaign.triad is not None
+    poses = [pose for pose in campaign.triad.poses if pose[0].name in planned]
+    if not poses:
+        return ()
+    ups = [planned[pose[0].name].up or {} for pose in poses]
+    up = np.array([[own.get(r.accelerometer, 0.0) for r in poses[0]] for own in ups])
+    along = up @ np.array([reading.axes.input_axis for reading in poses[0]])
+    own = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
+    known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in own]
+    unit = along / np.linalg.norm(along, axis=1)[:, None]
+    values = indications_along(one_group(campaign, poses), known, unit).tolist()
+    return tuple(
+        tuple(replace(reading, value=value) for reading, value in zip(pose, row, strict=True))
+        for pose, row in zip(poses, values, strict=True)
+    )
 
 
 def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
@@ -137,6 +175,12 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
         # One line for what is wrong with every reading alike.
         lines = (_at_stations(line, len(taken)) for line in inside.lines)
         problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
+    poses: tuple[tuple[Reading, ...], ...] = ()
+    if campaign is not None and campaign.triad is not None:
+        campaign, poses = _with_poses(campaign, possible)
+        # How many poses there are decides what is asked for; here the fewest count as enough.
+        model = {"terms": list(campaign.model.terms), **_table(raw, "model")}
+        document = {**document, "model": model}
     sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
         problems.add(("limits",), "give readings or total_time")
@@ -153,11 +197,26 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
         limits.sampling_rate,
         campaign,
         tuple(possible),
+        poses,
         float(limits.readings or math.inf),
         limits.total_time or math.inf,
         limits.order,
         sought,
     )
+
+
+def _with_poses(
+    campaign: Campaign, possible: Sequence[PossibleReading]
+) -> tuple[Campaign, tuple[tuple[Reading, ...], ...]]:
+    """Return a stand-in campaign with the values of possible poses; and those taken already."""
+    assert campaign.triad is not None
+    planned = {reading.name: reading for reading in possible}
+    pointed = _pointed(campaign, planned)
+    there = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
+    told = with_told_poses(replace(campaign, triad=replace(campaign.triad, poses=there)))
+    assert told.triad is not None
+    triad = replace(told.triad, poses=(*told.triad.poses, *pointed))
+    return replace(campaign, triad=triad), told.triad.poses
 
 
 def _at_stations(line: str, taken: int) -> str:
@@ -182,10 +241,12 @@ def _possible(
     problems: Problems,
 ) -> list[PossibleReading]:
     """Return the readings that an entry of [[stations]] stands for."""
+    if settings.attitude is not None:
+        names = _table(raw, "triad").get("accelerometers") or names
     sizes = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
     values = {name: f"{BLANK} ± {u}" for name, u in sizes.items()}
     shared: dict[str, Any] = {"motion": settings.motion}
-    shared |= {key: entry[key] for key in ("axes", "mounting") if key in entry}
+    shared |= {key: entry[key] for key in ("attitude", "axes", "mounting") if key in entry}
     reading: Any = next(iter(values.values())) if len(values) == 1 else values
     before = len(problems.lines)
     static = settings.motion == "static"
@@ -195,6 +256,14 @@ def _possible(
         problems.add(path, "give one of rates and specific_forces")
     if settings.positions is not None and settings.attitudes is not None:
         problems.add(path, "give one of positions and attitudes")
+    if settings.attitude is None and settings.up is not None:
+        problems.add((*path, "up"), 'is of poses; write attitude = "unknown"')
+    if settings.attitude is not None:
+        if not static or settings.positions is not None or settings.attitudes is not None:
+            problems.add((*path, "attitude"), "is of poses at rest: no rate, no position")
+        if len(problems.lines) == before:
+            return _poses(settings, {**shared, "reading": reading}, raw, path, problems)
+        return []
     if len(problems.lines) > before:
         return []
     made = _attitudes(settings) if static else _rates(settings, raw)
@@ -210,6 +279,54 @@ def _possible(
         )
         for name, own in made
     ]
+
+
+def _poses(
+    settings: StationsSettings,
+    shared: Mapping[str, Any],
+    raw: Mapping[str, Any],
+    path: KeyPath,
+    problems: Problems,
+) -> list[PossibleReading]:
+    """Return the poses that an entry of [[stations]] stands for."""
+    names = _table(raw, "triad").get("accelerometers")
+    if not isinstance(names, list):
+        problems.add((*path, "attitude"), 'is "unknown", which takes [triad]')
+        return []
+    signs = [one for one in product((1.0, -1.0, 0.0), repeat=len(names)) if any(one)]
+    ups = [dict(zip(names, one, strict=True)) for one in signs]
+    # One axis, then two, then all three.
+    ups.sort(key=lambda up: sum(map(abs, up.values())))
+    if settings.up is not None:
+        read = [
+            problems.attempt((*path, "up", place), _up, words, names)
+            for place, words in enumerate(settings.up)
+        ]
+        ups = [up for up in read if up is not None]
+    made = []
+    for up in ups:
+        words = " ".join(f"{'-' if sign < 0.0 else '+'}{name}" for name, sign in up.items() if sign)
+        run = {"name": " ".join(filter(None, (settings.name, words, "up"))), **shared}
+        made.append(PossibleReading(run, settings.time, up))
+    return made
+
+
+def _up(text: str, names: Sequence[str]) -> dict[str, float]:
+    """Return accelerometer -> 1 or -1 of words such as "X - Y"."""
+    up, sign = {}, 1.0
+    for part in re.findall(r"[+-]|[^\s+-]\S*", text):
+        if part in "+-":
+            sign = -1.0 if part == "-" else 1.0
+        elif part in up:
+            raise ValueError(f'"{part}" is there twice')
+        elif part not in names:
+            said = did_you_mean(part, names)
+            raise ValueError(f'"{part}" is no accelerometer of the triad{said}')
+        else:
+            up[part], sign = sign, 1.0
+    if not up:
+        raise ValueError("names no accelerometer")
+    return up
 
 
 def _attitudes(settings: StationsSettings) -> Iterator[tuple[str, dict[str, Any]]]:
