@@ -24,6 +24,11 @@ Counts = npt.NDArray[np.int64]
 _GAIN: Final = 1e-9
 _EXCHANGES: Final = 400
 
+#: Of at most so many possible readings the search begins from so many drawn numbers too.
+_FEW: Final = 60
+_DRAWN: Final = 6
+_SEED: Final = 1
+
 #: Added to the scaled information, so that readings that do not determine all unknowns have a
 #: large uncertainty and no infinite one.
 _RIDGE: Final = 1e-12
@@ -103,10 +108,39 @@ def best_counts(
     number, time: Largest sum of the numbers and of their times, s; one of them finite.
     """
     weight, bound = possible.relaxed(criterion, number, time)
-    counts = np.floor(weight + 1e-6).astype(np.int64)
-    for index in np.argsort(counts - weight, kind="stable"):
-        if _within(possible, counts, index, number, time):
-            counts[index] += 1
+    ends = [
+        _exchanged(possible, criterion, start, number, time)
+        for start in _starts(possible, weight, number, time)
+    ]
+    value, counts = min(ends, key=lambda end: end[0])
+    return Chosen(counts, value, min(bound, value))
+
+
+def _starts(possible: Possibilities, weight: Array, number: float, time: float) -> list[Counts]:
+    """Return numbers from which to exchange: some ends are worse than others.
+
+    weight: The numbers that need not be whole, shape (n,).
+    """
+    whole = np.floor(weight + 1e-6).astype(np.int64)
+    rng = np.random.default_rng(_SEED)
+    # Rounded; nothing, to which the best is added one by one; and drawn about the first.
+    starts = [whole.copy(), np.zeros_like(whole)]
+    starts += [whole.copy() for _ in range(_DRAWN if weight.size <= _FEW else 0)]
+    for place, counts in enumerate(starts):
+        if place == 1:
+            continue
+        lacks = weight - whole
+        first = lacks if place == 0 else lacks + rng.uniform(size=weight.size)
+        for index in np.argsort(-first, kind="stable"):
+            if _within(possible, counts, index, number, time):
+                counts[index] += 1
+    return starts
+
+
+def _exchanged(
+    possible: Possibilities, criterion: Criterion, counts: Counts, number: float, time: float
+) -> tuple[float, Counts]:
+    """Return the criterion and the numbers where no exchange of one reading gains any more."""
     value = float(possible.value(criterion, counts))
     for _ in range(_EXCHANGES):
         found: tuple[float, Counts] | None = None
@@ -118,7 +152,7 @@ def best_counts(
         if found is None or not found[0] < value - _GAIN:
             break
         value, counts = found
-    return Chosen(counts, value, min(bound, value))
+    return value, counts
 
 
 def _within(
