@@ -124,6 +124,10 @@ SLIPS = {
         HEAD + '[model]\nassume = "all"\nterms = ["K_F"]\nhold = ["head.zero"]\n' + RUN,
         '"head.zero" is held, but there is no prior for it',
     ),
+    "a head of no angle": (
+        HEAD + RUN.replace("30 ± 0.001 deg about north", "level") + 'head = "30 deg"\n',
+        'runs[0].head: turns about an axis: write attitude = "30 deg about north"',
+    ),
     "no temperature": (
         HEAD + RUN + 'temperature = "warm"\n',
         "runs[0].temperature: 'warm' is not a temperature",

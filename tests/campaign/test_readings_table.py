@@ -80,6 +80,14 @@ def test_the_head_scatters_from_position_to_position(tmp_path):
     assert reading.head == (0.0, 1.0, 0.0)
 
 
+def test_a_column_says_what_the_head_shows_where_it_is_not_the_attitude(tmp_path):
+    keys = SIMPLE.replace("reading", 'head = "shown", reading')
+    first, second = of_csv(tmp_path, "angle,shown,mA\n30,120,1\n60,,1\n", keys)
+    assert first.head_angle == pytest.approx(math.radians(120.0))
+    assert second.head_angle == pytest.approx(math.radians(60.0))
+    assert first.head == second.head == (0.0, 1.0, 0.0)
+
+
 def test_times_may_be_dates(tmp_path):
     keys = 'columns = { attitude = "angle", reading = "mA", time = "when" }'
     table = "angle,mA,when\n0,1.25,2024-05-01 10:00:00\n90,0,2024-05-01 10:02:30.5\n"

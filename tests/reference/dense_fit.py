@@ -121,6 +121,7 @@ class Reading:
     mounting: str = ""
     head: tuple = (0.0, 0.0, 0.0)  #: axis of the dividing head
     u_head: float = 0.0
+    head_angle: float = 0.0  #: what the head shows, rad
     warmth: float = 0.0
     begins: float = 0.0
     value: float = 0.0
@@ -311,6 +312,10 @@ def reading(place, one, name, x):
         force = np.array([[0.0, 0.0, g]])
         turn = turn + x.get("head.zero", 0.0) * np.array(one.head)
         turn = turn + x.get("head of " + one.name, 0.0) * np.array(one.head)
+        for n in (1, 2):
+            for quadrature, wave in (("cos", np.cos), ("sin", np.sin)):
+                size = x.get(f"head.harmonic.{n}.{quadrature}", 0.0)
+                turn = turn + size * wave(n * one.head_angle) * np.array(one.head)
         names = ("east", "north", "up")
         lever = 0.0
     else:

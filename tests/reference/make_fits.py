@@ -337,13 +337,14 @@ def readings(folder):
     truth = {
         **{"A.K_F": 2.1e-3, "A.K_I": 1.0008, "A.K_II": 1.6e-5, "A.K_III": 2e-6, "A.delta_O": 3e-4},
         **{"A.K_PP": -7e-7, "A.K_IP": 1.2e-6, "A.K_F.temperature": 2.4e-6, "head.zero": 1.5e-5},
+        **{"head.harmonic.1.sin": -3e-6, "head.harmonic.2.cos": 9e-6},
         **{"centrifuge.radius.in": 1.2e-4, "centrifuge.stretch": 4e-9, "centrifuge.droop": 1.1e-7},
         "fixture.misalignment.out.forward": 4e-5,
     }
     at_rest, on_arm = [], []
     for k in range(15):
         axes = rotated(instrument.axes(), math.radians(24.0 * k), np.array(AXES["north"]))
-        head = {"head": AXES["north"], "u_head": 3.0 * ARCSEC}
+        head = {"head": AXES["north"], "u_head": 3.0 * ARCSEC, "head_angle": math.radians(24.0 * k)}
         when = {"warmth": (-0.4, 0.2, 0.5)[k % 3], "begins": 120.0 * k}
         at_rest.append(Reading(f"{24 * k} deg", "static", axes, **head, **when, u=2.5e-6))
     for k, rate in enumerate((5.0, 5.0, -9.0, -9.0, 13.0, 13.0, -16.0, 16.0)):
@@ -364,11 +365,12 @@ def readings(folder):
     stated = {
         **{"site.gravity": (0.0, 3e-5), "A.K_PP": (0.0, 1e-6), "head.zero": (0.0, 4.0 * ARCSEC)},
         **{"centrifuge.radius": (0.0, 5e-4), "centrifuge.radius.in": (0.0, 2e-4)},
-        "centrifuge.droop": (1e-7, 2e-8),
+        **{"centrifuge.droop": (1e-7, 2e-8), "head.harmonic.1.sin": (0.0, ARCSEC)},
     }
     sides = [(m, e) for m in ("in", "out") for e in ("outward", "forward", "up")]
     unstated = {f"A.{s}": v for s, v in (OWN | WARM).items()} | AXIS_TILT | LATITUDE
     unstated |= {"centrifuge.stretch": 4.6e-9}
+    unstated |= {f"head.harmonic.{n}": 1e-5 for n in ("1.cos", "2.cos", "2.sin")}
     unstated |= {f"fixture.misalignment.{m}.{e}": 5e-5 for m, e in sides}
     asked = ["A.K_F", "A.K_I", "A.K_II", "A.K_III", "A.delta_O"]
     held = {"A.K_F.temperature": (2e-6, 1e-6)}

@@ -106,6 +106,7 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         mountings=tuple(r.mounting for r in readings),
         head=np.array([r.head for r in readings]),
         u_head=np.array([r.u_head for r in readings]),
+        head_angle=np.array([r.head_angle for r in readings]),
         value=np.array([r.value for r in readings]),
         u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
         temperature=np.array(

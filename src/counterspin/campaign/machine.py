@@ -40,6 +40,9 @@ _AXES: Final = {
 #: What the setting errors of all positions begin with.
 POSITION: Final = "fixture.position"
 
+#: What the errors of a dividing head begin with that go with its angle.
+HEAD_WAVES: Final = "head.harmonic."
+
 #: What is estimated of readings where [model] names no terms: at rest, and on a machine.
 _TERMS_AT_REST: Final = ["K_F", "K_I"]
 _TERMS_ON_A_MACHINE: Final = [*_TERMS_AT_REST, "K_II"]
@@ -210,9 +213,12 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
     motions = {str(reading.motion) for reading in readings}
     motions |= {"counter-rotating"} if recorded else set()
     mountings = dict.fromkeys((r.mounting, r.motion) for r in readings if r.mounting)
+    shown = {round(r.head_angle, 9) for r in readings if any(r.head) and r.motion == "static"}
     symbols: dict[str, None] = {}
     for row in READING_TERMS.values():
         if not motions & set(row.motions):
+            continue
+        if row.symbol.startswith(HEAD_WAVES) and len(shown) < 2:
             continue
         if row.scope == "position":
             positions = dict.fromkeys(r.position for r in readings if r.position)

@@ -99,6 +99,13 @@ class ReadingRunSettings(SettingsSection):
         None,
         absent="level",
     )
+    head: Annotated[float, read_exactly("rad")] | None = described(
+        "what the dividing head shows, where that is not the angle of the attitude: the instrument "
+        "is mounted on it otherwise",
+        "120 deg",
+        None,
+        absent="the angle of the attitude",
+    )
     axes: ReadingAxes | None = described(
         "`input` and `pendulous` in the frame of the motion, in place of an attitude",
         {"input": "inward", "pendulous": "up"},
@@ -161,6 +168,7 @@ class Reading:
     #: Name of the position at rest, the same for all that are set alike; empty where errors of
     #: setting it are no matter.
     position: str = ""
+    head_angle: float = 0.0  #: What the dividing head shows, rad; 0 without one.
 
 
 def is_reading(raw: object) -> bool:
@@ -267,7 +275,7 @@ def resolve_reading(
         axes = problems.attempt(path, _axes, settings, mountings[name], attitude)
         if read is None or axes is None or attitude is None:
             continue
-        rows, head, u_head = attitude
+        rows, head, u_head, angle = attitude
         readings.append(
             Reading(
                 name=settings.name,
@@ -280,6 +288,7 @@ def resolve_reading(
                 u=read.u,
                 head=head,
                 u_head=u_head,
+                head_angle=angle if settings.head is None else settings.head,
                 temperature=settings.temperature,
                 time=settings.time,
                 record=folder / settings.record if settings.record else None,
@@ -325,6 +334,11 @@ def _check_station(settings: ReadingRunSettings, path: KeyPath, problems: Proble
         problems.add((*path, "rate"), f"is missing: a run with motion {settings.motion} turns")
     if settings.motion == "static" and settings.attitude is None and settings.axes is None:
         problems.add((*path, "attitude"), "is missing: a reading at rest needs its position")
+    turned = isinstance(settings.attitude, str) and TURN_WORDS.fullmatch(settings.attitude.strip())
+    if settings.head is not None and (settings.motion != "static" or not turned):
+        problems.add(
+            (*path, "head"), 'turns about an axis: write attitude = "30 deg about north", or alike'
+        )
 
 
 def _duration(settings: ReadingRunSettings, path: KeyPath, problems: Problems) -> float | None:
@@ -375,22 +389,25 @@ def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Valu
     return _Value(mean, None, len(texts), scatter, in_si, last / abs(size))
 
 
-def _attitude(value: Any) -> tuple[Array, tuple[float, float, float], float]:
-    """Return an attitude, the axis of the head that made it, and the angle's uncertainty."""
+#: Rows of an attitude; axis of the head that made it, and its angle's uncertainty and value.
+_Attitude = tuple[Array, tuple[float, float, float], float, float]
+
+
+def _attitude(value: Any) -> _Attitude:
+    """Return an attitude, with a head of no axis where none made it."""
     match = TURN_WORDS.fullmatch(value.strip()) if isinstance(value, str) else None
     if match is None:
-        return attitude_rows(value), (0.0, 0.0, 0.0), 0.0
+        return attitude_rows(value), (0.0, 0.0, 0.0), 0.0, 0.0
     turn = parse(match[1], "rad")
     return (
         attitude_rows(f"{turn.value!r} rad about {match[2]}"),
         read_direction(match[2]),
         turn.u,
+        turn.value,
     )
 
 
-def _axes(
-    settings: ReadingRunSettings, mounting: Mounting, attitude: tuple[Array, Any, float] | None
-) -> Mounting:
+def _axes(settings: ReadingRunSettings, mounting: Mounting, attitude: _Attitude | None) -> Mounting:
     """Return the accelerometer's axes in the frame of the motion."""
     if settings.axes is None:
         if settings.motion == "arm":

@@ -41,6 +41,7 @@ _COLUMNS: Final = (
     "motion",
     "rate",
     "attitude",
+    "head",
     "input",
     "pendulous",
     "temperature",
@@ -67,14 +68,14 @@ class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table in place of many [[runs]]."""
 
     columns: dict[str, _Repeats | dict[str, _Repeats]] = described(
-        "`name`, `motion`, `rate`, `attitude`, `input`, `pendulous`, `reading`, `u`, "
+        "`name`, `motion`, `rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
         "`temperature`, `time`, `mounting` -> column",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
     motion: MotionKind = described("of every row, where there is no such column", "arm", "static")
     about: Text = described("the axis of angles in the column `attitude`", "east", "north")
-    attitude_unit: Text = described("of these angles", "arcmin", "deg")
+    attitude_unit: Text = described("of these angles, and of the column `head`", "arcmin", "deg")
     u_attitude: Text | None = described(
         'random standard uncertainty of these angles, such as `"2 arcsec"`',
         "2 arcsec",
@@ -247,6 +248,7 @@ class ReadingsTable:
         """Note columns that are in other units by the table's row of units."""
         stated = {
             self.columns.get("attitude"): self.settings.attitude_unit,
+            self.columns.get("head"): self.settings.attitude_unit,
             self.columns.get("rate"): self.settings.rate_unit,
         }
         for key in ("reading", "u"):
@@ -272,6 +274,9 @@ class ReadingsTable:
 
         run: dict[str, Any] = {"name": _words(cell("name")) or f"reading {index + 1}"}
         motion = run["motion"] = _words(cell("motion")) or settings.motion
+        shown = self._number(cell("head"), (*path, "head"))
+        if shown is not None:
+            run["head"] = f"{shown!r} {settings.attitude_unit}"
         rate = self._number(cell("rate"), (*path, "rate"))
         if rate:
             run["rate"] = f"{rate!r} {settings.rate_unit}"

@@ -81,6 +81,8 @@ class Readings:
     position: tuple[str, ...] = ()
     #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
     in_si: Array | float = 0.0
+    #: What the dividing head shows, rad, shape (n,).
+    head_angle: Array | float = 0.0
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
@@ -100,14 +102,19 @@ class Readings:
     def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
         """Return the readings' stations, moved already, with one more of the machine's terms."""
         return [
-            moved(station, symbol, size, head) if acting else station
-            for station, acting, head in zip(stations, self.acting(symbol), self.head, strict=True)
+            self.moved_one(station, k, symbol, size) if acting else station
+            for k, (station, acting) in enumerate(zip(stations, self.acting(symbol), strict=True))
         ]
+
+    def moved_one(self, station: Station, place: int, symbol: str, size: float) -> Station:
+        """Return the station of one of the readings, with one more of the machine's terms."""
+        angle = float(np.broadcast_to(self.head_angle, self.size)[place])
+        return moved(station, symbol, size, self.head[place], angle)
 
     def turned(self, stations: Sequence[Station], by: Array) -> list[Station]:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
-        every = zip(stations, by.tolist(), self.head, strict=True)
-        return [moved(station, "head.zero", angle, head) for station, angle, head in every]
+        every = enumerate(zip(stations, by.tolist(), strict=True))
+        return [self.moved_one(station, k, "head.zero", size) for k, (station, size) in every]
 
     @property
     def least_noise(self) -> float:
@@ -126,12 +133,15 @@ class Readings:
     def read_again(self) -> tuple[tuple[int, ...], ...]:
         """Places of the readings of each position that was read more than once."""
         same: dict[tuple[object, ...], list[int]] = {}
+        shown = np.broadcast_to(self.head_angle, self.size)
+        waves = np.round(np.stack([np.cos(shown), np.sin(shown)], axis=-1), 9) + 0.0
         for place, (station, mounting) in enumerate(
             zip(self.stations, self.mountings, strict=True)
         ):
             # Where an axis points is known to rounding only.
             axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
-            same.setdefault((axes, station.rate, mounting), []).append(place)
+            key = (axes, station.rate, mounting, *waves[place].tolist())
+            same.setdefault(key, []).append(place)
         return tuple(tuple(places) for places in same.values() if len(places) > 1)
 
     @property
@@ -442,10 +452,10 @@ class _Here:
 
     def both_ways(self, there: Any, symbol: str, step: float) -> tuple[Array, Array]:
         """Return the products where some readings are moved by a step of a term, and back."""
-        heads = self.group.head
+        group = self.group
         more, less = (
             mean_products(
-                [moved(self.stations[k], symbol, size, heads[k]) for k in there], self.group.site
+                [group.moved_one(self.stations[k], k, symbol, size) for k in there], group.site
             )
             for size in (step, -step)
         )

@@ -148,8 +148,12 @@ class PathError:
 class Displacement:
     """Another place or direction of the instrument at a reading."""
 
-    of: str  #: ``radius``, ``droop``, ``misalignment`` or ``zero`` (of the dividing head).
+    #: ``radius``, ``droop``, ``misalignment``, or of the dividing head ``zero`` or ``wave``.
+    of: str
     about: str = ""  #: For a misalignment the axis of the motion's frame about which it turns.
+    #: For a wave n times a turn of the head n, and ``cos`` or ``sin``.
+    harmonic: int = 0
+    quadrature: str = ""
 
 
 @frozen

@@ -158,11 +158,14 @@ def mean_products(stations: Sequence[Station], site: Site) -> Array:
     return means
 
 
-def moved(station: Station, symbol: str, size: float, head: Array) -> Station:
+def moved(
+    station: Station, symbol: str, size: float, head: Array, head_angle: float = 0.0
+) -> Station:
     """Return a station with one of the machine's terms larger by a size.
 
     size: By how much, in the term's unit.
     head: The axis about which the dividing head turns, in the station's frame, shape (3,).
+    head_angle: What the head shows, rad.
     """
     match term(symbol).effect:
         case Displacement("radius"):
@@ -177,8 +180,10 @@ def moved(station: Station, symbol: str, size: float, head: Array) -> Station:
             return replace(station, droop=station.droop + size)
         case Displacement("misalignment", axis):
             return _turned_by(station, size * _axis_of(axis, station.motion))
-        case Displacement("zero"):
-            return _turned_by(station, size * head)
+        case Displacement("zero" | "wave", harmonic=n, quadrature=quadrature):
+            # The zero is a wave of no turns.
+            wave = np.sin if quadrature == "sin" else np.cos
+            return _turned_by(station, size * wave(n * head_angle) * head)
     raise ValueError(f"{symbol} moves no station")
 
 

@@ -78,7 +78,8 @@ class Term(Generic[Does_co]):
     @property
     def family(self) -> str:
         """The symbol without the quadrature of a harmonic."""
-        wave = self.effect.quadrature if isinstance(self.effect, PathError) else ""
+        effect: Effect = self.effect
+        wave = effect.quadrature if isinstance(effect, PathError | Displacement) else ""
         return self.symbol.removesuffix(f".{wave}") if wave else self.symbol
 
     @property
@@ -246,12 +247,17 @@ def _harmonics(
 ) -> Iterator[Term[PathError]]:
     """Yield both quadratures of harmonics; `sizes` are unit, credible and typical size, source."""
     kind = "encoder" if name.startswith("encoder") else "imbalance"
+    for n, quadrature, called in _waves(orders, words):
+        effect = PathError(kind, n, quadrature)
+        yield Term(f"{name}.{n}.{quadrature}", effect, called, *sizes, "machine")
+
+
+def _waves(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]]:
+    """Yield number, quadrature and words of both quadratures of harmonics."""
     times = ("once", "twice", "three times", "four times")
     for n in orders:
         for quadrature, wave in (("cos", "cosine"), ("sin", "sine")):
-            effect = PathError(kind, n, quadrature)
-            called = f"{words.format(times[n - 1])} ({wave})"
-            yield Term(f"{name}.{n}.{quadrature}", effect, called, *sizes, "machine")
+            yield n, quadrature, f"{words.format(times[n - 1])} ({wave})"
 
 
 def _displacements() -> Iterator[Term[Displacement]]:
@@ -291,6 +297,11 @@ def _displacements() -> Iterator[Term[Displacement]]:
         turned = symbol.startswith("fixture.")
         effect = Displacement("misalignment", about) if turned else Displacement(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
+    graduated = (1e-3, 1e-5, f"{_NO_SOURCE}: a head of ±5 arcsec, shared out among its waves")
+    for n, quadrature, called in _waves((1, 2), "error of the dividing head, {} a turn"):
+        effect = Displacement("wave", "", n, quadrature)
+        symbol = f"head.harmonic.{n}.{quadrature}"
+        yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))
 
 
 def _inputs() -> Iterator[Term[Input]]:

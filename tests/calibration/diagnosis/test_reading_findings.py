@@ -275,6 +275,10 @@ def test_few_repeats_beside_a_large_error_of_the_head_are_no_noise_to_explain_aw
     assert blamed <= 2
 
 
+#: Knows the head well, so that no wave of it can take up a drift.
+STATED_HEAD = '[model.priors]\n"head.harmonic" = "0 ± 0.1 arcsec"\n'
+
+
 @pytest.mark.parametrize("count", [12, 24])
 def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, count):
     """The typical size holds it back, and K_F is off by four of its u; no u is stated."""
@@ -282,9 +286,69 @@ def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, c
     for _ in range(6):
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
-        result = calibrated(tmp_path, even(count), values, assume=[], time=True)
+        how = {"assume": [], "time": True, "more": [STATED_HEAD]}
+        result = calibrated(tmp_path, even(count), values, **how)
         assert result.state != "good"
         assert "K_F.trend" in result.findings[0].text or "drift" in result.findings[0].text
+
+
+@pytest.mark.parametrize("count", [12, 24])
+def test_a_drift_that_an_unstated_head_hides_is_in_the_uncertainty(tmp_path, count):
+    """Errors of the head look like most of it: it moves K_F by 1.4 u, and some are noticed."""
+    rng = np.random.default_rng(count)
+    noticed = 0
+    for _ in range(6):
+        values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
+        values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
+        result = calibrated(tmp_path, even(count), values, assume=[], time=True)
+        low, high = result["A.K_F"].interval(0.95)
+        assert low < LEVEL["K_F"] < high
+        noticed += result.state != "good"
+    assert noticed >= 4
+
+
+def turned_head(count, trial, *, again):
+    """Return angles of a head that errs once a turn, and readings of what is mounted on it.
+
+    again: Whether the accelerometer is mounted on the head a second time, a quarter turn on.
+    """
+    rng = np.random.default_rng(trial)
+    shown = np.tile(np.arange(count) * 360.0 / count, 2 if again else 1)
+    mounted = np.repeat([0.0, 90.0], count)[: shown.size]
+    true = np.radians(shown + mounted) + 2e-5 * np.sin(np.radians(shown))
+    values = LEVEL["K_F"] + LEVEL["K_I"] * np.cos(true) + LEVEL["delta_O"] * np.sin(true)
+    return shown, shown + mounted, values + rng.normal(0.0, SIGMA, shown.size)
+
+
+def test_a_head_that_errs_once_a_turn_is_in_the_uncertainty(tmp_path):
+    """4 arcsec look like K_PP to the last digit: 10 ug of K_F, in a closed form."""
+    _, angles, values = turned_head(24, 21, again=False)
+    result = calibrated(tmp_path, angles.tolist(), values, u=SIGMA, assume=[])
+    assert result.state == "good"
+    bias = result["A.K_F"]
+    # The prior takes a part of the 10 ug that noise and other terms leave to it.
+    assert 5e-6 < LEVEL["K_F"] - bias.value < 2.0 * bias.u
+    assert 5e-6 < bias.u < 10e-6
+
+
+def test_a_second_mounting_on_the_head_parts_its_error_from_the_accelerometer(tmp_path):
+    shown, angles, values = turned_head(24, 22, again=True)
+    runs = [
+        at_rest(f"at {k}", f"{angle!r} deg about north", f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA")
+        + f'head = "{head!r} deg"\n'
+        for k, (head, angle, value) in enumerate(
+            zip(shown.tolist(), angles.tolist(), values.tolist(), strict=True)
+        )
+    ]
+    model = f"[model]\nterms = {[*LEVEL, 'head.harmonic.1']}\n".replace("'", '"')
+    text = HEAD + model + "".join(runs)
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    result = calibrate(tmp_path)
+    wave = result["head.harmonic.1.sin"]
+    assert wave.value == pytest.approx(2e-5, abs=4.0 * wave.u)
+    assert wave.u < 2e-6
+    bias = result["A.K_F"]
+    assert bias.value == pytest.approx(LEVEL["K_F"], abs=3.0 * bias.u)
 
 
 def test_good_tumbles_of_which_little_is_stated_have_seldom_a_reading_that_is_off(tmp_path):
