@@ -1,0 +1,49 @@
+"""Poses that are taken already, and state no uncertainty, count in plans by the noise they show."""
+
+import numpy as np
+import pytest
+import triads
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.planning.plan import Planned, check, plan
+
+NOISE = 3e-4
+MORE = """
+[[stations]]
+attitude = "unknown"
+u = "3e-4 g"
+[limits]
+readings = 6
+[goal]
+minimise = ["X.K_F"]
+"""
+
+
+def taken(folder, count, u=None):
+    """Write a campaign of poses at random, with or without their uncertainty."""
+    generator = np.random.default_rng(5)
+    values = triads.indications(triads.directions(count, generator))
+    return triads.table(folder, values + NOISE * generator.standard_normal(values.shape), u)
+
+
+def test_a_forecast_of_poses_that_are_there_is_what_their_calibration_states(tmp_path):
+    folder = taken(tmp_path, 80)
+    stated = calibrate(folder)
+    expected = Planned(check(folder), "").u
+    for name in ("X.K_F", "Y.K_I", "Z.delta_O"):
+        # Students' factor of the noise's 71 degrees of freedom is no part of a forecast.
+        assert expected[name] == pytest.approx(stated[name].u, rel=0.03), name
+
+
+def test_further_poses_are_chosen_for_what_those_that_are_there_leave_open(tmp_path):
+    found = {}
+    for name, u in (("shown", None), ("stated", NOISE)):
+        folder = taken(tmp_path / name, 24, u)
+        file = folder / "campaign.toml"
+        file.write_text(file.read_text(encoding="utf-8") + MORE, encoding="utf-8")
+        found[name] = plan(file)
+    before = Planned(check(taken(tmp_path / "before", 24, NOISE)), "").u["X.K_F"]
+    assert found["stated"].u["X.K_F"] < 0.95 * before
+    # 24 poses beside 9 unknowns tell their noise to 18 %; three times that is not exceeded.
+    assert found["shown"].u["X.K_F"] == pytest.approx(found["stated"].u["X.K_F"], rel=0.55)
+    assert len(found["shown"].result.readings) == 6
