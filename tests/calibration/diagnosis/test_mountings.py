@@ -3,8 +3,11 @@
 import re
 
 import mixed_campaign
+import numpy as np
 import pytest
+import reading_campaigns
 from campaigns import PLACE, campaign_of, changed, runs, write
+from reading_descriptions import at_rest
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.diagnosis.mountings import OtherMounting, better
@@ -120,6 +123,39 @@ def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
     assert wrong.findings == [first]
     explained = {finding.code for finding in first.explains}
     assert {"lack-of-fit", "run-disagrees"} <= explained
+
+
+def test_readings_with_and_without_uncertainty_stay_two_groups(tmp_path):
+    """In the trial both have an uncertainty, and one name; only the first ones tell the bias."""
+    text = """schema = 1
+site = { gravity = "9.80665 m/s^2", latitude = "0.8 rad" }
+[accelerometers.A]
+input_axis = "east"
+pendulous_axis = "up"
+bias = "2.1e-3 ± 1e-6 g"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+[model]
+assume = "all"
+terms = ["K_F", "K_I", "delta_O", "K_IP"]
+[model.priors]
+delta_O = "1e-3 ± 1e-6 rad"
+K_IP = "1e-4 ± 1e-6 g/g^2"
+"""
+    truth = reading_campaigns.TRUTH | {"delta_O": 1e-3, "K_IP": 1e-4, "K_II": 0.0, "K_III": 0.0}
+    stations, sides, head = mixed_campaign.tumble()
+    again = [stations[3]] * 6, sides[:6], head[:6]
+    rng = np.random.default_rng(5)
+    for turns, test, u in (
+        (range(12), (stations, sides, head), " ± 2.5e-6"),
+        ([3] * 6, again, ""),
+    ):
+        read = reading_campaigns.simulated(test, rng, 2e-6, truth=truth).tolist()
+        for turn, value in zip(turns, read, strict=True):
+            name = f"{30 * turn} deg about north"
+            text += at_rest(f"{len(text)}", name, f"{1.25 * value!r}{u} mA")
+    result = calibrate(write(tmp_path, text).parent)
+    found = {(finding.code, finding.subject) for finding in result.findings}
+    assert found == {("wrong-mounting", "A"), ("prior-conflict", "A.K_F")}
 
 
 def other(gain, dof):
