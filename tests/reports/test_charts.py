@@ -1,18 +1,21 @@
 """Pictures as SVG: what is drawn where, and that pages can take it as it is."""
 
+import itertools
 import math
 import os
 import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from counterspin.errors import CounterspinError
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries, Sphere
-from counterspin.reports.chart_layout import date_ticks, shortened, text_width, thinned
+from counterspin.reports.chart_layout import date_ticks, in_lines, shortened, text_width, thinned
 from counterspin.reports.charts import save, svg
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
 
@@ -479,6 +482,32 @@ def test_long_names_are_shortened():
         assert short.endswith("…")
         assert room - 15.0 < text_width(short) <= room
     assert shortened(name, 1e3) == name
+
+
+def test_long_words_of_bars_take_lines_and_all_is_read():
+    name = "error of an eccentric encoder, four times a revolution, encoder.harmonic.4.cos (stated)"
+    for room in (130.0, 226.0):
+        lines = in_lines(name, room).split("\n")
+        assert " ".join(lines) == name
+        assert max(map(text_width, lines)) <= room
+        # No line ends before the next word would go beyond the room.
+        for line, below in itertools.pairwise(lines):
+            assert text_width(f"{line} {below.split()[0]}") > room
+    assert in_lines(name, 1e3) == name
+
+
+def test_no_title_is_cut_that_has_room_in_the_drawing():
+    title = "What the square of u of K_II of the first accelerometer consists of, in all"
+    bars = Bars(title, ("w" * 30,), (1.0,), ("1",))
+    with settings(COLOURS_OF_PAPER):
+        figure = drawn([bars, replace(bars, title="short")], COLOURS_OF_PAPER, titled=True)
+        figure.set_dpi(160)  # as PNG is written
+        figure.canvas.draw()
+    below = figure.axes[1].get_window_extent()
+    ends = {text.get_text(): text.get_window_extent() for text in figure.findobj(Text)}
+    assert ends[title].x0 < below.x0 - 10.0
+    assert ends[title].x1 <= figure.bbox.x1
+    assert ends["short"].x0 == pytest.approx(below.x0, abs=2.0)
 
 
 def luminance(rgb):

@@ -41,12 +41,12 @@ _MOST_YEARS: Final = 15
 
 
 @lru_cache(maxsize=4096)
-def text_width(text: str) -> float:
+def text_width(text: str, weight: str = "normal") -> float:
     """Return the width of words of the common size, in points."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
-    font = FontProperties(size=_FONT_SIZE)
+    font = FontProperties(size=_FONT_SIZE, weight=weight)
     width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
     return float(width)
 
@@ -57,6 +57,18 @@ def shortened(text: str, room: float) -> str:
         return text
     fitting = bisect(range(len(text)), room, key=lambda length: text_width(f"{text[:length]}…"))
     return f"{text[: max(fitting - 1, 0)].rstrip()}…"
+
+
+def in_lines(text: str, room: float) -> str:
+    """Return the words in as many lines as they need, where each has so much room, in points."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".lstrip()
+        if text_width(longer) <= room or not lines[-1]:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return "\n".join(shortened(line, room) for line in lines)
 
 
 def legend_columns(labels: Sequence[str]) -> int:
@@ -75,6 +87,8 @@ class Margins:
     top: float
     bottom: float
     height: float
+    #: Between axes and title.
+    pad: float
 
 
 def margins(
@@ -98,10 +112,9 @@ def margins(
     # The common power of ten stands above the axis.
     offset = bool(axes.yaxis.get_major_formatter().get_offset())
     top += 11.0 if offset and not legend_rows else 0.0
-    if axes.get_title(loc="left"):
-        axes.set_title(axes.get_title(loc="left"), pad=above + (16.0 if offset else 5.0))
-        above += 18.0
-    return Margins(left, right, top + above, bottom, height + above)
+    pad = above + (16.0 if offset else 5.0)
+    above += 18.0 if axes.get_title(loc="left") else 0.0
+    return Margins(left, right, top + above, bottom, height + above, pad)
 
 
 def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
@@ -117,6 +130,10 @@ def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
         axes.set_position(
             (left / WIDTH, (below + room.bottom) / total, width / WIDTH, height / total)
         )
+        if title := axes.get_title(loc="left"):
+            # One wider than its axes begins further left; on whole pixels it is a little wider.
+            start = min(max(width - 1.02 * text_width(title, "bold"), -left), 0.0)
+            axes.set_title(title, pad=room.pad, x=start / width)
         if axes.get_ylabel():
             axes.yaxis.set_label_coords((11.0 - left) / width, 0.5)
 
@@ -174,7 +191,8 @@ def _labels(axis: Any) -> list[str]:
 
 
 def _widest(axis: Any) -> float:
-    return max(map(text_width, _labels(axis)), default=0.0)
+    lines = (line for label in _labels(axis) for line in label.split("\n"))
+    return max(map(text_width, lines), default=0.0)
 
 
 def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:

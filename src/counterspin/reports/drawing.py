@@ -21,6 +21,7 @@ from counterspin.reports.chart_layout import (
     date_ticks,
     decades,
     dots,
+    in_lines,
     legend_columns,
     margins,
     place,
@@ -153,7 +154,8 @@ def drawn(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Fig
 
 def draw(axes: Any, picture: Picture) -> None:
     """Draw a picture with its title on axes of somebody else, within `settings`."""
-    _draw_picture(axes, picture, COLOURS_OF_PAPER, picture.title, None)
+    room = _draw_picture(axes, picture, COLOURS_OF_PAPER, picture.title, None)
+    axes.set_title(picture.title, pad=room.pad)
 
 
 def _draw_picture(
@@ -281,7 +283,8 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     values = values + starts
     largest = float(np.max(np.abs(values), initial=0.0)) or 1.0
     left = 0.45 * WIDTH
-    labels = [shortened(label, left) for label in bars.labels]
+    labels = [in_lines(label, left) for label in bars.labels]
+    widest = max((text_width(line) for label in labels for line in label.split("\n")), default=0.0)
     axes.set_yticks(place, labels)
     axes.tick_params(axis="y", length=0.0)
     axes.set_xticks([])
@@ -299,7 +302,7 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
         )
     # The words at the ends are as wide as they are, so the bars get what is left.
     words = max(map(text_width, bars.texts), default=0.0) + 6.0
-    room = WIDTH - max(map(text_width, labels), default=0.0) - 12.0
+    room = WIDTH - widest - 12.0
     both_ways = bool((values < 0.0).any())
     reach = largest * room / max(room - words * (2.0 if both_ways else 1.0), 0.3 * room)
     axes.set_xlim(-reach if both_ways else 0.0, reach)
@@ -307,7 +310,8 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
         axes.axvline(0.0, color=palette["muted"], linewidth=0.7)
         axes.spines[["left"]].set_visible(False)
     axes.set_title(title)
-    return margins(axes, 6.0 + 17.0 * max(len(labels), 1), right=2.0)
+    row = 17.0 + 11.0 * max((label.count("\n") for label in labels), default=0)
+    return margins(axes, 6.0 + row * max(len(labels), 1), right=2.0)
 
 
 def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -> Margins:

@@ -7,6 +7,7 @@ import pytest
 from results import coefficient, result, trace
 
 from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages.accelerometer import accelerometer_blocks
 from counterspin.calibration.pages.full_report import document
 from counterspin.calibration.pages.pictures import (
     budget_bars,
@@ -286,10 +287,30 @@ def test_budget_and_correlation():
     bars = budget_bars("Qx", found)
     assert bars.stacked
     assert bars.values == pytest.approx((64.0, 36.0))
-    assert bars.labels == ("noise of Qx", "K_I (stated)")
+    assert bars.labels == ("noise of Qx", "scale factor, K_I (stated)")
     assert bars.colours[0] != bars.colours[1]
     assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
     assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("correlation", "rows"),
+    [
+        (0.8999, []),
+        (-0.93, [("bias, K_F", "second-order coefficient, K_II", "-0.9300")]),
+        (1.0 - 1e-7, [("bias, K_F", "second-order coefficient, K_II", "1 - 1e-7")]),
+    ],
+)
+def test_estimates_that_move_together_are_named_in_words(correlation, rows):
+    matrix = [[1.0, correlation], [correlation, 1.0]]
+    kept = result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
+    blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, details=True))
+    told = [block for block in blocks if isinstance(block, Paragraph)][-1].text
+    tables = [block for block in blocks if isinstance(block, Table)]
+    assert told.startswith("Estimates that move together")
+    assert told.endswith("no correlation is beyond 0.9.") == (not rows)
+    found = [table.rows for table in tables if table.columns[0].title == "Estimate"]
+    assert found == ([tuple(rows)] if rows else [])
 
 
 def test_ripple_is_relative_to_the_rate_whichever_way_it_turns():

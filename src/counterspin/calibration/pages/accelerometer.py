@@ -11,7 +11,7 @@ from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.kinds import kind_blocks
 from counterspin.calibration.pages.motions import table_of_tests
 from counterspin.calibration.pages.records import count_blocks, note_blocks
-from counterspin.calibration.pages.uncertainty import dominance, telling
+from counterspin.calibration.pages.uncertainty import dominance, named, telling
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -318,8 +318,18 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
         if abs(matrix[i][j]) >= _STRONG_CORRELATION
     ]
     pairs.sort(key=lambda pair: -abs(pair[2]))
-    text = "; ".join(f"{b} and {a} {_correlation(r)}" for a, b, r in pairs)
-    yield Paragraph(f"Estimates that move together (correlation): {text or 'none beyond 0.9'}.")
+    if not pairs:
+        yield Paragraph("Estimates that move together: no correlation is beyond 0.9.")
+        return
+    yield Paragraph("Estimates that move together, with a correlation beyond 0.9:")
+    yield Table(
+        (
+            Column("Estimate", wraps=True),
+            Column("moves with", wraps=True),
+            Column("Correlation", "right"),
+        ),
+        tuple((named(b), named(a), _correlation(r)) for a, b, r in pairs),
+    )
 
 
 def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:

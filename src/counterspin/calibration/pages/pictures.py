@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.uncertainty import telling
+from counterspin.calibration.pages.uncertainty import named, telling
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
@@ -44,7 +44,8 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
         return None
     unit, factor = field_unit(coefficient.unit)
     labels = [
-        line.source if line.kind == "noise" else f"{line.source} ({line.kind})" for line in lines
+        line.source if line.kind == "noise" else f"{named(line.source)} ({line.kind})"
+        for line in lines
     ]
     colours = [_COLOUR_OF_KIND[line.kind] for line in lines]
     parts = [(line.contribution, line.share) for line in lines]

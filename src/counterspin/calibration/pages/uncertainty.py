@@ -104,10 +104,15 @@ def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     )
 
 
-def in_words(source: str) -> str:
-    """Return a source of uncertainty as a sentence names it: words and symbol."""
+def named(source: str) -> str:
+    """Return a term or source of uncertainty as a table names it: words and symbol."""
     words = words_of(source)
-    return f"the {words}, {source}" if words else source
+    return f"{words}, {source}" if words else source
+
+
+def in_words(source: str) -> str:
+    """Return a term or source of uncertainty as a sentence names it."""
+    return f"the {named(source)}" if words_of(source) else source
 
 
 def largest_part(accelerometer: Answered, symbol: str = "K_II") -> str:
