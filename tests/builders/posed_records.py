@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import triads
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -48,3 +49,25 @@ def posed(
         end=start + (still - 1) * STEP,
         force=force,
     )
+
+
+def campaign(folder, records, more=""):
+    """Write a campaign of records of poses, name -> `Posed`, with the truth of `triads`; in g."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = triads.head('records = { time = { sampling_rate = "100 Hz" } }\n')
+    for place, name in enumerate(triads.NAMES, 1):
+        column = f'specific_force = {{ column = "column {place}", unit = "g" }}\n'
+        text = text.replace(triads.accelerometer(name), triads.accelerometer(name, column))
+    for name, record in records.items():
+        text += f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "unknown"\n'
+        text += f'record = "{name}.log"\n'
+        if record is not None:
+            (folder / f"{name}.log").write_text(log(record), "utf-8")
+    (folder / "campaign.toml").write_text(text + more, "utf-8")
+    return folder
+
+
+def log(record):
+    """Return the lines of a logger, by `triads.indications` of its forces in g."""
+    rows = triads.indications(record.values / 9.81)
+    return "".join(f"{x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in rows.tolist())

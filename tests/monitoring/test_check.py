@@ -2,7 +2,6 @@
 
 import polars as pl
 import pytest
-import triads
 
 import counterspin as cs
 from counterspin.cli import main
@@ -118,18 +117,3 @@ def test_the_command_says_all_of_it(folder, tmp_path, capsys):
     (folder / "slow.csv").write_text("")
     assert main(words) == 1
     assert "should not be kept" in capsys.readouterr().err
-
-
-def test_a_record_of_poses_is_judged_by_calibrating_it(tmp_path):
-    text = triads.head('records = { time = { sampling_rate = "100 Hz" } }\n')
-    for place, name in enumerate("XYZ", 1):
-        table = f'specific_force = {{ column = "column {place}", unit = "g" }}\n'
-        text = text.replace(triads.accelerometer(name), triads.accelerometer(name, table))
-    run = '[[runs]]\nname = "all"\nmotion = "static"\nattitude = "unknown"\nrecord = "imu.log"\n'
-    (tmp_path / "campaign.toml").write_text(text + run)
-    (tmp_path / "imu.log").write_text("1 2 3\n" * 20)
-    for words in ({"run": "all"}, {}):
-        with pytest.raises(CampaignError, match="is a record of poses"):
-            cs.check(tmp_path / "imu.log", tmp_path, **words)
-    with pytest.raises(CampaignError, match="not followed while they are recorded"):
-        next(iter(cs.watch(tmp_path, once=True)))

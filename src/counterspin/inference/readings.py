@@ -342,9 +342,10 @@ def _too_few_poses(group: TriadPoses, solution: Solution, model: Unknowns) -> st
     lacking = [name for name in asked if not determined[name]]
     besides = f" They do not determine {', '.join(lacking)} at all." if lacking else ""
     return (
-        f"{group.accelerometer}: {group.size} poses at unknown attitudes without a stated "
-        f"uncertainty cannot tell their noise beside {len(free)} unknowns of which nothing is "
-        f"known.{besides} Take more poses, spread over all directions, or state the uncertainty."
+        f"{group.accelerometer}: {group.size} pose{'s' * (group.size > 1)} at unknown attitudes "
+        f"without a stated uncertainty cannot tell their noise beside {len(free)} unknowns of "
+        f"which nothing is known.{besides} Take more poses, spread over all directions, or state "
+        "the uncertainty."
     )
 
 

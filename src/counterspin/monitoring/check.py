@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,23 @@ from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.resolved import Run
+from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.frozen import frozen
 from counterspin.monitoring.judging import remarks_of, run_state
-from counterspin.monitoring.observing import Observer, record_name
-from counterspin.monitoring.reaching import Fitted, fitted, reached, shown_names
+from counterspin.monitoring.observing import Observer, Recorded, recorded
+from counterspin.monitoring.poses import poses_state, remarks_of_poses
+from counterspin.monitoring.reaching import (
+    Fitted,
+    fitted,
+    nothing_reached,
+    reached,
+    shown_names,
+)
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded.from_records import as_recorded, noise_of_fit
+from counterspin.planning.recorded.told_poses import with_told_poses
 from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread
@@ -60,32 +71,30 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
         if not file.exists():
             raise RecordError(f"{file}: there is no such file.")
         opener_of(file)  # asked before it matters which run it is
-    run = _meant(campaign, file, name)
-    if file is not None:
-        own = replace(run, record=file)
-        runs = tuple(own if other is run else other for other in campaign.runs)
-        campaign = replace(campaign, runs=runs)
-    else:
-        own = run
-        table: MemoryTable = memory_table(f"{run.name} in memory", record)
-        campaign = replace(campaign, frames={**campaign.frames, run.record: table})
-    state, remarks, good, alone = _by_itself(campaign, own)
-    if alone is None:
+    meant = _meant(campaign, file, name)
+    own = meant if file is None else replace(meant, record=file)
+    if file is None:
+        table: MemoryTable = memory_table(f"{own.name} in memory", record)
+        campaign = replace(campaign, frames={**campaign.frames, own.record: table})
+    campaign = _with_recorded(campaign, lambda run: own if run is meant else run)
+    judged = _by_itself(campaign, own)
+    if judged.fit is None and judged.state.poses is None:
         return CheckedRun(
-            run=state,
-            remarks=remarks,
+            run=judged.state,
+            remarks=judged.remarks,
             good=False,
             others=[],
             reached=[],
             expected=[],
             why_not="the record cannot be used as it stands",
         )
-    others, found = _with_the_others(campaign, own, alone)
-    expected, why_not = _expected(campaign, own, alone)
+    others, found = _with_the_others(campaign, own, judged.fit)
+    expected, why_not = _expected(campaign, own, judged)
     return CheckedRun(
-        run=state,
-        remarks=remarks,
-        good=good,
+        run=judged.state,
+        remarks=judged.remarks,
+        # Poses that are too few by themselves may be enough with others.
+        good=judged.good or (judged.fit is None and any(c.u is not None for c in found)),
         others=others,
         reached=found,
         expected=expected,
@@ -93,14 +102,20 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
     )
 
 
-def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Run:
+def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:
+    """Return a campaign with its runs and records of poses as a function has them, None: not."""
+    runs = tuple(run for run in map(use, campaign.runs) if isinstance(run, Run))
+    triad = campaign.triad
+    if triad is not None:
+        records = tuple(one for one in map(use, triad.records) if isinstance(one, PoseRecord))
+        triad = replace(triad, records=records)
+    return replace(campaign, runs=runs, triad=triad)
+
+
+def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded:
     """Return the run whose record is meant."""
-    by_name = {run.name: run for run in campaign.runs}
-    for posed in campaign.triad.records if campaign.triad else ():
-        its_file = name is None and file is not None and file.name == posed.record.name
-        if name == posed.name or its_file:
-            text = f'"{posed.name}" is a record of poses, which is judged by calibrating it'
-            raise CampaignError("check", [text])
+    every = recorded(campaign)
+    by_name = {run.name: run for run in every}
     if name is not None:
         if name not in by_name:
             raise CampaignError(
@@ -108,89 +123,116 @@ def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Run:
             )
         return by_name[name]
     if file is not None:
-        for run in campaign.runs:
+        for run in every:
             if run.record == file or (run.record.exists() and run.record.samefile(file)):
                 return run
         if file.stem in by_name:
             return by_name[file.stem]
-        for run in campaign.runs:
+        for run in every:
             if run.record.name == file.name:
                 return run
-    if len(campaign.runs) == 1:
-        return campaign.runs[0]
+    if len(every) == 1:
+        return every[0]
     raise CampaignError(
         "`run`", [f"say which run this is, one of: {', '.join(by_name) or 'none has a record'}"]
     )
 
 
-def _by_itself(
-    campaign: Campaign, run: Run
-) -> tuple[RunState, list[str], bool, tuple[ObservedRun, Fitted] | None]:
-    """Return what a run shows by itself, what is odd, whether it is good, and its fit."""
-    part = replace(campaign, runs=(run,), readings=())
-    observer = Observer(part)
+@frozen
+class _Judged:
+    """A record by itself."""
+
+    state: RunState
+    remarks: list[str]
+    good: bool
+    fit: Fitted | None  # None where it cannot be used
+    observed: ObservedRun | None = None  # None of poses
+
+
+def _by_itself(campaign: Campaign, run: Recorded) -> _Judged:
+    """Return what a record shows by itself."""
+    alone = _with_recorded(
+        replace(campaign, readings=()), lambda other: run if other is run else None
+    )
+    if alone.triad is not None:
+        alone = replace(alone, triad=replace(alone.triad, poses=()))
+    observer = Observer(alone)
     observer.look()
     part, observed = observer.present()
-    if not observed:
-        waits, trouble, rows = observer.of(run.name)
-        why = trouble or f"too short: {waits}"
-        state = RunState(
-            run=run.name,
-            record=record_name(run.record, campaign.folder),
-            state="failed",
-            why=why,
-            rows=rows,
-            stated_seconds=run.duration,
-            nominal_rate=run.rate,
-        )
-        return state, [why], False, None
+    found = observer.poses_of(run.name)
+    if not observed and not found:
+        state = observer.not_read(run.name)
+        why = state.why if state.state == "failed" else f"too short: {state.why}"
+        state = state.model_copy(update={"state": "failed", "why": why})
+        return _Judged(state, [why or ""], good=False, fit=None)
+    fit, refused = None, ""
     try:
         fit = fitted(part, observed)
     except CounterspinError as error:
-        state = run_state(part, observed[0], ())
-        return state, [str(error)], False, None
-    state = run_state(part, observed[0], fit.views)
-    remarks, good = remarks_of(state, observed[0].record.report.notes(), fit.views)
-    return state, remarks, good, (observed[0], fit)
+        refused = str(error)
+    if isinstance(run, PoseRecord):
+        state = poses_state(part, run, found, fit)
+        remarks, good = remarks_of_poses(found, fit)
+        own = None
+    else:
+        (own,) = observed
+        state = run_state(part, own, fit.views if fit else ())
+        remarks, good = (
+            remarks_of(state, own.record.report.notes(), fit.views) if fit else ([], False)
+        )
+    if fit is None:
+        remarks, good = [refused, *remarks], False
+    return _Judged(state, remarks, good, fit, own)
 
 
 def _with_the_others(
-    campaign: Campaign, run: Run, alone: tuple[ObservedRun, Fitted]
+    campaign: Campaign, run: Recorded, fit: Fitted | None
 ) -> tuple[list[str], list[ReachedCoefficient]]:
-    """Return which other records are there, and what they say with this one."""
-    there = [
-        r for r in campaign.runs if r is run or r.record in campaign.frames or r.record.exists()
-    ]
-    observer = Observer(replace(campaign, runs=tuple(there)))
+    """Return which other records are there, and what they say with this one.
+
+    fit: Of this one alone; None if it does not determine enough.
+    """
+
+    def there(other: Recorded) -> Recorded | None:
+        in_memory = other.record in campaign.frames
+        return other if other is run or in_memory or other.record.exists() else None
+
+    observer = Observer(_with_recorded(campaign, there))
     observer.look()
     part, observed = observer.present()
-    fit = alone[1]
-    if len(observed) > 1 or campaign.readings:
+    others = [one.run.name for one in observed]
+    others += [one.name for one in (part.triad.records if part.triad else ())]
+    others.remove(run.name)
+    if others or part.readings or part.posed:
         try:
             fit = fitted(part, observed)
         except CounterspinError:
-            return [], reached(fit, shown_names(campaign))
-    others = [one.run.name for one in observed if one.run is not run]
-    return others, reached(fit, shown_names(campaign))
+            others = []
+    names = shown_names(campaign)
+    return others, reached(fit, names) if fit else nothing_reached(campaign, names)
 
 
 def _expected(
-    campaign: Campaign, run: Run, alone: tuple[ObservedRun, Fitted]
+    campaign: Campaign, run: Recorded, judged: _Judged
 ) -> tuple[list[ReachedCoefficient], str | None]:
     """Return what the whole campaign will know, its other runs being made as described."""
-    observed, fit = alone
-    seconds = float(observed.record.time[-1])
-    runs = [replace(r, duration=seconds if r is run else r.duration) for r in campaign.runs]
-    unknown = [r.name for r in runs if r.duration is None]
+    if not campaign.runs:
+        return [], None
+    whole, rate = campaign, None
+    if judged.observed is not None and judged.fit is not None:
+        seconds = float(judged.observed.record.time[-1])
+        rate = 1.0 / judged.observed.record.report.step
+        runs = (replace(r, duration=seconds if r is run else r.duration) for r in campaign.runs)
+        noise = noise_of_fit(judged.fit.estimate.fit)
+        whole = as_recorded(replace(campaign, runs=tuple(runs)), [judged.observed], noise)
+    unknown = [r.name for r in whole.runs if r.duration is None]
     if unknown:
         return [], f"the description does not say how long {', '.join(unknown)} will last"
-    whole = as_recorded(
-        replace(campaign, runs=tuple(runs)), [observed], noise_of_fit(fit.estimate.fit)
-    )
     try:
-        predicted = forecast(whole, sampling_rate=1.0 / observed.record.report.step)
+        whole = with_told_poses(whole)
+        predicted = forecast(whole, sampling_rate=rate)
     except CounterspinError as error:
         return [], str(error)
     names = shown_names(campaign)
-    lines = reached(Fitted(whole, predicted.estimate), names)
+    lines = reached(Fitted(whole, predicted.estimate, ()), names)
     return [line.model_copy(update={"value": None}) for line in lines], None

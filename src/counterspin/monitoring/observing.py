@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Final
 
 from counterspin.calibration.observed import ObservedRun, observe_run, read_run, record_columns
+from counterspin.calibration.posed.found_poses import FoundPose, columns_of_poses, found_in
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Run
+from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
 from counterspin.monitoring.following import APPENDED, FollowedTable
+from counterspin.monitoring.result import RunState
 from counterspin.physics.effects import RunConditions
-from counterspin.records.record import Record
+from counterspin.records.memory import MemoryTable
+from counterspin.records.record import Record, RecordColumns
 
 #: Revolutions of a record before anything can be said of it.
 FEWEST_REVOLUTIONS: Final = 3.5
@@ -23,21 +27,39 @@ FEWEST_REVOLUTIONS: Final = 3.5
 
 _NO_FILE: Final = "no file yet"
 
+#: What has a record of its own.
+Recorded = Run | PoseRecord
+
+
+def recorded(campaign: Campaign) -> tuple[Recorded, ...]:
+    """Return the runs of a campaign, then its records of poses."""
+    return (*campaign.runs, *(campaign.triad.records if campaign.triad else ()))
+
 
 @dataclass
 class _Watched:
     """A run, its file, and what was made of it when it was last read."""
 
-    run: Run
+    run: Recorded
+    columns: RecordColumns
     table: FollowedTable | None
     identity: tuple[FileIdentity, ...] | None = None
     record: Record | None = None
     observed: ObservedRun | None = None
+    found: tuple[FoundPose, ...] = ()
     conditions: RunConditions | None = None
     stale: bool = True
     fault: str | None = None  # of the file
     trouble: str | None = None  # of the record that its rows make
     waits: str | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        return self.run.files if isinstance(self.run, Run) else (self.run.record,)
+
+    def forget(self) -> None:
+        self.record = self.observed = None
+        self.found = ()
 
 
 class Observer:
@@ -48,9 +70,15 @@ class Observer:
 
     def __init__(self, campaign: Campaign, *, grow: bool = False) -> None:
         self._campaign = campaign
-        self._watched = [
-            _Watched(run, _table_of(campaign, run) if grow else None) for run in campaign.runs
-        ]
+        self._watched = []
+        for run in recorded(campaign):
+            columns = (
+                record_columns(campaign, run)
+                if isinstance(run, Run)
+                else columns_of_poses(campaign)
+            )
+            table = _table_of(run, columns) if grow else None
+            self._watched.append(_Watched(run, columns, table))
 
     def look(self) -> tuple[bool, list[str]]:
         """Read what is new."""
@@ -65,18 +93,24 @@ class Observer:
         return changed, events
 
     def present(self) -> tuple[Campaign, list[ObservedRun]]:
-        """Return the campaign of the runs that can be used, and these."""
+        """Return the campaign of the runs and records of poses that can be used, and these runs."""
         lengths: dict[str, float] = {}
+        frames = dict(self._campaign.frames)
         for watched in self._watched:
             self._read(watched)
             if watched.record is not None:
                 lengths[watched.run.name] = float(watched.record.time[-1])
-        runs = tuple(w.run for w in self._watched if w.record is not None)
-        part = replace(self._campaign, runs=runs)
+            if watched.found and watched.table is not None:
+                frames[watched.run.record] = watched.table.table
+        runs = tuple(r for r in self._campaign.runs if r.name in lengths)
+        part = replace(self._campaign, runs=runs, frames=frames)
+        if part.triad is not None:
+            usable = tuple(one for one in part.triad.records if self.poses_of(one.name))
+            part = replace(part, triad=replace(part.triad, records=usable))
         conditions = conditions_of(part, lengths) if runs else {}
         observed = []
         for watched in self._watched:
-            if watched.record is None:
+            if watched.record is None or not isinstance(watched.run, Run):
                 continue
             under = conditions[watched.run.name]
             if watched.observed is None or watched.conditions != under:
@@ -85,19 +119,39 @@ class Observer:
             observed.append(watched.observed)
         return part, observed
 
+    def poses_of(self, name: str) -> tuple[FoundPose, ...]:
+        """Return the poses of a record; none where it cannot be used."""
+        return next(w for w in self._watched if w.run.name == name).found
+
     def of(self, name: str) -> tuple[str | None, str | None, int]:
         """Return what a run waits for, what is wrong with it, and how many rows it has."""
         watched = next(w for w in self._watched if w.run.name == name)
         rows = watched.table.rows if watched.table else 0
         if watched.record is not None:
             rows = max(rows, watched.record.report.rows)
+        if watched.found and (whole := watched.found[0].record) is not None:
+            rows = max(rows, whole.report.rows)
         return watched.waits, watched.fault or watched.trouble, rows
+
+    def not_read(self, name: str) -> RunState:
+        """Return the state of a run of which nothing can be said yet, or which cannot be used."""
+        run = next(w.run for w in self._watched if w.run.name == name)
+        waits, trouble, rows = self.of(name)
+        return RunState(
+            run=name,
+            record=record_name(run.record, self._campaign.folder),
+            state="failed" if trouble else "waiting",
+            why=trouble or waits,
+            rows=rows,
+            stated_seconds=run.duration if isinstance(run, Run) else None,
+            nominal_rate=run.rate if isinstance(run, Run) else 0.0,
+        )
 
     def _read(self, watched: _Watched) -> None:
         """Make a record of the rows that there are, if they are others than before."""
         if not watched.stale:
             return
-        watched.record = watched.observed = None
+        watched.forget()
         watched.trouble = watched.waits = None
         watched.stale = False
         source = self._campaign
@@ -105,19 +159,31 @@ class Observer:
             if not watched.table.rows:
                 watched.waits = "no rows yet"
                 return
-            table = watched.table.table
-            clock = record_columns(self._campaign, watched.run).time
-            time = table.columns[clock.name] * clock.factor
-            seconds = float(time[-1] - time[0]) if len(time) > 1 else 0.0
-            turned = abs(watched.run.rate) * seconds / (2.0 * math.pi)
-            if turned < FEWEST_REVOLUTIONS:
-                watched.waits = f"{turned:.1f} revolutions of {FEWEST_REVOLUTIONS} that are needed"
+            watched.waits = _too_short(watched.run, watched.columns, watched.table.table)
+            if watched.waits is not None:
                 return
-            source = replace(source, frames={**source.frames, watched.run.record: table})
+            frames = {**source.frames, watched.run.record: watched.table.table}
+            source = replace(source, frames=frames)
         try:
-            watched.record = read_run(source, watched.run)
+            if isinstance(watched.run, Run):
+                watched.record = read_run(source, watched.run)
+            else:
+                watched.found = tuple(found_in(source, watched.run))
         except RecordError as error:
             watched.trouble = str(error)
+
+
+def _too_short(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str | None:
+    """Return what a growing record waits for before anything can be said of it."""
+    clock, rows = columns.time, len(next(iter(table.columns.values())))
+    first, last = (0.0, rows - 1.0) if clock.is_made else table.columns[clock.name][[0, -1]]
+    seconds = float(last - first) * clock.factor
+    if isinstance(run, PoseRecord):
+        return None if seconds >= run.rest else f"{seconds:.1f} s of {run.rest:g} s of rest"
+    turned = abs(run.rate) * seconds / (2.0 * math.pi)
+    if turned >= FEWEST_REVOLUTIONS:
+        return None
+    return f"{turned:.1f} revolutions of {FEWEST_REVOLUTIONS} that are needed"
 
 
 def _look_at(watched: _Watched) -> tuple[bool, str | None]:
@@ -127,12 +193,13 @@ def _look_at(watched: _Watched) -> tuple[bool, str | None]:
             changed, event = watched.table.follow()
             watched.identity = (FileIdentity.of(path),)
         else:
-            now = tuple(FileIdentity.of(file) for file in watched.run.files)
+            now = tuple(FileIdentity.of(file) for file in watched.files)
             changed, event = now != watched.identity, None
             watched.identity = now
     except FileNotFoundError:
         gone = watched.identity is not None
-        watched.identity = watched.record = watched.observed = None
+        watched.identity = None
+        watched.forget()
         watched.stale, watched.waits = False, _NO_FILE
         watched.fault = watched.trouble = None
         if watched.table is not None:
@@ -150,18 +217,18 @@ def _look_at(watched: _Watched) -> tuple[bool, str | None]:
     return changed, event
 
 
-def _table_of(campaign: Campaign, run: Run) -> FollowedTable | None:
+def _table_of(run: Recorded, columns: RecordColumns) -> FollowedTable | None:
     """Return the growing table that a run's record is; None if it has to be read whole.
 
-    Time stamps, counted rows, pulses and units that the file itself states are told from the file
-    as a whole.
+    Time stamps, pulses and units that the file itself states are told from the file as a whole, and
+    so is where a run begins whose rows are counted.
     """
-    columns = record_columns(campaign, run)
     specs = [columns.time, *([columns.angle] if columns.angle else []), *columns.signals.values()]
-    plain = all(spec.kind == "numbers" and (spec.unit or not spec.wanted) for spec in specs)
+    kinds = ("numbers",) if isinstance(run, Run) else ("numbers", "rows")
+    plain = all(spec.kind in kinds and (spec.unit or not spec.wanted) for spec in specs)
     if run.record.suffix.lower() not in APPENDED or not plain or columns.more or columns.pulses:
         return None
-    return FollowedTable(run.record, columns.names, columns.dialect)
+    return FollowedTable(run.record, columns.filed, columns.dialect)
 
 
 def record_name(path: Path, folder: Path) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from counterspin.monitoring.result import (
     CheckedRun,
     GoalState,
+    PosesState,
     ReachedCoefficient,
     RunState,
     WatchState,
@@ -63,7 +64,8 @@ def _coefficients(checked: CheckedRun, now: str) -> Table:
         later = expected.get(c.name)
         rows.append((c.name, _estimate(c), _u(later.u, later.unit) if later else "-"))
     titles = ("Coefficient", now.capitalize(), "u of the whole campaign")
-    return Table(tuple(Column(t, wraps=True) for t in titles), tuple(rows))
+    of = len(titles) if expected else len(titles) - 1
+    return Table(tuple(Column(t, wraps=True) for t in titles[:of]), tuple(row[:of] for row in rows))
 
 
 def _facts(run: RunState) -> Iterator[tuple[str, str]]:
@@ -72,6 +74,9 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
     gaps = f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
     of = f" of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
     yield "Clock", f"{run.rows} rows at {hz}, {run.seconds:.5g} s{of}{gaps}{repeated}"
+    if run.poses is not None:
+        yield from _facts_of_poses(run, run.poses)
+        return
     if run.rate is None or run.u_rate is None:
         yield "Angle", "not recorded: the nominal rate is taken"
     else:
@@ -96,6 +101,15 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         )
 
 
+def _facts_of_poses(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
+    rms = "" if poses.rms is None else f", |f| - g left with rms {format_number(poses.rms)} m/s^2"
+    yield "Poses", f"{poses.count}{rms}"
+    yield "At rest", f"where the scatter is below {format_number(poses.threshold)} m/s^2"
+    yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
+    yield "Off the model", ", ".join(poses.outlying) or "none"
+    yield "Missing directions", "; ".join(poses.missing) or "none"
+
+
 def _ripple(run: RunState) -> str:
     if run.ripple is None:
         return "none seen"
@@ -108,20 +122,24 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
     yield Heading(state.title or "Campaign", 1)
     for event in state.events:
         yield Paragraph(event, "warning")
+    columns = [Column("Run"), Column("Recorded", wraps=True)]
+    if any(run.nominal_rate for run in state.runs):
+        titles = ("Rate, rad/s", "Ripple", "Residuals / noise")
+        columns += [Column(title, "right") for title in titles]
     yield Table(
-        (
-            Column("Run"),
-            Column("Recorded", wraps=True),
-            Column("Rate, rad/s", "right"),
-            Column("Ripple", "right"),
-            Column("Residuals / noise", "right"),
-        ),
-        tuple(_row(run) for run in state.runs),
+        tuple(columns),
+        tuple(_row(run)[: len(columns)] for run in state.runs),
         quiet=frozenset(i for i, run in enumerate(state.runs) if run.state == "waiting"),
     )
     for run in state.runs:
         if run.state == "failed" or (run.state == "read" and run.why):
             yield Paragraph(f"{run.run}: {run.why}", "warning")
+        if run.poses is not None and run.poses.outlying:
+            names = ", ".join(run.poses.outlying)
+            yield Paragraph(f"{run.run}: off the model: {names}", "warning")
+        if run.poses is not None and run.poses.missing:
+            missing = "; ".join(run.poses.missing)
+            yield Paragraph(f"{run.run}: poses are missing with {missing}")
     if state.trouble:
         yield Paragraph(state.trouble, "warning")
     goals = {goal.name: goal for goal in state.goals}
@@ -150,7 +168,8 @@ def _progress(run: RunState) -> str:
     if run.state == "failed":
         return f"{run.rows} rows, not usable"
     of = f" of {run.stated_seconds:.4g}" if run.stated_seconds else ""
-    return f"{run.seconds:.4g}{of} s, {run.rows} rows"
+    poses = f", poses: {run.poses.count}" if run.poses else ""
+    return f"{run.seconds:.4g}{of} s, {run.rows} rows{poses}"
 
 
 def _estimate(c: ReachedCoefficient) -> str:

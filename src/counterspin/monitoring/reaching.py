@@ -11,6 +11,8 @@ from counterspin.calibration.joint_parts import coefficient
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.readings import Fitted as Parts
+from counterspin.calibration.readings import FittedPoses
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError
@@ -29,6 +31,12 @@ class Fitted:
 
     campaign: Campaign  #: With these runs alone.
     estimate: Estimate  #: Of its unknowns.
+    parts: Parts  #: How readings and poses fit.
+
+    @property
+    def posed(self) -> tuple[FittedPoses, ...]:
+        """The poses of its triad."""
+        return tuple(part for part in self.parts if isinstance(part, FittedPoses))
 
     @cached_property
     def assessment(self) -> Assessment:
@@ -52,8 +60,7 @@ class Fitted:
 
 def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> Fitted:
     """Fit runs together, as a calibration of them alone does."""
-    estimate, _ = estimate_campaign(campaign, observed, model_of(campaign))
-    return Fitted(campaign, estimate)
+    return Fitted(campaign, *estimate_campaign(campaign, observed, model_of(campaign)))
 
 
 def goals_of(
@@ -127,8 +134,11 @@ def nothing_reached(campaign: Campaign, names: Sequence[str]) -> list[ReachedCoe
 
 
 def shown_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
-    """Return what is shown: K_II of each accelerometer, and what goals name."""
-    return list(dict.fromkeys([*(f"{name}.K_II" for name in campaign.accelerometers), *goals]))
+    """Return what is shown: K_II of each, all that is asked of a triad in poses, and goals."""
+    of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
+    asked = [unknown.name for unknown in model_of(campaign).asked if unknown.owner in of_triad]
+    squares = (f"{name}.K_II" for name in campaign.accelerometers)
+    return list(dict.fromkeys([*squares, *asked, *goals]))
 
 
 def goal_states(goals: Mapping[str, float], found: Sequence[ReachedCoefficient]) -> list[GoalState]:

@@ -21,6 +21,20 @@ class ResidualState(ResultPart):
     unit: str  #: Of ``rms`` and ``stated``.
 
 
+class PosesState(ResultPart):
+    """The poses of a triad that one record has so far."""
+
+    count: int  #: How many there are.
+    threshold: float  #: Scatter below which the sensor rests, m/s^2.
+    #: Root mean square of what is felt more or less than g in them, m/s^2; None where nothing is
+    #: fitted yet.
+    rms: float | None
+    outlying: list[str]  #: Names of those that are off the model.
+    #: Directions in which one more pose would say more than all that are there, the most telling
+    #: first: ``+X -Y up`` is halfway between X up and Y down.
+    missing: list[str]
+
+
 class RunState(ResultPart):
     """What one run shows so far."""
 
@@ -42,12 +56,13 @@ class RunState(ResultPart):
     longest_gap: float = 0.0  #: The longest of them, s.
     rate: float | None = None  #: Of rotation, rad/s.
     u_rate: float | None = None  #: Its standard uncertainty; None without a recorded angle.
-    nominal_rate: float  #: As stated, rad/s.
+    nominal_rate: float  #: As stated, rad/s; 0 at rest.
     drift: float | None = None  #: Of the rate, 1/s.
     ripple: float | None = None  #: Largest one of the rate, rad/s; None: none seen.
     harmonic: int | None = None  #: Which harmonic that is.
     angle_rms: float | None = None  #: Of the recorded angle about the model, rad.
     residuals: dict[str, ResidualState] = {}  #: By accelerometer.
+    poses: PosesState | None = None  #: Of a record of poses at attitudes that nobody knows.
 
 
 class ReachedCoefficient(ResultPart):
@@ -79,7 +94,7 @@ class WatchState(ShownResult):
     runs
         In the order of the description.
     coefficients
-        K_II of each accelerometer, and what goals name.
+        K_II of each accelerometer, all of a triad in poses, and what goals name.
     goals
         What is wanted.
     events
@@ -95,7 +110,8 @@ class WatchState(ShownResult):
 
     title: str  #: Of the campaign.
     runs: list[RunState]  #: In the order of the description.
-    coefficients: list[ReachedCoefficient]  #: K_II of each accelerometer, and what goals name.
+    #: K_II of each accelerometer, all of a triad in poses, and what goals name.
+    coefficients: list[ReachedCoefficient]
     goals: list[GoalState]  #: What is wanted.
     events: list[str]  #: What happened to files since the state before.
     trouble: str | None  #: Why the records cannot be fitted together; None if they can.

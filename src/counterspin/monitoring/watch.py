@@ -10,10 +10,13 @@ from typing import Final
 
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.resolved import Run
+from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.monitoring.judging import run_state
-from counterspin.monitoring.observing import Observer, record_name
+from counterspin.monitoring.observing import Observer, recorded
+from counterspin.monitoring.poses import poses_state
 from counterspin.monitoring.reaching import (
     Fitted,
     fitted,
@@ -90,12 +93,7 @@ def watch(
         If the description is wrong, has no runs with records, or a goal names no term of it.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    if campaign.posed:
-        raise CampaignError(
-            "watch",
-            ["poses at unknown attitudes are not followed while they are recorded; calibrate them"],
-        )
-    if not campaign.runs:
+    if not recorded(campaign):
         raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
     wanted = goals_of(campaign, goals)
     return _states(campaign, wanted, pace, once=once)
@@ -143,7 +141,7 @@ def _state(
         part, observed = observer.present()
         fit, trouble = None, None
         found: list[ReachedCoefficient] = []
-        if observed or campaign.readings:
+        if observed or part.readings or part.posed:
             try:
                 fit = fitted(part, observed)
                 found = reached(fit, shown_names(campaign, goals))
@@ -168,23 +166,16 @@ def _runs(
 ) -> list[RunState]:
     there = {one.run.name: one for one in observed}
     states = []
-    for run in campaign.runs:
-        waits, trouble, rows = observer.of(run.name)
-        if run.name in there:
+    for run in recorded(campaign):
+        trouble = observer.of(run.name)[1]
+        if isinstance(run, PoseRecord) and (found := observer.poses_of(run.name)):
+            state = poses_state(campaign, run, found, fit)
+        elif isinstance(run, Run) and run.name in there:
             state = run_state(campaign, there[run.name], fit.views if fit else ())
-            states.append(state.model_copy(update={"why": trouble}))
+        else:
+            states.append(observer.not_read(run.name))
             continue
-        states.append(
-            RunState(
-                run=run.name,
-                record=record_name(run.record, campaign.folder),
-                state="failed" if trouble else "waiting",
-                why=trouble or waits,
-                rows=rows,
-                stated_seconds=run.duration,
-                nominal_rate=run.rate,
-            )
-        )
+        states.append(state.model_copy(update={"why": trouble}))
     return states
 
 

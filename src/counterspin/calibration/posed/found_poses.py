@@ -7,12 +7,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from counterspin.campaign.columns import Channel
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.frozen import frozen
 from counterspin.records.poses import Poses, read_poses
 from counterspin.records.record import RecordColumns
+from counterspin.records.report import RecordReport
 
 
 @frozen(eq=False)
@@ -21,6 +23,7 @@ class RecordOfPoses:
 
     name: str  #: Of the run.
     poses: Poses  #: Where the triad lay still; forces in m/s^2.
+    report: RecordReport  #: What the reading found.
 
 
 @frozen(eq=False)
@@ -45,7 +48,10 @@ def poses_of(campaign: Campaign) -> list[FoundPose]:
     if campaign.triad is None:
         return []
     read = [FoundPose(pose) for pose in campaign.triad.poses]
-    return [*read, *(one for record in campaign.triad.records for one in _found(campaign, record))]
+    return [
+        *read,
+        *(one for record in campaign.triad.records for one in found_in(campaign, record)),
+    ]
 
 
 def noise_within(poses: Sequence[FoundPose], gravity: float) -> float:
@@ -54,19 +60,26 @@ def noise_within(poses: Sequence[FoundPose], gravity: float) -> float:
     return math.sqrt(sum(size**2 for size in within) / len(within)) / gravity if within else 0.0
 
 
-def _found(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
+def columns_of_poses(campaign: Campaign) -> RecordColumns:
+    """Return the columns of records with poses, and how their files are written."""
+    g, channels = campaign.gravity.value, _channels(campaign)
+    signals = {name: channel.spec(g) for name, channel in channels.items()}
+    return RecordColumns(campaign.time.spec(g), None, signals, campaign.dialect)
+
+
+def _channels(campaign: Campaign) -> dict[str, Channel]:
+    """Return the columns of specific force of a triad's accelerometers."""
+    names = campaign.triad.accelerometers if campaign.triad else ()
+    forces = {name: campaign.accelerometers[name].force for name in names}
+    return {name: force for name, force in forces.items() if force is not None}
+
+
+def found_in(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
     """Yield the poses of a record, each with its means as readings."""
-    assert campaign.triad is not None
-    g, signals, in_si = campaign.gravity.value, {}, []
-    for name in campaign.triad.accelerometers:
-        channel = campaign.accelerometers[name].force
-        assert channel is not None
-        signals[name] = channel.spec(g)
-        in_si.append(not channel.in_g)
-    columns = RecordColumns(campaign.time.spec(g), None, signals, campaign.dialect)
-    source = campaign.record_at(record.record)
-    found, _ = read_poses(source, columns, record.rest, record.threshold)
-    whole = RecordOfPoses(record.name, found)
+    g, source = campaign.gravity.value, campaign.record_at(record.record)
+    in_si = {name: not channel.in_g for name, channel in _channels(campaign).items()}
+    found, read = read_poses(source, columns_of_poses(campaign), record.rest, record.threshold)
+    whole = RecordOfPoses(record.name, found, read.report)
     for place, (start, mean) in enumerate(zip(found.start, found.mean / g, strict=True)):
         pose = tuple(
             Reading(
@@ -84,6 +97,6 @@ def _found(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
                 time=None if record.time is None else record.time + float(start),
                 in_si=si,
             )
-            for name, value, si in zip(signals, mean, in_si, strict=True)
+            for (name, si), value in zip(in_si.items(), mean, strict=True)
         )
         yield FoundPose(pose, whole, place)

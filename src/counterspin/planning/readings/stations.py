@@ -22,7 +22,7 @@ from counterspin.campaign.readings import BLANK, Reading
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.poses import indications_along
+from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.planning.plan_file import Goal, load_plan, plan_name, resolve_goal
 from counterspin.planning.plan_sections import (
     GoalSettings,
@@ -118,16 +118,42 @@ def _pointed(
     if not poses:
         return ()
     ups = [planned[pose[0].name].up or {} for pose in poses]
-    up = np.array([[own.get(r.accelerometer, 0.0) for r in poses[0]] for own in ups])
-    along = up @ np.array([reading.axes.input_axis for reading in poses[0]])
     own = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
     known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in own]
-    unit = along / np.linalg.norm(along, axis=1)[:, None]
-    values = indications_along(one_group(campaign, poses), known, unit).tolist()
+    values = pointing_up(one_group(campaign, poses), ups, known).value.tolist()
     return tuple(
         tuple(replace(reading, value=value) for reading, value in zip(pose, row, strict=True))
         for pose, row in zip(poses, values, strict=True)
     )
+
+
+def pointing_up(
+    poses: TriadPoses, ups: Sequence[Mapping[str, float]], known: Sequence[Mapping[str, float]]
+) -> TriadPoses:
+    """Return poses with the values that they have where they point as `every_up` says.
+
+    known: Coefficients of each accelerometer; those not named are nominal.
+    """
+    up = np.array([[own.get(name, 0.0) for name in poses.accelerometers] for own in ups])
+    along = up @ poses.axes[:, 0]
+    unit = along / np.linalg.norm(along, axis=1)[:, None]
+    return replace(poses, value=indications_along(poses, known, unit))
+
+
+def every_up(names: Sequence[str]) -> list[dict[str, float]]:
+    """Return 26 directions: accelerometer -> 1 where its input axis points up, -1 where down.
+
+    First one axis, then two, then all three.
+    """
+    signs = [one for one in product((1.0, -1.0, 0.0), repeat=len(names)) if any(one)]
+    ups = [dict(zip(names, one, strict=True)) for one in signs]
+    return sorted(ups, key=lambda up: sum(map(abs, up.values())))
+
+
+def words_of_up(up: Mapping[str, float]) -> str:
+    """Return such a direction in words, such as "+X -Y up"."""
+    axes = (f"{'-' if sign < 0.0 else '+'}{name}" for name, sign in up.items() if sign)
+    return f"{' '.join(axes)} up"
 
 
 def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
@@ -293,10 +319,7 @@ def _poses(
     if not isinstance(names, list):
         problems.add((*path, "attitude"), 'is "unknown", which takes [triad]')
         return []
-    signs = [one for one in product((1.0, -1.0, 0.0), repeat=len(names)) if any(one)]
-    ups = [dict(zip(names, one, strict=True)) for one in signs]
-    # One axis, then two, then all three.
-    ups.sort(key=lambda up: sum(map(abs, up.values())))
+    ups = every_up(names)
     if settings.up is not None:
         read = [
             problems.attempt((*path, "up", place), _up, words, names)
@@ -305,8 +328,7 @@ def _poses(
         ups = [up for up in read if up is not None]
     made = []
     for up in ups:
-        words = " ".join(f"{'-' if sign < 0.0 else '+'}{name}" for name, sign in up.items() if sign)
-        run = {"name": " ".join(filter(None, (settings.name, words, "up"))), **shared}
+        run = {"name": " ".join(filter(None, (settings.name, words_of_up(up)))), **shared}
         made.append(PossibleReading(run, settings.time, up))
     return made
 
