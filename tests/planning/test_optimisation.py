@@ -124,6 +124,10 @@ def test_derivatives_are_those_of_differences(setup, criterion):
 # The relaxation
 
 
+def runs_of(design):
+    return design.types, design.rate, design.revolutions
+
+
 @pytest.mark.parametrize(
     "criterion",
     [K_II, Criterion((1, 2), (1e-5, 1e-8)), Criterion((1, 2, 3), (1.0, 1.0, 1.0), "determinant")],
@@ -133,7 +137,7 @@ def test_derivatives_are_those_of_differences(setup, criterion):
 def test_equivalence_theorem(predictor, criterion, types):
     limits = replace(DAY, types=types)
     found = relax(predictor, limits, criterion)
-    rows = predictor.information.blocks(found.types, found.rate, found.revolutions)
+    rows = predictor.information.blocks(*runs_of(found.support))
     weighted = (rows * np.sqrt(found.weight)[:, None, None]).reshape(-1, predictor.p)
     information = weighted.T @ weighted + predictor.prior.T @ predictor.prior
     scale = np.sqrt(np.diag(information))
@@ -151,11 +155,11 @@ def test_equivalence_theorem(predictor, criterion, types):
     turns = rate * time / (2.0 * math.pi)
     keep = turns >= limits.revolutions
     runs = [((kind,) * int(keep.sum()), rate[keep], turns[keep]) for kind in types]
-    runs.append((found.types, found.rate, found.revolutions))
+    runs.append(runs_of(found.support))
     gain, cost = np.concatenate([gain_and_cost(*some) for some in runs], axis=1)
     total = np.array([limits.total_time, limits.runs])
     prices = linprog(total, A_ub=-np.column_stack([cost, np.ones_like(cost)]), b_ub=-gain)
-    at_plan, _ = gain_and_cost(found.types, found.rate, found.revolutions)
+    at_plan, _ = gain_and_cost(*runs_of(found.support))
     assert prices.fun == pytest.approx(float(at_plan @ found.weight), abs=4e-3)
     assert prices.x[1] == pytest.approx(found.price_run, abs=4e-3 / limits.runs)
     assert found.bound <= found.value + 1e-9

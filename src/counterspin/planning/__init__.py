@@ -7,7 +7,8 @@
 - `experimental_setup`, `angle_functions`, `even_samples`, `information_table`,
   `run_information`: what a run of a plan would tell, as a smooth function of its rate and length
 - `design`: plans, what they may be and how good they are
-- `relaxation`, `polishing`, `optimisation`: the best plan, and what no plan can better
+- `possibilities`: what may be observed, and the best numbers of it that need not be whole
+- `relaxation`, `polishing`, `optimisation`: the best plan of records, and what no plan can better
 - `search`, `feasibility`: the plan's problem, solved; whether its goal can be had
 - `readings`: the same for readings: what may be read, how often to read it, and in which order
 - `faults`, `sensitivities`: what may be wrong, what it would shift and leave in the residuals

@@ -115,14 +115,15 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
 def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights."""
     groups: dict[tuple[RunType, float], list[int]] = {}
-    for index, (kind, w) in enumerate(zip(relaxed.types, relaxed.rate, strict=True)):
+    found = relaxed.support
+    for index, (kind, w) in enumerate(zip(found.types, found.rate, strict=True)):
         near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
         groups.setdefault((kind, near), []).append(index)
     weight = np.array([relaxed.weight[index].sum() for index in groups.values()])
     kinds = [kind for kind, _ in groups]
-    rate = np.array([relaxed.rate[i[np.argmax(relaxed.weight[i])]] for i in groups.values()])
+    rate = np.array([found.rate[i[np.argmax(relaxed.weight[i])]] for i in groups.values()])
     turns = np.array(
-        [np.average(relaxed.revolutions[i], weights=relaxed.weight[i]) for i in groups.values()]
+        [np.average(found.revolutions[i], weights=relaxed.weight[i]) for i in groups.values()]
     )
     total = float(weight.sum())
     totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}

@@ -18,7 +18,7 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import blocks_at
 from counterspin.planning.faults import Fault
 from counterspin.planning.forecast import Forecast, expected_values
-from counterspin.planning.relaxation import Places
+from counterspin.planning.possibilities import Places
 
 #: Columns of faults that are there at once; of one that each run has anew there is one a run.
 _PARTS_AT_ONCE: Final = 16

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from counterspin.planning.design import Criterion
-from counterspin.planning.readings.counts import Possibilities, best_counts, least_counts
+from counterspin.planning.possibilities import Possibilities
+from counterspin.planning.readings.counts import best_counts, least_counts
 
 FORCE = np.array([-1.0, -0.6, -0.2, 0.3, 0.7, 1.0])
 
@@ -17,8 +18,8 @@ def possibilities(considered=False, time=0.0):
     design = np.vander(FORCE, 3, increasing=True)[:, None, :]
     design[1] *= 0.5
     fixed = 0.3 * FORCE[:, None, None] ** 3 if considered else np.zeros((6, 1, 0))
-    nothing = np.zeros((0, 3)), np.zeros((0, fixed.shape[2]))
-    return Possibilities(design, fixed, np.full(3, 1e-3), np.full(6, time), *nothing)
+    known = 1e-3 * np.eye(3), np.zeros((3, fixed.shape[2]))
+    return Possibilities(design, fixed, *known, np.full(6, time))
 
 
 CRITERIA = {

@@ -1,6 +1,6 @@
 """How often to take each of several possible readings: whole numbers, and what bounds them.
 
-The relaxation in which the numbers need not be whole is convex (`planning.relaxation`). It is
+The relaxation in which the numbers need not be whole is convex (`planning.possibilities`). It is
 rounded, and one reading after another is exchanged for a better one for as long as it gains.
 """
 
@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion
-from counterspin.planning.relaxation import allocate
+from counterspin.planning.possibilities import Possibilities
 
 Counts = npt.NDArray[np.int64]
 
@@ -29,66 +29,11 @@ _FEW: Final = 60
 _DRAWN: Final = 6
 _SEED: Final = 1
 
-#: Added to the scaled information, so that readings that do not determine all unknowns have a
-#: large uncertainty and no infinite one.
-_RIDGE: Final = 1e-12
-
 #: A target is reached to rounding.
 _ROUNDING: Final = 1e-9
 
 #: Steps of the search for the least limit.
 _BISECTIONS: Final = 12
-
-
-@frozen(eq=False)
-class Possibilities:
-    """What each of n possible readings tells, and what it takes."""
-
-    #: Rows of unit variance: columns of the unknowns and of what is considered, each of the latter
-    #: times its standard uncertainty, shapes (n, b, p) and (n, b, q).
-    design: Array
-    fixed: Array
-    prior: Array  #: Square-root information beforehand, shape (p,).
-    time: Array  #: Of each reading, s, shape (n,); zero where time does not count.
-    #: Rows as of `design` and `fixed`, of what is there already, shapes (r, p) and (r, q).
-    taken: Array
-    taken_fixed: Array
-
-    def covariance(self, counts: npt.ArrayLike) -> Array:
-        """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
-        n = np.asarray(counts, dtype=np.float64)
-        turned = np.swapaxes(self.design, 1, 2)
-        information = np.tensordot(n, turned @ self.design, axes=1) + self.taken.T @ self.taken
-        p = self.prior.size
-        diagonal = np.arange(p)
-        information[..., diagonal, diagonal] += self.prior**2
-        # Scaled, or columns of very different size would cost digits.
-        scale = 1.0 / np.sqrt(information[..., diagonal, diagonal])
-        outer = scale[..., :, None] * scale[..., None, :]
-        inner = np.linalg.inv(information * outer + _RIDGE * np.eye(p)) * outer
-        moved = np.tensordot(n, turned @ self.fixed, axes=1) + self.taken.T @ self.taken_fixed
-        spread = inner @ moved
-        return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
-
-    def value(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
-        """Return a criterion, see `Criterion.value`."""
-        return criterion.value(self.covariance(counts))
-
-    def relaxed(self, criterion: Criterion, number: float, time: float) -> tuple[Array, float]:
-        """Return numbers that need not be whole, and what no whole numbers can be below.
-
-        What is considered is taken as estimated.
-        """
-        root = np.concatenate([self.design, self.fixed], axis=2)
-        known = np.diag(np.concatenate([self.prior, np.ones(self.fixed.shape[2])]))
-        prior = triangle_of(np.vstack([np.hstack([self.taken, self.taken_fixed]), known]))
-        cost, total = self.time, time
-        if not math.isfinite(time):
-            cost, total = np.ones(len(root)), number
-        if not math.isfinite(number):
-            number = total / float(cost.min())
-        weight, _, bound = allocate(prior, criterion, root, cost, total, number)
-        return weight, bound
 
 
 @frozen(eq=False)
@@ -107,13 +52,13 @@ def best_counts(
 
     number, time: Largest sum of the numbers and of their times, s; one of them finite.
     """
-    weight, bound = possible.relaxed(criterion, number, time)
+    relaxed = possible.relaxed(criterion, number, time)
     ends = [
         _exchanged(possible, criterion, start, number, time)
-        for start in _starts(possible, weight, number, time)
+        for start in _starts(possible, relaxed.weight, number, time)
     ]
     value, counts = min(ends, key=lambda end: end[0])
-    return Chosen(counts, value, min(bound, value))
+    return Chosen(counts, value, min(relaxed.bound, value))
 
 
 def _starts(possible: Possibilities, weight: Array, number: float, time: float) -> list[Counts]:
@@ -159,7 +104,7 @@ def _within(
     possible: Possibilities, counts: Counts, index: np.intp, number: float, time: float
 ) -> bool:
     """Return whether one more of a reading is within the limits."""
-    took = float(possible.time @ counts) + float(possible.time[index])
+    took = float(possible.cost @ counts) + float(possible.cost[index])
     return float(counts.sum()) + 1.0 <= number and took <= time * (1.0 + 1e-12)
 
 
@@ -207,7 +152,7 @@ def least_counts(
 
     def limits(part: float) -> tuple[float, float] | None:
         if math.isfinite(time):
-            return (number, part * time) if part * time >= float(possible.time.min()) else None
+            return (number, part * time) if part * time >= float(possible.cost.min()) else None
         return (whole, time) if (whole := math.floor(part * number + 1e-9)) else None
 
     best = best_counts(possible, criterion, number, time)
@@ -226,7 +171,7 @@ def least_counts(
     for _ in range(_BISECTIONS):
         middle = 0.5 * (floor + high)
         within = limits(middle)
-        if within is None or possible.relaxed(criterion, *within)[1] > 0.0:
+        if within is None or possible.relaxed(criterion, *within).bound > 0.0:
             floor = middle
         else:
             high = middle

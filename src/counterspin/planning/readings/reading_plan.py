@@ -23,11 +23,11 @@ from counterspin.planning.design import Criterion
 from counterspin.planning.feasibility import missed, not_determined
 from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.plan_file import Goal
+from counterspin.planning.possibilities import Possibilities
 from counterspin.planning.predicted import planned_readings, result_of
 from counterspin.planning.readings.counts import (
     Chosen,
     Counts,
-    Possibilities,
     best_counts,
     least_counts,
 )
@@ -53,7 +53,7 @@ def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleRead
         # Of what is reported: what goes with time is unknown to the search.
         efficiency = math.exp(chosen.bound - _value(prediction, goal))
     elif math.isfinite(described.total_time):
-        efficiency = floor * described.total_time / float(possible.time @ chosen.counts)
+        efficiency = floor * described.total_time / float(possible.cost @ chosen.counts)
     else:
         efficiency = floor * described.readings / float(chosen.counts.sum())
     result = result_of(prediction, None, sum(reading.time for reading in readings))
@@ -151,10 +151,9 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
         Possibilities(
             design,
             fixed * np.array(model.considered_sizes),
-            np.array([1.0 / unknown.spread for unknown in model.unknowns]),
+            np.vstack([taken, np.diag([1.0 / unknown.spread for unknown in model.unknowns])]),
+            np.vstack([taken_fixed * np.array(model.considered_sizes), np.zeros((p, q))]),
             np.array([reading.time for reading in described.possible]),
-            taken,
-            taken_fixed * np.array(model.considered_sizes),
         ),
         _criterion(described.goal, [unknown.name for unknown in model.unknowns]),
     )
@@ -246,7 +245,7 @@ def _others(
             words="every reading equally often"
             if number % size == 0
             else "as many readings, spread evenly over all",
-            total_time=float(possible.time @ counts),
+            total_time=float(possible.cost @ counts),
             u={name: there.u[name] for name in names},
             ratio={name: prediction.u[name] / there.u[name] for name in names},
         )

@@ -1,0 +1,251 @@
+"""Possible observations: what each tells and costs, and the best numbers that need not be whole.
+
+An observation is a run of an attitude, sense, rate and length, or a reading at a station. With
+weights n_x >= 0 the information is M = M_0 + sum of n_x M_x, the limits on the cost and on the
+number are linear, and the criteria are convex in M. So every local optimum is the global one, it is
+no worse than any real plan, and the general equivalence theorem identifies it: with the gain of an
+observation phi(x) = -d(criterion)/d(n_x) there are prices of the cost and of an observation with
+
+    phi(x) <= price_cost * cost(x) + price_one      for every x, equality where n_x > 0.
+
+What is left of the inequality bounds what any plan at all could do better.
+
+Considered terms are taken as estimated there, with their priors: the best estimator is no worse
+than one that leaves them out, so the bound holds, and the problem stays convex.
+
+References
+----------
+Silvey, Titterington and Torsney, Commun. Stat. A 7 (1978) 1379, the multiplicative algorithm;
+Kiefer and Wolfowitz, The equivalence of two extremum problems, Canad. J. Math. 12 (1960) 363;
+Cook and Fedorov, Constrained optimization of experimental design, Statistics 26 (1995) 129.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
+from counterspin.planning.design import Criterion
+
+Places = npt.NDArray[np.intp]
+
+#: Added to the scaled information, so that observations that do not determine all unknowns have a
+#: large uncertainty and no infinite one.
+_RIDGE: Final = 1e-12
+#: Steps of the multiplicative algorithm before the first gradient step, and the least part of the
+#: largest weight that is kept of them.
+_FIRST_STEPS: Final = 20
+_FIRST_PART: Final = 0.03
+#: Part of everything that is mixed into weights where their gains are taken.
+_MIXED_IN: Final = 1e-4
+#: Largest number of gradient steps.
+_GRADIENT_STEPS: Final = 30
+#: Smaller weights count as zero.
+ZERO_WEIGHT: Final = 1e-5
+#: Relative gap of u to the bound at which the relaxation is solved.
+_GAP_OF_U: Final = 3e-4
+
+
+class Weights(NamedTuple):
+    """Numbers of observations that need not be whole, and what they say of those that are."""
+
+    weight: Array  #: Shape (n,).
+    value: float  #: The criterion (a logarithm, see `Criterion.value`).
+    #: What no numbers can be below: `value` less the gap that the equivalence theorem leaves.
+    bound: float
+    price: float  #: What the criterion gains for each further observation.
+
+
+@frozen(eq=False)
+class Possibilities:
+    """What each of n possible observations tells, and what it costs."""
+
+    #: Rows of unit variance: columns of the unknowns and of what is considered, each of the latter
+    #: times its standard uncertainty, shapes (n, b, p) and (n, b, q).
+    design: Array
+    fixed: Array
+    #: Rows of what is known or there already, shapes (r, p) and (r, q).
+    known: Array
+    known_fixed: Array
+    cost: Array  #: Of each observation, s, shape (n,); zero where time does not count.
+
+    def joined(self, other: Possibilities) -> Possibilities:
+        """Return the observations of both."""
+        parts = ("design", "fixed", "cost")
+        design, fixed, cost = (
+            np.concatenate([getattr(self, part), getattr(other, part)]) for part in parts
+        )
+        return Possibilities(design, fixed, self.known, self.known_fixed, cost)
+
+    def covariance(self, counts: npt.ArrayLike) -> Array:
+        """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
+        n = np.asarray(counts, dtype=np.float64)
+        turned = np.swapaxes(self.design, 1, 2)
+        information = np.tensordot(n, turned @ self.design, axes=1) + self.known.T @ self.known
+        diagonal = np.arange(self.known.shape[1])
+        # Scaled, or columns of very different size would cost digits.
+        scale = 1.0 / np.sqrt(information[..., diagonal, diagonal])
+        outer = scale[..., :, None] * scale[..., None, :]
+        ridge = _RIDGE * np.eye(diagonal.size)
+        inner = np.linalg.inv(information * outer + ridge) * outer
+        moved = np.tensordot(n, turned @ self.fixed, axes=1) + self.known.T @ self.known_fixed
+        spread = inner @ moved
+        return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
+
+    def value(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
+        """Return a criterion, see `Criterion.value`."""
+        return criterion.value(self.covariance(counts))
+
+    def relaxed(
+        self, criterion: Criterion, number: float, total: float, start: Array | None = None
+    ) -> Weights:
+        """Return the best numbers that need not be whole.
+
+        number, total: Largest sum of the numbers and of their costs, s; one of them finite.
+        start: Weights to begin from, shape (n,).
+        """
+        cost = self.cost
+        if not math.isfinite(total):
+            cost, total = np.ones(len(cost)), number
+        if not math.isfinite(number):
+            number = total / float(cost.min())
+        known = np.hstack([self.known, self.known_fixed])
+        held = np.eye(known.shape[1])[self.known.shape[1] :]
+        solved = _Relaxation(
+            triangle_of(np.vstack([known, held])),
+            criterion,
+            np.concatenate([self.design, self.fixed], axis=2),
+            cost,
+            total,
+            number,
+        )
+        return solved.solve(solved.start() if start is None else start)
+
+
+class _Relaxation:
+    """The criterion as a function of the weights, and the linear limits on them."""
+
+    def __init__(
+        self,
+        prior: Array,
+        criterion: Criterion,
+        root: Array,
+        cost: Array,
+        total: float,
+        number: float,
+    ) -> None:
+        self.prior = prior
+        self.criterion = criterion
+        self.root, self.cost = root, cost
+        self.total, self.number = total, number
+
+    def solve(self, weight: Array) -> Weights:
+        """Return the best weights, from some."""
+        value = self.value(weight)
+        bound, price = -math.inf, 0.0
+        for _ in range(_GRADIENT_STEPS):
+            # With a little of everything no gain is infinite at nothing: the bound holds anywhere.
+            mixed = weight + _MIXED_IN * (self.even() - weight)
+            here, gains = self.gain(mixed)
+            best, price = self.most(gains)
+            bound = max(bound, here + float(gains @ mixed) - float(gains @ best))
+            if value - bound < _GAP_OF_U:
+                break
+            support = np.flatnonzero((weight > ZERO_WEIGHT) | (best > ZERO_WEIGHT))
+            better = self.improved(support, weight, best)
+            after = self.value(better)
+            if after > value - 0.01 * _GAP_OF_U:
+                break  # rounding is all that is left to gain
+            weight, value = better, after
+        return Weights(weight, value, bound, price)
+
+    def value(self, weight: Array) -> float:
+        """Return the criterion."""
+        used = np.flatnonzero(weight > 0.0)
+        return self._solve(used, weight[used])[0]
+
+    def gain(self, weight: Array) -> tuple[float, Array]:
+        """Return the criterion and what each observation would take off it, shape (n,)."""
+        used = np.flatnonzero(weight > 0.0)
+        value, covariance = self._solve(used, weight[used])
+        v = covariance @ self.criterion.directions(covariance)
+        return value, np.asarray(np.sum((self.root @ v) ** 2, axis=(1, 2)))
+
+    def _solve(self, used: Places, weight: Array) -> tuple[float, Array]:
+        rows = self.root[used] * np.sqrt(weight)[:, None, None]
+        stacked = np.vstack([rows.reshape(-1, self.prior.shape[1]), self.prior])
+        inverse = np.linalg.inv(np.linalg.qr(stacked, mode="r"))
+        covariance = inverse @ inverse.T
+        return float(self.criterion.value(covariance)), covariance
+
+    def start(self) -> Array:
+        """Return weights to start from: all alike, then by what each gains for what it takes.
+
+        From all of them everything is determined that can be, and the gains are finite: where a
+        few leave something open, its price hides all else.
+        """
+        taken, weight = self._taken(), self.even()
+        for _ in range(_FIRST_STEPS):
+            _, phi = self.gain(weight)
+            weight = self._within(weight * np.sqrt(phi / taken))
+        return self._within(np.where(weight > _FIRST_PART * weight.max(), weight, 0.0))
+
+    def even(self) -> Array:
+        """Return weights by which everything takes as much of the limits."""
+        return self._within(1.0 / self._taken())
+
+    def _taken(self) -> Array:
+        return self.cost / self.total + 1.0 / self.number
+
+    def _within(self, weight: Array) -> Array:
+        """Return weights of the same ratios that touch a limit."""
+        over = max(float(self.cost @ weight) / self.total, float(weight.sum()) / self.number)
+        return weight / over
+
+    def most(self, phi: Array) -> tuple[Array, float]:
+        """Return the weights that gain most by the gradient, and the price of an observation."""
+        from scipy.optimize import linprog
+
+        scale = float(np.max(phi)) or 1.0
+        rows = np.vstack([self.cost, np.ones_like(phi)])
+        program = linprog(-phi / scale, A_ub=rows, b_ub=[self.total, self.number], method="highs")
+        return np.asarray(program.x), -float(program.ineqlin.marginals[1]) * scale
+
+    def improved(self, support: Places, weight: Array, best: Array) -> Array:
+        """Return the best weights on a support."""
+        from scipy.optimize import minimize
+
+        count = support.size
+        start = weight[support] + 0.1 * (best[support] - weight[support])
+        cost = self.cost[support]
+
+        def objective(n: Array) -> tuple[float, Array]:
+            value, covariance = self._solve(support, np.maximum(n, 0.0))
+            v = covariance @ self.criterion.directions(covariance)
+            return value, -np.sum((self.root[support] @ v) ** 2, axis=(1, 2))
+
+        minimum = minimize(
+            objective,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(0.0, None)] * count,
+            constraints={
+                "type": "ineq",
+                "fun": lambda n: np.array(
+                    [1.0 - (cost @ n) / self.total, 1.0 - n.sum() / self.number]
+                ),
+                "jac": lambda _: -np.vstack([cost / self.total, np.full(count, 1.0 / self.number)]),
+            },
+            options={"maxiter": 50, "ftol": 1e-8},
+        )
+        result = np.zeros_like(weight)
+        result[support] = np.maximum(minimum.x, 0.0)
+        # A step over the limits by rounding must not count as a gain.
+        over = max(float(self.cost @ result) / self.total, float(result.sum()) / self.number, 1.0)
+        return result / over
