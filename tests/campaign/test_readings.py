@@ -48,6 +48,33 @@ def test_an_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
     assert campaign.accelerometers["A"].priors["K_I"].value == pytest.approx(1.01, rel=1e-15)
 
 
+def test_an_output_that_is_not_zero_where_nothing_is_felt(tmp_path):
+    """A loop of 4 mA to 20 mA: reading less zero, over the sensitivity."""
+    head = HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 mA" }')
+    reading = RUN.replace("1.082532", "5.082532")
+    (read_one,) = read(tmp_path, head + reading).readings
+    assert read_one.value == pytest.approx(1.082532 / 1.25, rel=1e-12)
+    assert read_one.u == pytest.approx(2e-6 / 1.25, rel=1e-12)
+    output = read(tmp_path, head + reading).accelerometers["A"].output
+    assert output.of_g(output.in_g(4.7)) == pytest.approx(4.7, rel=1e-15)
+
+
+def test_the_zero_of_an_output_is_that_of_its_records_too(tmp_path):
+    head = HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 mA" }')
+    records = '[records]\ntime = { column = "t", unit = "s" }\n'
+    run = RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "rest.csv"')
+    for unit, times in (("mA", 1.0), ("uA", 1e3)):
+        recorded = f'specific_force = {{ column = "I", unit = "{unit}" }}\n'
+        channel = read(tmp_path, head + recorded + records + run).accelerometers["A"].force
+        # At 4 mA and 1.25 mA more: nothing, and one g.
+        force = np.array([4.0, 5.25]) * times * channel.factor + channel.offset
+        np.testing.assert_allclose(force, [0.0, 9.8], atol=1e-12)
+    # A column in m/s^2 has its zero where it is zero.
+    recorded = 'specific_force = { column = "f", unit = "m/s^2" }\n'
+    channel = read(tmp_path, head + recorded + records + run).accelerometers["A"].force
+    assert channel.offset == 0.0
+
+
 def test_records_at_rest_need_no_centrifuge_and_those_on_an_arm_do(tmp_path):
     recorded = 'specific_force = { column = "mA", unit = "mA" }\n'
     records = '[records]\ntime = { column = "t", unit = "s" }\n'
@@ -94,6 +121,10 @@ SLIPS = {
     "a sensitivity of another unit": (
         HEAD.replace("1.25 mA/g", "1.25 V/g") + RUN,
         "accelerometers.A.output.sensitivity:",
+    ),
+    "a zero of another unit": (
+        HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 V" }') + RUN,
+        "accelerometers.A.output.zero: 'V' is not a unit of quantity in mA",
     ),
     "an output without a sensitivity": (
         HEAD.replace(', sensitivity = "1.25 mA/g"', "") + RUN,

@@ -26,6 +26,7 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     Correlation,
     Knowledge,
+    NominalOutput,
 )
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
@@ -545,3 +546,33 @@ def test_every_record_file_can_be_corrected(tmp_path, name):
     written_table = pl.read_parquet(tmp_path / "out.parquet")
     assert written_table["Qx_corrected"].to_list() == [0.5, 1.0, -1.5]
     assert written_table["t"].to_list() == [0.0, 0.5, 1.0]
+
+
+def test_the_output_that_was_calibrated_is_corrected_as_it_is(tmp_path):
+    """Counts from 33000 on, 4000 a g: as the same forces in g."""
+    ready = result({"Qx": accelerometer(MODEL)})
+    nominal = NominalOutput(unit="count", sensitivity=4000.0, zero=33000.0)
+    counting = result({"Qx": accelerometer(MODEL, nominal=nominal)})
+    force = np.array([-1.0, 0.25, 0.999])
+    plain = apply(ready, "Qx", force)
+    counts = apply(counting, "Qx", 33000.0 + 4000.0 * force, ApplyOptions(unit="count"))
+    assert counts.unit == "g"
+    np.testing.assert_allclose(counts.corrected, plain.corrected, rtol=1e-13)
+    np.testing.assert_allclose(counts.indicated, force, rtol=1e-13)
+    pl.DataFrame({"n": 33000.0 + 4000.0 * force}).write_csv(tmp_path / "raw.csv")
+    done = apply_file(
+        counting,
+        "Qx",
+        tmp_path / "raw.csv",
+        tmp_path / "done.csv",
+        options=ApplyOptions(unit="count"),
+    )
+    assert (done.low, done.high) == (pytest.approx(-1.0), pytest.approx(0.999))
+    np.testing.assert_allclose(pl.read_csv(done.path)["n_corrected"], plain.corrected, rtol=1e-13)
+    # The unit of another output, or of an output that the result does not state, is refused.
+    for one, unit, said in (
+        (counting, "V", "'V' is not a unit of quantity in count"),
+        (ready, "count", "the result states no other output of Qx"),
+    ):
+        with pytest.raises(CampaignError, match=said):
+            apply(one, "Qx", force, ApplyOptions(unit=unit))

@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 from posed_records import posed
 
+from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 from counterspin.exports.description import drafted, guessed_test, write_description
@@ -104,14 +105,64 @@ def test_counts_have_a_sensitivity(tmp_path, values):
     looks = look_at([tmp_path / "imu.csv"])
     found = poses_draft(looks, ANSWERS)
     assert found.triad == ("a0", "a1", "a2")
-    assert [question.key for question in found.open_questions] == ["unit"]
-    document = poses_draft(looks, ANSWERS | {"unit": "count"}).document(tmp_path)
+    assert found.open_questions == []
+    document = found.document(tmp_path)
     output = document["accelerometers"]["Z"]["output"]
     assert output["unit"] == "count"
     assert float(output["sensitivity"].split()[0]) == pytest.approx(1670.0 * 9.81, rel=0.02)
     assert "count/g" in write_document(document, {})
     named = poses_draft(looks, ANSWERS | {"unit": "count", "sensitivity": "16384 count/g"})
     write_description(named, tmp_path / "camp")
+
+
+MIDDLE = np.array([33124.0, 33275.0, 32364.0])
+
+
+def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
+    """Write numbers of a converter as MATLAB does in ASCII: the time first, and no names."""
+    time = np.arange(len(values)) / 100.0
+    raw = np.round(middle + counts * values)
+    np.savetxt(file, np.column_stack([time, raw]), fmt="%16.7e")
+    return look_at([file])
+
+
+def test_counts_of_a_converter_that_is_not_zero_where_nothing_is_felt(tmp_path):
+    looks = write_raw(tmp_path / "imu_acc.txt", posed(4.0, 1.5, count=24).values + BIAS)
+    assert guessed_test(looks) == "poses"
+    found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    assert found.open_questions == []
+    document = found.document(tmp_path / "camp")
+    assert document["records"] == {"time": {"column": "column 1", "unit": "s"}}
+    for name, middle, bias in zip("XYZ", MIDDLE, BIAS, strict=True):
+        output = document["accelerometers"][name]["output"]
+        assert float(output["sensitivity"].split()[0]) == pytest.approx(415.0 * 9.81, rel=0.02)
+        # Four digits of it, and sensitivities that are not alike.
+        assert float(output["zero"].split()[0]) == pytest.approx(middle + 415.0 * bias, abs=60.0)
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    assert result.state == "good"
+    for name, middle, bias in zip("XYZ", MIDDLE, BIAS, strict=True):
+        read = result.accelerometers[name].output["bias"]
+        assert abs(read.value - (middle + 415.0 * bias)) < 3.0 * read.u < 30.0
+
+
+def test_few_poses_are_about_zero(tmp_path, values):
+    """Four numbers of a sphere need more than a handful of poses to be believed."""
+    looks = write_raw(tmp_path / "imu.txt", values[: int(8 * 5.5 * 100)])
+    assert guessed_test(looks) == "double-turntable"
+
+
+def test_volts_of_a_single_supply(tmp_path, values):
+    time = np.arange(len(values)) * 10.0
+    columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}
+    pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
+    told = {k: v for k, v in ANSWERS.items() if k != "sampling_rate"} | {"unit": "V"}
+    found = poses_draft(look_at([tmp_path / "imu.csv"]), told)
+    asked = {question.key: question.guess for question in found.questions}
+    assert float(asked["Y zero"].split()[0]) == pytest.approx(1.65, abs=0.02)
+    document = poses_draft(look_at([tmp_path / "imu.csv"]), told | {"Y zero": "1.5 V"}).document(
+        tmp_path
+    )
+    assert document["accelerometers"]["Y"]["output"]["zero"] == "1.5 V"
 
 
 def test_other_records_are_not_taken_for_poses(tmp_path, values):

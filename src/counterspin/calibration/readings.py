@@ -347,16 +347,14 @@ def in_output_units(
     output = campaign.accelerometers[name].output
     if output is None:
         return {}
-    shown = {}
-    for symbol, key, unit in (
-        ("K_F", "bias", output.unit),
-        ("K_I", "scale_factor", f"{output.unit}/g"),
+    shown, size = {}, output.sensitivity
+    for symbol, key, unit, zero in (
+        ("K_F", "bias", output.unit, output.zero),
+        ("K_I", "scale_factor", f"{output.unit}/g", 0.0),
     ):
         c = own.get(symbol)
         if c is None or c.value is None or c.u is None:
             continue
-        size = output.sensitivity
-        shown[key] = Coefficient(
-            value=c.value * size, u=c.u * abs(size), dof=c.dof, unit=unit, estimated=c.estimated
-        )
+        value, u = zero + c.value * size, c.u * abs(size)
+        shown[key] = Coefficient(value=value, u=u, dof=c.dof, unit=unit, estimated=c.estimated)
     return shown

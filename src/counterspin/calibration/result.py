@@ -25,6 +25,7 @@ from counterspin.calibration.result_parts import (
     Finding,
     Inputs,
     Knowledge,
+    NominalOutput,
     Provenance,
     RunResult,
     State,
@@ -394,6 +395,7 @@ write_result = Result.write
 
 def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
     """Return what is needed of an accelerometer's description to apply its result without it."""
+    output = accelerometer.output
     return {
         "serial_number": accelerometer.serial_number,
         "known": {
@@ -403,6 +405,7 @@ def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str,
         },
         "axes": list(accelerometer.mounting.axes),
         "observable": accelerometer.observable,
+        "nominal": None if output is None else NominalOutput(**output.model_dump()),
     }
 
 

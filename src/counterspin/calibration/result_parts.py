@@ -242,6 +242,20 @@ class Trace(ResultPart):
     quantiles: Quantiles | None = None  #: Of the whitened residuals.
 
 
+class NominalOutput(ResultPart):
+    """By which an output is taken for a specific force, g: (output - zero) / sensitivity."""
+
+    unit: str  #: Of the output.
+    sensitivity: float  #: Output per g; K_I is the true one over it.
+    zero: float = 0.0  #: Output where no force is felt; K_F is what is there beside it.
+
+    @property
+    def words(self) -> str:
+        """Such as ``1.25 mA/g from 4 mA``."""
+        start = f" from {self.zero:.9g} {self.unit}" if self.zero else ""
+        return f"{self.sensitivity:.9g} {self.unit}/g{start}"
+
+
 class ReadingResult(ResultPart):
     """One reading: value, standard uncertainty and residual in g; `z` is None where it fits wholly.
 
@@ -412,6 +426,9 @@ class AccelerometerResult(ResultPart):
     kinds: list[KindOfTest] = []
     #: ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     output: dict[str, Coefficient] = {}
+    #: By what its readings, and an output such as a current, were taken for a specific force; null
+    #: where they are in g or m/s^2.
+    nominal: NominalOutput | None = None
     warnings: list[str] = []  #: The findings in words.
 
     def __repr__(self) -> str:

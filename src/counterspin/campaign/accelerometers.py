@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from counterspin.campaign.checking import Problems
@@ -166,13 +168,20 @@ class AccelerometersReader:
         if settings is None or observable != "specific_force":
             return self._channel(settings, OBSERVABLES[observable])
         try:
-            return self._channel(settings, "m/s^2")
+            channel = self._channel(settings, "m/s^2")
         except ValueError as error:
             if output is None:
                 self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
                 return Channel("", 1.0, "")
-        factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
-        return Channel(settings.column, factor / output.sensitivity * self.gravity, settings.unit)
+            factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
+            factor *= self.gravity / output.sensitivity
+            channel = Channel(settings.column, factor, settings.unit)
+        if output is not None and output.zero != 0.0:
+            # Of a column that is in m/s^2 already another unit's zero says nothing.
+            with suppress(ValueError):
+                unit_factor(settings.unit or "", output.unit, gravity=self.gravity)
+                channel = replace(channel, offset=self.gravity * output.in_g(0.0))
+        return channel
 
     def _force(self, name: str, table: Any) -> Channel | None:
         """Return the column that records on an arm or at rest are read from, if there are any."""

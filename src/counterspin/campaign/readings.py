@@ -366,14 +366,16 @@ class _Value:
 
 def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Value:
     """Return what repeats of one reading say."""
-    unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
+    unit, size, zero = "g", 1.0, 0.0
+    if output is not None:
+        unit, size, zero = output.unit, output.sensitivity, output.zero
     conversion = gravity if output is None else None
     written = [
         f"0 {text.removeprefix(BLANK) or unit}" if text.startswith(BLANK) else text
         for text in texts
     ]
     quantities = [parse(text, unit, gravity=conversion) for text in written]
-    values = np.array([quantity.value for quantity in quantities]) / size
+    values = (np.array([quantity.value for quantity in quantities]) - zero) / size
     u = np.array([quantity.u for quantity in quantities]) / abs(size)
     mean = float(values.mean()) if written == list(texts) else math.nan
     in_si = False

@@ -190,8 +190,14 @@ def _per_g(value: object, info: ValidationInfo) -> float:
     return sensitivity
 
 
+def _in_output(value: object, info: ValidationInfo) -> float:
+    """Read what is indicated where no force is felt."""
+    unit = info.data.get("unit")
+    return 0.0 if unit is None else exact(value, unit)
+
+
 class Output(SettingsSection):
-    """``output``: what an accelerometer's readings are in, and its nominal sensitivity."""
+    """``output``: what an accelerometer's readings are in, its nominal sensitivity and zero."""
 
     unit: Annotated[Text, AfterValidator(check_unit)] = described("of the readings", "mA")
     # A number in that unit per g.
@@ -203,6 +209,21 @@ class Output(SettingsSection):
         kind="text",
         validate_default=True,
     )
+    zero: Annotated[float, PlainValidator(_in_output, Text)] = described(
+        "nominal: what is read where no force is felt; K_F is what the true one has beside it",
+        "4 mA",
+        0.0,
+        absent="0",
+        kind="text",
+    )
+
+    def in_g(self, reading: Any) -> Any:
+        """Return readings in g by the nominal sensitivity and zero, shape as given."""
+        return (reading - self.zero) / self.sensitivity
+
+    def of_g(self, force: Any) -> Any:
+        """Return what is read at forces in g, by the nominal sensitivity and zero."""
+        return self.zero + self.sensitivity * force
 
 
 def _of_output(value: object, info: ValidationInfo) -> Quantity:

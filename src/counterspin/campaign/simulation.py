@@ -223,7 +223,7 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
                     angle = _noisy(generator, angle, noise.angle)
                     columns[campaign.angle.column] = campaign.angle.filed(angle)
             signal = _measured(generator, time, signal, accelerometer, noise)
-            columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
+            columns[accelerometer.channel.column] = accelerometer.channel.filed(signal)
         yield pl.DataFrame(columns)
 
 
@@ -300,7 +300,7 @@ def simulate_run(
                 trajectory.conditions.start,
             )
         signal = _measured(generator, times, signal, accelerometer, noise)
-        columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
+        columns[accelerometer.channel.column] = accelerometer.channel.filed(signal)
     return columns
 
 

@@ -46,7 +46,10 @@ def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
         assert c.u is not None
         gravity = result.gravity_of(name, symbol)
         # Both moved by g alike: one is the other times the nominal sensitivity, which is exact.
-        times = c.value / own.value if own.value else c.u / (own.u or math.inf)
+        if accelerometer.nominal is not None:
+            times = accelerometer.nominal.sensitivity
+        else:
+            times = c.value / own.value if own.value else c.u / (own.u or math.inf)
         moved = replace(gravity, sensitivity=gravity.sensitivity * times)
         with suppress(ValueError):
             estimates[key] = own_estimate(c.value, c.u, c.unit, c.dof, moved)

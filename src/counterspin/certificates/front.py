@@ -146,7 +146,7 @@ def _triad(stated: Result, triad: TriadResult) -> Iterator[Block]:
     for line in triad_lines(triad):
         yield Paragraph(typeset(line))
     yield results_table("Parameter", *shown_in_si(stated, triad))
-    for line in output_lines(triad):
+    for line in output_lines(stated, triad):
         yield Paragraph(typeset(line))
     if triad.matrix is not None and triad.u_matrix is not None:
         k = coverage_factor(matrix_dof(triad))

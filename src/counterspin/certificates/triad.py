@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
-from counterspin.calibration.pages.triad import parameter_words, shown_parameter
+from counterspin.calibration.pages.triad import (
+    nominal_outputs,
+    parameter_words,
+    shown_parameter,
+)
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.certificates import wording
@@ -97,16 +101,18 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
     return f"{words} = {wording.shown_in_g(c, k)} (U, k = {factor(k)}); {whole}{stated}"
 
 
-def output_lines(triad: TriadResult) -> list[str]:
+def output_lines(result: Result, triad: TriadResult) -> list[str]:
     """Return how the corrected output follows from the indications; nothing without a matrix."""
     if triad.matrix is None:
         return []
+    outputs = nominal_outputs(result, triad)
+    by = f" ({outputs})" if outputs else ""
     names = ", ".join(triad.accelerometers)
     beside = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
     less = f", less what {', '.join(beside)} add to them" if beside else ""
     return [
         f"Corrected output: f = M (y - b), y being the indications of {names} by their nominal "
-        f"sensitivities{less}, and b their offsets. f lies along the axes x, y, z in which the "
+        f"sensitivities{by}{less}, and b their offsets. f lies along the axes x, y, z in which the "
         "campaign states their directions: east, north and up while the sensor is level. "
         "Misalignments that are no coefficients above are there as stated, or zero."
     ]

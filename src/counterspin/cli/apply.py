@@ -28,7 +28,8 @@ class Forces:
     column
         The column to correct; may be left out where only one is possible.
     unit
-        Unit of the table's forces: g, m/s^2, mg.
+        Unit of the table's forces: g, m/s^2, mg; or of the outputs that were calibrated, such as
+        count: then the corrected forces are in g.
     pendulous
         Specific force along the pendulous axis: a column, or a constant such as "-1 g".
     output_axis

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from typing import Any, Final
 
@@ -55,8 +55,10 @@ class Correction:
     u
         Its standard uncertainty (k = 1) from coefficients and constants, shape (n,). The noise
         of the indication itself is no part of it.
+    indicated
+        Indicated specific force by the nominal sensitivity and zero, shape (n,).
     unit
-        Of both: that of the indication.
+        Of all three: that of the indication, or g where that is no unit of a specific force.
     dof
         The fewest effective degrees of freedom of a coefficient that was applied; infinite
         where the noise was given.
@@ -70,6 +72,7 @@ class Correction:
 
     corrected: Array
     u: Array
+    indicated: Array
     unit: str
     dof: float
     notes: tuple[str, ...]
@@ -94,7 +97,8 @@ class ApplyOptions:
     ----------
     unit
         Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
-        every other array, and of what is returned.
+        every other array, and of what is returned. Or that of the accelerometers' outputs, such as
+        ``count`` or ``mA``, as the result states them: then all else is in g.
     pendulous, output_axis
         Specific force along the pendulous and the output axis: shape (n,), one number, or text
         such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
@@ -160,7 +164,8 @@ def apply(
     indications = {accelerometer: indicated, **options.others}
     if accelerometer in options.others:
         raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
-    factor = _factor(options.unit, result.inputs.gravity)
+    unit, scales = _scales(result, indications, options.unit)
+    factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
     given = {"I", "|I|"}
     given |= {"P"} if options.pendulous is not None else set()
     given |= {"O"} if options.output_axis is not None else set()
@@ -185,14 +190,18 @@ def apply(
         raise CampaignError(_SOURCE, [str(error)]) from error
     if missing:
         raise CampaignError(_SOURCE, _needed(accelerometer, missing))
-    columns = [np.asarray(values, dtype=np.float64) * factor for values in indications.values()]
+    columns = [
+        np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
+        for name, values in indications.items()
+    ]
     between = covariances_between(whole, instruments)
     forces = correct(instruments, np.stack(columns, axis=1), known, between)
     applied = [result.accelerometers[name] for name in indications]
     done = Correction(
         corrected=forces.force[:, 0] / factor,
         u=forces.u[:, 0] / factor,
-        unit=options.unit,
+        indicated=columns[0] / factor,
+        unit=unit,
         dof=min(
             (c.dof for own in applied for c in terms_of(own).values() if c.dof is not None),
             default=math.inf,
@@ -213,10 +222,48 @@ def apply(
         ),
     )
     beside = {
-        name: replace(done, corrected=forces.force[:, k] / factor, u=forces.u[:, k] / factor)
+        name: replace(
+            done,
+            corrected=forces.force[:, k] / factor,
+            u=forces.u[:, k] / factor,
+            indicated=columns[k] / factor,
+        )
         for k, name in enumerate(options.others, 1)
     }
     return replace(done, others=beside)
+
+
+@frozen
+class _Scale:
+    """How a column becomes a specific force, g: times a factor, less what is read at none."""
+
+    factor: float
+    zero: float = 0.0
+
+
+def _scales(result: Result, names: Iterable[str], unit: str) -> tuple[str, dict[str, _Scale]]:
+    """Return the unit of what is returned, and how the column of each accelerometer becomes g."""
+    try:
+        factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
+    except ValueError as error:
+        no_force = error
+    else:
+        return unit, dict.fromkeys(names, _Scale(factor))
+    scales = {}
+    for name in names:
+        own = result.accelerometers.get(name)
+        nominal = own.nominal if own else None
+        try:
+            if nominal is None:
+                raise no_force
+            factor = unit_factor(unit, nominal.unit)
+        except ValueError as error:
+            text = f"`unit`: {error}"
+            if nominal is None:
+                text += f"; the result states no other output of {name}"
+            raise CampaignError(_SOURCE, [text]) from error
+        scales[name] = _Scale(factor / nominal.sensitivity, nominal.zero / nominal.sensitivity)
+    return "g", scales
 
 
 def _not_carried(name: str, symbols: Sequence[str]) -> list[str]:
@@ -245,13 +292,6 @@ def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
         f"{name}: the correlations in the result contradict each other, as versions "
         "before 0.1.0 could write them; u is an upper estimate. Calibrate again."
     ]
-
-
-def _factor(unit: str, gravity: float) -> float:
-    try:
-        return unit_factor(unit, "g", gravity=gravity)
-    except ValueError as error:
-        raise CampaignError(_SOURCE, [f"`unit`: {error}"]) from error
 
 
 def _known(given: Any, direction: Array, factor: float, gravity: float, option: str) -> Known:

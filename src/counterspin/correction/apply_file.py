@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 import polars as pl
 
-from counterspin.arrays import Array
 from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.result import Result
 from counterspin.correction.apply import ApplyOptions, Correction, apply
@@ -36,7 +35,7 @@ _CORRECTED: Final = FileKind("a file that counterspin corrected", holds(b"_corre
 
 @frozen
 class Level:
-    """One row: its indicated specific force, its correction, its u, in the file's unit."""
+    """One row: its indicated specific force, its correction, its u, in the correction's unit."""
 
     indicated: float
     correction: float
@@ -159,7 +158,7 @@ def apply_file(
     added, reports = [], []
     for name, one in corrected.items():
         done = correction.others.get(name, correction)
-        reports.append(_report(output, one, values[one], done, result.inputs.gravity))
+        reports.append(_report(output, one, done, result.inputs.gravity))
         for new, array in ((f"{one}_corrected", done.corrected), (f"{one}_corrected_u", done.u)):
             added.append(pl.Series(new, array).fill_nan(None))
     report = replace(reports[0], found=table.found, more=tuple(reports[1:]))
@@ -210,9 +209,8 @@ def _constant(name: str, text: str, columns: list[str]) -> str:
     return text
 
 
-def _report(
-    output: Path, column: str, indicated: Array, correction: Correction, gravity: float
-) -> CorrectedFile:
+def _report(output: Path, column: str, correction: Correction, gravity: float) -> CorrectedFile:
+    indicated = correction.indicated
     present = np.flatnonzero(np.isfinite(correction.corrected))
     if present.size == 0:
         raise RecordError(f"{output}: not written: no row has all the numbers that are needed.")

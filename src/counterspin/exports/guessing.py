@@ -264,7 +264,7 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     stamps = [column for column in columns if column.stamps]
     if stamps:
         return stamps[0]
-    rising = [column for column in columns if _is_even(column.values)]
+    rising = [column for column in columns if is_even(column.values)]
     named = [column for column in rising if _TIME.match(re.split(r"[/.]", column.name)[-1])]
     united = [column for column in rising if converts(column.unit, "s")]
     # Without a word, the time stands first, and something else advances with it.
@@ -279,7 +279,8 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     return next(iter([*named, *united, *first]), None)
 
 
-def _is_even(values: Array) -> bool:
+def is_even(values: Array) -> bool:
+    """Return whether numbers rise in even steps, as time does."""
     steps = np.diff(values[np.isfinite(values)])
     if len(steps) < 8 or not (steps >= 0).all():
         return False

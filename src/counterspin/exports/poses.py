@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from counterspin.exports.guessing import (
     FileGuess,
     converts,
     guess_file,
+    is_even,
 )
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import (
@@ -47,10 +49,17 @@ _USUAL_RATE: Final = 100.0
 #: Rows, and columns one after the other, in which rests are looked for at most.
 _MOST_ROWS: Final = 500_000
 _MOST_TRIPLES: Final = 40
-#: Fewest rests of a record that is guessed to be one of poses.
+#: Fewest rests of a record that is guessed to be one of poses; where the middle of their sphere is
+#: to be found as well.
 _FEWEST_POSES: Final = 6
+_FEWEST_ABOUT_MIDDLE: Final = 9
 #: At rest the values are together as large as gravity within this part: biases are in it too.
 _GRAVITY_PART: Final = 0.15
+#: About the middle of their sphere they are as large within this one: axes are not equally good.
+_SPHERE_PART: Final = 0.05
+#: Steps of a time without a unit, from which it is in ms, and in us: sensors give 2 rows a second
+#: to some thousands.
+_STEPS_IN: Final = {"us": 500.0, "ms": 0.5, "s": 0.0}
 #: Noise density from which a sensor is guessed to be of a worse grade, g/Hz^0.5.
 _NOISY: Final = {"consumer": 5e-5, "tactical": 2e-6}
 
@@ -92,6 +101,8 @@ class PosesDraft(AnsweredExport):
             table["grade"] = said["grade"]
             if "sensitivity" in said:
                 table["output"] = {"unit": said["unit"], "sensitivity": said["sensitivity"]}
+            if f"{name} zero" in said:
+                table["output"]["zero"] = said[f"{name} zero"]
             instruments[name] = table | {"specific_force": {"column": column, "unit": said["unit"]}}
         names: list[Any] = []
         runs = []
@@ -130,7 +141,7 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
 
     def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
         nonlocal guesses, questions, found
-        guesses = tuple(guess_file(look, taken) for look in looks)
+        guesses = tuple(_guessed(look, taken) for look in looks)
         found = _triad(guesses[0], taken)
         questions = tuple(_questions(guesses[0], found, taken))
         return questions
@@ -144,7 +155,7 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
 
 def shows_poses(looks: Sequence[Look]) -> bool:
     """Return whether every file seems to be a record of a sensor set down in many poses."""
-    found = [_triad(guess_file(look), {}) for look in looks]
+    found = [_triad(_guessed(look, {}), {}) for look in looks]
     return all(one is not None and one.unit is not None for one in found)
 
 
@@ -158,11 +169,30 @@ class _Triad:
     columns: tuple[str, str, str]
     unit: str | None  #: None: unknown.
     poses: Poses | None  #: None: none were found.
+    #: What the columns read where nothing is felt, shape (3,): zero, or the middle of the sphere on
+    #: which the poses lie.
+    zero: Array = field(default_factory=lambda: np.zeros(3))
 
     @property
     def gravity(self) -> float:
         """What is felt at rest, in the median, in the columns' unit."""
-        return math.nan if self.poses is None else float(np.median(_norms(self.poses.mean)))
+        if self.poses is None:
+            return math.nan
+        return float(np.median(_norms(self.poses.mean - self.zero)))
+
+
+def _guessed(look: Look, told: Mapping[str, str]) -> FileGuess:
+    """Return which column is what, where nothing turns: what rises in even steps is the time."""
+    guess = guess_file(look, told)
+    first = look.columns[0]
+    if guess.time is None and "time" not in told and is_even(first.values):
+        guess = guess_file(look, {**told, "time": first.name})
+    if guess.time is not None and guess.time.unit is None:
+        column = next(one for one in look.columns if one.name == guess.time.column)
+        step = float(np.nanmedian(np.diff(column.values)))
+        unit = next(unit for unit, least in _STEPS_IN.items() if step > least)
+        guess = guess_file(look, {**told, "time": column.name, "time unit": unit})
+    return guess
 
 
 def _triad(guess: FileGuess, told: Mapping[str, str]) -> _Triad | None:
@@ -184,7 +214,7 @@ def _triad(guess: FileGuess, told: Mapping[str, str]) -> _Triad | None:
         three = there[place : place + 3]
         if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
             found = _looked_at(three, seconds, rest, told.get("unit"))
-            if found.poses is not None and _turns(found.poses):
+            if found.poses is not None and _turns(found.poses.mean - found.zero):
                 if found.unit is not None:
                     return found
                 like.append(found)
@@ -222,7 +252,35 @@ def _looked_at(
             and _is_gravity(felt * unit_factor(one, "m/s^2", gravity=STANDARD_GRAVITY))
         ]
         unit = next(iter(near), "")
-    return _Triad(named, unit or None, poses)
+    # Counts and volts may be any number where nothing is felt, a specific force is none there.
+    zero = np.zeros(3) if converts(unit or "", "m/s^2") else _middle(poses.mean)
+    unit = unit or ("count" if _whole(values) else "")
+    return _Triad(named, unit or None, poses, zero)
+
+
+def _whole(values: Array) -> bool:
+    """Return whether all numbers are whole ones, as a converter counts."""
+    there = values[np.isfinite(values)]
+    return bool(np.all(there == np.round(there)) and np.ptp(there) > 1.0)
+
+
+def _middle(means: Array) -> Array:
+    """Return the middle of the sphere on which poses lie, shape (3,); zero where that serves.
+
+    |m|^2 = 2 c m + r^2 - |c|^2 is linear in the middle c.
+    """
+    none = np.zeros(3)
+    if len(means) < _FEWEST_ABOUT_MIDDLE or _turns(means):
+        return none
+    center = means.mean(axis=0)
+    apart = means - center
+    known = np.column_stack([2.0 * apart, np.ones(len(apart))])
+    middle = np.linalg.lstsq(known, np.sum(apart**2, axis=1), rcond=None)[0][:3] + center
+    return middle if _alike(_norms(means - middle), _SPHERE_PART) else none
+
+
+def _alike(sizes: Array, part: float) -> bool:
+    return bool(np.mean(np.abs(sizes / np.median(sizes) - 1.0) < part) > 0.8)
 
 
 def _norms(means: Array) -> Array:
@@ -234,14 +292,13 @@ def _is_gravity(felt: Array) -> bool:
     return bool(np.mean(np.abs(felt / STANDARD_GRAVITY - 1.0) < _GRAVITY_PART) > 0.8)
 
 
-def _turns(poses: Poses) -> bool:
-    """Return whether poses are many, alike in size and unlike in direction."""
-    felt = _norms(poses.mean)
-    alike = np.mean(np.abs(felt / np.median(felt) - 1.0) < _GRAVITY_PART) > 0.8
-    spread = np.linalg.svd(poses.mean / felt[:, None], compute_uv=False)
+def _turns(means: Array) -> bool:
+    """Return whether poses, (n, 3), are many, alike in size and unlike in direction."""
+    felt = _norms(means)
+    spread = np.linalg.svd(means / felt[:, None], compute_uv=False)
     many = len(felt) >= _FEWEST_POSES
     # In at least three directions, none of them rare.
-    return bool(many and alike and spread[-1] > 0.2 * spread[0])
+    return bool(many and _alike(felt, _GRAVITY_PART) and spread[-1] > 0.2 * spread[0])
 
 
 def _grade(found: _Triad, seconds_a_row: float) -> str | None:
@@ -278,6 +335,11 @@ def _questions(
         yield ExportQuestion(
             "sensitivity", text, f"1000 {unit}/g", guess=size, quantity=f"{unit}/g"
         )
+        for axis, zero in zip(AXES, found.zero if found else (), strict=False):
+            if found and np.any(found.zero):
+                text = f"What does axis {axis} read where it feels nothing, nominally?"
+                size = f"{zero:.4g} {unit}"
+                yield ExportQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
     text = "How long does a rest last at least that is a pose?"
     usual = f"{SHORTEST_REST:g} s"
     yield ExportQuestion("rest", text, usual, guess=usual, quantity="s")

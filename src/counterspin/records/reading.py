@@ -301,10 +301,11 @@ class _RecordReader:
     ) -> None:
         room = LISTED - self._outliers[place]
         self._outliers[place] += len(rows)
-        name, factor = self._signals[place].name, self._signals[place].factor
+        spec = self._signals[place]
         for row, time, value in zip(rows[: max(room, 0)], times, values, strict=False):
+            size = float(value) * spec.factor + spec.offset
             self._listed.append(
-                Outlier(name, int(row) + 1, float(time) + self._start_time, float(value) * factor)
+                Outlier(spec.name, int(row) + 1, float(time) + self._start_time, size)
             )
 
     def _refuse_empty(self) -> None:
@@ -337,7 +338,7 @@ class _RecordReader:
         signals: dict[str, np.ndarray] = {}
         parts: dict[str, np.ndarray] = {}
         for place, (name, spec) in enumerate(self._columns.signals.items()):
-            signal = blocks.signals[place] * spec.factor
+            signal = _scaled(blocks.signals[place], spec.factor, spec.offset)
             self._refuse_beyond_measure(spec, signal)
             if self._block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
@@ -429,7 +430,7 @@ class _RecordReader:
             inside = np.flatnonzero((time >= begin) & (time <= end))
             rows.append(row + inside)
             times.append(time[inside])
-            signals.append(columns[spec.name][inside] * spec.factor)
+            signals.append(_scaled(columns[spec.name][inside], spec.factor, spec.offset))
             row += len(time)
         angle = np.interp(np.concatenate(times), block_times, phase)
         at = min(switch(fitted, change, angle, np.concatenate(signals)), len(angle) - 1)

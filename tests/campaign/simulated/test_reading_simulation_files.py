@@ -141,6 +141,29 @@ def test_calibrating_them_finds_the_truth(tmp_path):
         assert abs(found[symbol].value - truth) < 4.0 * found[symbol].u
 
 
+def test_an_output_that_is_not_zero_at_rest_is_simulated_and_calibrated(tmp_path):
+    """A current loop: each value is 12 mA more, and nothing else changes."""
+    twelve = TEXT.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "12 mA" }')
+    for name, text in (("zero", TEXT), ("twelve", twelve)):
+        simulate(campaign(tmp_path / name, text), tmp_path / name / "made")
+    plain, moved = (tmp_path / name / "made" for name in ("zero", "twelve"))
+    values = [
+        pl.read_parquet(folder / "rest.parquet")["mA"].to_numpy() for folder in (plain, moved)
+    ]
+    np.testing.assert_allclose(values[1], values[0] + 12.0, rtol=1e-14)
+    values = [pl.read_csv(f / "tables" / "readings.csv")["mA"].to_numpy() for f in (plain, moved)]
+    np.testing.assert_allclose(values[1], values[0] + 12.0, atol=1e-12)
+    first, second = (calibrate(folder).accelerometers["A"] for folder in (plain, moved))
+    for symbol, c in second.coefficients.items():
+        assert abs(c.value - first.coefficients[symbol].value) < 1e-4 * c.u
+        assert c.u == pytest.approx(first.coefficients[symbol].u, rel=1e-4)
+    bias = second.output["bias"]
+    assert bias.value == pytest.approx(12.0 + 1.25 * second.coefficients["K_F"].value, rel=1e-14)
+    assert second.output["scale_factor"].value == pytest.approx(
+        first.output["scale_factor"].value, rel=1e-9
+    )
+
+
 def test_the_same_seed_gives_the_same_files(tmp_path):
     own = campaign(tmp_path / "own")
     for place in ("first", "second"):

@@ -35,7 +35,7 @@ _LIKELY: Final = {
     "K_I.temperature": "the unit of the temperatures, or which position has which",
     "K_II.temperature": "the unit of the temperatures, or which position has which",
     "K_F.trend": "the times of the runs and their unit",
-    "K_F": "an offset of all readings, or the zero of the attitudes",
+    "K_F": "an offset of all readings, such as the `zero` of an output, or that of the attitudes",
     "delta_": "the attitudes: their zero, their sense, or the axes",
     "K_": "the rates, the radius, or an output that is not linear at the largest force",
     "platform.tilt": "the attitudes, or the input axes",

@@ -59,7 +59,7 @@ def accelerometer_blocks(
     if accelerometer.noise:
         yield Paragraph(_noise(accelerometer.noise, gravity))
     if accelerometer.output:
-        yield Paragraph(_in_output_units(accelerometer.output))
+        yield Paragraph(_in_output_units(accelerometer))
     yield from kind_blocks(accelerometer)
     if accelerometer.readings:
         yield table_of_tests(accelerometer.readings)
@@ -74,12 +74,13 @@ def accelerometer_blocks(
         yield from _correlations(accelerometer)
 
 
-def _in_output_units(output: dict[str, Coefficient]) -> str:
+def _in_output_units(accelerometer: AccelerometerResult) -> str:
     parts = (
         f"{key.replace('_', ' ')} {format_estimate(c.value, c.u, c.unit)}"
-        for key, c in output.items()
+        for key, c in accelerometer.output.items()
     )
-    return f"In the unit of the readings: {', '.join(parts)}."
+    nominal = f" (nominal {accelerometer.nominal.words})" if accelerometer.nominal else ""
+    return f"In the unit of the readings: {', '.join(parts)}{nominal}."
 
 
 def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:

@@ -47,6 +47,12 @@ def triad_line(result: Result) -> Iterator[Block]:
             yield Paragraph(f"{name}: {sentence}")
 
 
+def nominal_outputs(result: Result, triad: TriadResult) -> str:
+    """Return by what a triad's outputs are taken for specific forces; empty where they are such."""
+    outputs = {name: result.accelerometers[name].nominal for name in triad.accelerometers}
+    return ", ".join(f"{name} {one.words}" for name, one in outputs.items() if one)
+
+
 def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
     """Yield the triad's parameters, the corrected output and the poses, all with `details`."""
     triad = result.triad
@@ -61,6 +67,8 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
             f"Corrected output: f = M (y - b), all in g, y in the order {order}, f along the axes "
             f"of the triad's frame; b = ({bias})."
         )
+        if outputs := nominal_outputs(result, triad):
+            yield Paragraph(f"y is by the nominal outputs: {outputs}.")
         yield Table(
             (Column("M", "right"), *(Column(name, "right") for name in triad.accelerometers)),
             tuple(

@@ -286,7 +286,7 @@ def _with_value(
     old: str, campaign: Campaign, reading: Reading, generator: np.random.Generator
 ) -> str:
     """Return the text of a reading with another value, in the unit and with the ± that it has."""
-    output = campaign.accelerometers[reading.accelerometer].output
+    output, zero = campaign.accelerometers[reading.accelerometer].output, 0.0
     match = _WRITTEN.fullmatch(old)
     assert match is not None
     rest = match[2] or (output.unit if output else "g")
@@ -294,26 +294,28 @@ def _with_value(
     if output is None:
         per_g = unit_factor("g", unit, gravity=campaign.gravity.value)
     else:
-        per_g = unit_factor(output.unit, unit) * output.sensitivity
+        size = unit_factor(output.unit, unit)
+        per_g, zero = size * output.sensitivity, size * output.zero
     stated = parse(f"0 {rest}", unit).u
-    return f"{_read(campaign, reading, per_g, stated, generator)!r} {rest}"
+    return f"{_read(campaign, reading, (per_g, zero), stated, generator)!r} {rest}"
 
 
 def _read(
     campaign: Campaign,
     reading: Reading,
-    per_g: float,
+    scale: tuple[float, float],
     stated: float,
     generator: np.random.Generator,
 ) -> float:
-    """Return a reading with noise, in a unit of which `per_g` are a g.
+    """Return a reading with noise, with some digits more than its noise leaves it.
 
-    It has some digits more than its noise leaves it.
+    scale: How much of the unit a g is, and what is read where there is none.
     """
+    per_g, zero = scale
     assert campaign.simulation is not None
     known = campaign.simulation.truth.reading_noise.get(reading.accelerometer)
     u = stated if known is None else known * abs(per_g)
-    value = reading.value * per_g + u * float(generator.standard_normal())
+    value = zero + reading.value * per_g + u * float(generator.standard_normal())
     return round(value, _DIGITS - math.floor(math.log10(u))) if u > 0.0 else value
 
 
@@ -364,6 +366,6 @@ def filled_table(
             u: Any = row[beside[name][0]] if name in beside else None
             stated = 0.0 if is_empty(u) else float(u)
             for column in [c for c in own if not is_empty(row[c])] or own:
-                per_g = output.sensitivity if output else 1.0
-                values[column][place] = _read(campaign, reading, per_g, stated, generator)
+                scale = (output.sensitivity, output.zero) if output else (1.0, 0.0)
+                values[column][place] = _read(campaign, reading, scale, stated, generator)
     return path, frame.with_columns([pl.Series(c, cells) for c, cells in values.items()])
