@@ -13,7 +13,6 @@
 - `readings`: the same for readings: what may be read, how often to read it, and in which order
 - `faults`, `sensitivities`: what may be wrong, what it would shift and leave in the residuals
 - `predicted`, `requirements`: the expected uncertainties, and requirements for the centrifuge
-- `figure_curves`: the curves of the figures
 - `result`: what planning found, its JSON
-- `page`, `figures`: a plan as a person reads it
+- `page`, `figures`: a plan as a person reads it, and the curves of its figures
 """

@@ -17,7 +17,7 @@ from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.feasibility import require_determined, unreachable
-from counterspin.planning.figure_curves import curves_of
+from counterspin.planning.figures import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.optimisation import Optimum
 from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
