@@ -151,6 +151,29 @@ def test_few_poses_are_about_zero(tmp_path, values):
     assert guessed_test(looks) == "double-turntable"
 
 
+def test_a_file_for_each_pose(tmp_path):
+    rng = np.random.default_rng(4)
+    forces = rng.normal(size=(16, 3))
+    forces *= 9.81 / np.linalg.norm(forces, axis=1)[:, None]
+    files = []
+    for number, force in enumerate(forces, 1):
+        files.append(tmp_path / f"pos{number:02d}.csv")
+        noisy = force + BIAS + 0.02 * rng.normal(size=(400, 3))
+        columns = {"time_s": np.arange(400) / 100.0, "x": noisy[:, 0], "y": noisy[:, 1]}
+        pl.DataFrame(columns | {"z": noisy[:, 2]}).write_csv(files[-1])
+    looks = look_at(files)
+    assert guessed_test(looks) == "poses"
+    found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    assert any(one.startswith("16 poses in 16 files: rests") for one in found.statements)
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    assert len(result.triad.poses) == 16
+    for name, bias in zip("XYZ", BIAS, strict=True):
+        c = result.accelerometers[name].coefficients["K_F"]
+        assert abs(c.value - bias / 9.81) < 3.0 * c.u < 3e-3
+    # One of them alone shows nothing of the kind.
+    assert guessed_test(looks[:1]) == "double-turntable"
+
+
 def test_volts_of_a_single_supply(tmp_path, values):
     time = np.arange(len(values)) * 10.0
     columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,6 +44,8 @@ from counterspin.units import unit_factor
 AXES: Final = {"X": ("east", "north"), "Y": ("north", "up"), "Z": ("up", "east")}
 #: Usual units of a sensor's output.
 _UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
+#: Time from one file to the next where rests are looked for in all, s: none goes on.
+_BETWEEN_FILES: Final = 100.0
 #: Rows a second that are taken to look for rests where nobody has said how many there are.
 _USUAL_RATE: Final = 100.0
 #: Rows, and columns one after the other, in which rests are looked for at most.
@@ -142,7 +144,7 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
     def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
         nonlocal guesses, questions, found
         guesses = tuple(_guessed(look, taken) for look in looks)
-        found = _triad(guesses[0], taken)
+        found = _triad(guesses, taken)
         questions = tuple(_questions(guesses[0], found, taken))
         return questions
 
@@ -154,9 +156,9 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
 
 
 def shows_poses(looks: Sequence[Look]) -> bool:
-    """Return whether every file seems to be a record of a sensor set down in many poses."""
-    found = [_triad(_guessed(look, {}), {}) for look in looks]
-    return all(one is not None and one.unit is not None for one in found)
+    """Return whether files seem to be records of a sensor that was set down in many poses."""
+    found = _triad([_guessed(look, {}) for look in looks], {})
+    return found is not None and found.unit is not None
 
 
 # What is guessed
@@ -195,14 +197,14 @@ def _guessed(look: Look, told: Mapping[str, str]) -> FileGuess:
     return guess
 
 
-def _triad(guess: FileGuess, told: Mapping[str, str]) -> _Triad | None:
-    """Return the columns of a triad: those that are told, or three that rest like one.
+def _triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> _Triad | None:
+    """Return the columns of a triad: those that are told, or three that rest like one in all files.
 
     Of several, such as a magnetometer's beside, the first whose size at rest is gravity's.
     """
-    columns = {column.name: column for column in guess.look.columns if not column.stamps}
+    guess = guesses[0]
+    columns, seconds = _together(guesses)
     named = [columns[told[axis]] for axis in AXES if told.get(axis) in columns]
-    seconds = _seconds(guess, max(len(column.values) for column in columns.values()))
     rest = parse(told["rest"], "s").value if "rest" in told else SHORTEST_REST
     if len(named) == len(AXES):
         return _looked_at(named, seconds, rest, told.get("unit"))
@@ -219,6 +221,26 @@ def _triad(guess: FileGuess, told: Mapping[str, str]) -> _Triad | None:
                     return found
                 like.append(found)
     return next(iter(like), None)
+
+
+def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
+    """Return the columns that all files have, one file after the other, and the time in s."""
+    files = [
+        {column.name: column for column in guess.look.columns if not column.stamps}
+        for guess in guesses
+    ]
+    lengths = [max(len(column.values) for column in own.values()) for own in files]
+    times, start = [], 0.0
+    for guess, length in zip(guesses, lengths, strict=True):
+        own = _seconds(guess, length)
+        times.append(own - np.nanmin(own) + start)
+        start = float(np.nanmax(times[-1])) + _BETWEEN_FILES
+    columns = {
+        name: replace(column, values=np.concatenate([own[name].values for own in files]))
+        for name, column in files[0].items()
+        if [len(own[name].values) if name in own else 0 for own in files] == lengths
+    }
+    return columns, np.concatenate(times)
 
 
 def _seconds(guess: FileGuess, rows: int) -> Array:
@@ -377,9 +399,10 @@ def _statements(
         return
     usual = " if it has 100 rows a second" if time is None and sampling is None else ""
     usual = ", its first part," + usual if len(poses.level) == _MOST_ROWS else usual
+    where = guesses[0].look.path.name if len(guesses) == 1 else f"{len(guesses)} files"
     level = f"{poses.threshold:.3g} {found.unit or ''}".strip()
     yield (
-        f"{len(poses.start)} poses in {guesses[0].look.path.name}{usual}: rests of at least "
+        f"{len(poses.start)} poses in {where}{usual}: rests of at least "
         f"{told.get('rest', f'{SHORTEST_REST:g} s')} in which the axes together scatter by less "
         f"than {level}; their attitudes are unknown"
     )
