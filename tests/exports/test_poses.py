@@ -174,6 +174,29 @@ def test_a_file_for_each_pose(tmp_path):
     assert guessed_test(looks[:1]) == "double-turntable"
 
 
+@pytest.mark.parametrize(("unit", "size"), [("m/s^2", 9.81), ("g", 1.0), ("count", 4096.0)])
+def test_a_table_with_a_pose_in_each_row(tmp_path, unit, size):
+    rng = np.random.default_rng(6)
+    forces = rng.normal(size=(24, 3))
+    forces /= np.linalg.norm(forces, axis=1)[:, None]
+    values = size * (forces * [1.01, 0.99, 1.0] + BIAS / 10.0 + 1e-3 * rng.normal(size=(24, 3)))
+    values = np.round(values + 40000.0) if unit == "count" else values
+    columns = {"No": np.arange(1, 25)} | {f"a{n} ({unit})": values[:, n] for n in range(3)}
+    pl.DataFrame(columns).write_csv(tmp_path / "poses.csv")
+    looks = look_at([tmp_path / "poses.csv"])
+    assert guessed_test(looks) == "poses"
+    found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    assert [question.key for question in found.open_questions] == []
+    assert "24 poses, one in each row; their attitudes are unknown" in found.statements
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    assert len(result.triad.poses) == 24
+    for name, own, bias in zip("XYZ", (1.01, 0.99, 1.0), BIAS, strict=True):
+        c, b = (result.accelerometers[name].output[key] for key in ("scale_factor", "bias"))
+        middle = 40000.0 if unit == "count" else 0.0
+        assert abs(c.value - size * own) < 3.5 * c.u < 0.01 * size
+        assert abs(b.value - size * bias / 10.0 - middle) < 3.5 * b.u < 0.01 * size
+
+
 def test_volts_of_a_single_supply(tmp_path, values):
     time = np.arange(len(values)) * 10.0
     columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}

@@ -5,6 +5,7 @@
 - `guessing`: which column is what, of every file
 - `questions`: what is asked, and what an answer means
 - `tumble`: a table of readings of a tumble
-- `poses`: a record of a sensor with three axes, set down in many poses
+- `triads`: which columns are the axes of a sensor with three, and where it was set down
+- `poses`: records, or a table, of such a sensor set down in many poses
 - `description`: the description that guesses and answers make
 """

@@ -1,0 +1,260 @@
+"""Which columns of a file are a sensor's three axes, and where it was set down.
+
+At rest three columns are together as large as gravity, whichever way they share it: poses lie on a
+sphere. Its middle is zero, but for the counts of a converter and the volts of a single supply. A
+record has many rows at each rest; in a table of poses each row is one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.quantity import parse
+from counterspin.errors import RecordError
+from counterspin.exports.guessing import (
+    STANDARD_GRAVITY,
+    FileGuess,
+    converts,
+    guess_file,
+    is_even,
+)
+from counterspin.exports.looking import FileColumn, Look
+from counterspin.frozen import frozen
+from counterspin.physics.grades import GRADES
+from counterspin.records.poses import SHORTEST_REST, Poses, find_poses
+from counterspin.units import unit_factor
+
+#: The triad's accelerometers, and their axes in its frame.
+AXES: Final = {"X": ("east", "north"), "Y": ("north", "up"), "Z": ("up", "east")}
+#: Usual units of a sensor's output.
+UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
+#: Time from one file to the next where rests are looked for in all, s: none goes on.
+_BETWEEN_FILES: Final = 100.0
+#: Rows a second that are taken to look for rests where nobody has said how many there are.
+USUAL_RATE: Final = 100.0
+#: Rows, and columns one after the other, in which rests are looked for at most; rows of a table in
+#: which each may be a pose, and how far these turn from one to the next, of gravity.
+MOST_ROWS: Final = 500_000
+_MOST_TRIPLES: Final = 40
+_MOST_POSES: Final = 1000
+_LEAST_TURN: Final = 0.1
+#: Fewest rests of a record that is guessed to be one of poses; where the middle of their sphere is
+#: to be found as well.
+_FEWEST_POSES: Final = 6
+_FEWEST_ABOUT_MIDDLE: Final = 9
+#: At rest the values are together as large as gravity within this part: biases are in it too.
+_GRAVITY_PART: Final = 0.15
+#: About the middle of their sphere they are as large within this one: axes are not equally good.
+_SPHERE_PART: Final = 0.05
+#: Steps of a time without a unit, from which it is in ms, and in us: sensors give 2 rows a second
+#: to some thousands.
+_STEPS_IN: Final = {"us": 500.0, "ms": 0.5, "s": 0.0}
+#: Noise density from which a sensor is guessed to be of a worse grade, g/Hz^0.5.
+_NOISY: Final = {"consumer": 5e-5, "tactical": 2e-6}
+#: Part by which poses of such a sensor differ in size, of a table that says no noise.
+_UNLIKE: Final = 1e-3
+
+
+@frozen(eq=False)
+class TriadColumns:
+    """Three columns, and where they rest."""
+
+    columns: tuple[str, str, str]
+    unit: str | None  #: None: unknown.
+    poses: Poses | None  #: Rests of records; None: none were found, or each row of a table is one.
+    means: Array | None = None  #: Of each pose, in the columns' unit, (n, 3); None: there is none.
+    #: What the columns read where nothing is felt, shape (3,): zero, or the middle of the sphere on
+    #: which the poses lie.
+    zero: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def gravity(self) -> float:
+        """What is felt at rest, in the median, in the columns' unit."""
+        if self.means is None:
+            return math.nan
+        return float(np.median(_norms(self.means - self.zero)))
+
+    @property
+    def in_table(self) -> bool:
+        """Whether each row is a pose."""
+        return self.means is not None and self.poses is None
+
+
+def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
+    """Return which column is what, where nothing turns: what rises in even steps is the time."""
+    guess = guess_file(look, told)
+    first = look.columns[0]
+    if guess.time is None and "time" not in told and is_even(first.values):
+        guess = guess_file(look, {**told, "time": first.name})
+    if guess.time is not None and guess.time.unit is None:
+        column = next(one for one in look.columns if one.name == guess.time.column)
+        step = float(np.nanmedian(np.diff(column.values)))
+        unit = next(unit for unit, least in _STEPS_IN.items() if step > least)
+        guess = guess_file(look, {**told, "time": column.name, "time unit": unit})
+    return guess
+
+
+def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadColumns | None:
+    """Return the columns of a triad: those that are told, or three that rest like one in all files.
+
+    Of several, such as a magnetometer's beside, the first whose size at rest is gravity's.
+    """
+    guess = guesses[0]
+    columns, seconds = _together(guesses)
+    named = [columns[told[axis]] for axis in AXES if told.get(axis) in columns]
+    rest = parse(told["rest"], "s").value if "rest" in told else SHORTEST_REST
+    if len(named) == len(AXES):
+        return _looked_at(named, seconds, rest, told.get("unit"))
+    time = guess.time.column if guess.time else None
+    there = [one for one in columns.values() if one.name != time]
+    there = [one for one in there if len(one.values) == len(seconds)]
+    like: list[TriadColumns] = []
+    for place in range(min(len(there) - 2, _MOST_TRIPLES)):
+        three = there[place : place + 3]
+        if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
+            found = _looked_at(three, seconds, rest, told.get("unit"))
+            if found.means is not None and _turns(found.means - found.zero):
+                if found.unit is not None:
+                    return found
+                like.append(found)
+    return next(iter(like), None)
+
+
+def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
+    """Return the columns that all files have, one file after the other, and the time in s."""
+    files = [
+        {column.name: column for column in guess.look.columns if not column.stamps}
+        for guess in guesses
+    ]
+    lengths = [max(len(column.values) for column in own.values()) for own in files]
+    times, start = [], 0.0
+    for guess, length in zip(guesses, lengths, strict=True):
+        own = _seconds(guess, length)
+        times.append(own - np.nanmin(own) + start)
+        start = float(np.nanmax(times[-1])) + _BETWEEN_FILES
+    columns = {
+        name: replace(column, values=np.concatenate([own[name].values for own in files]))
+        for name, column in files[0].items()
+        if [len(own[name].values) if name in own else 0 for own in files] == lengths
+    }
+    return columns, np.concatenate(times)
+
+
+def _seconds(guess: FileGuess, rows: int) -> Array:
+    if guess.time is None:
+        return np.arange(rows) / (guess.sampling or USUAL_RATE)
+    column = next(one for one in guess.look.columns if one.name == guess.time.column)
+    return column.values * guess.time.factor
+
+
+def _may_be_force(unit: str) -> bool:
+    return not unit or converts(unit, "m/s^2") or unit in UNITS
+
+
+def _looked_at(
+    columns: Sequence[FileColumn], seconds: Array, rest: float, unit: str | None
+) -> TriadColumns:
+    """Return where three columns rest, and their unit: as told, by the file or by their size."""
+    first, second, third = (column.name for column in columns)
+    named = (first, second, third)
+    values = np.column_stack([column.values[:MOST_ROWS] for column in columns])
+    poses, means = None, _rows_of(values)
+    if means is None:
+        try:
+            poses = find_poses(seconds[:MOST_ROWS], values, rest)
+        except RecordError:
+            return TriadColumns(named, unit or columns[0].unit or None, None)
+        means = poses.mean
+    if unit is None and not (unit := columns[0].unit):
+        felt = _norms(means)
+        near = [
+            one
+            for one in UNITS
+            if converts(one, "m/s^2")
+            and _is_gravity(felt * unit_factor(one, "m/s^2", gravity=STANDARD_GRAVITY))
+        ]
+        unit = next(iter(near), "")
+    # Counts and volts may be any number where nothing is felt, a specific force is none there.
+    zero = np.zeros(3) if converts(unit or "", "m/s^2") else _middle(means)
+    unit = unit or ("count" if _whole(values) else "")
+    return TriadColumns(named, unit or None, poses, means, zero)
+
+
+def _rows_of(values: Array) -> Array | None:
+    """Return the rows of a table in which each is a pose, shape (n, 3); None: of a record."""
+    rows = values[np.isfinite(values).all(axis=1)]
+    if not _FEWEST_POSES <= len(rows) <= _MOST_POSES:
+        return None
+    apart = rows - _middle(rows)
+    # From one row of a record to the next hardly anything turns.
+    turned = np.median(_norms(np.diff(apart, axis=0))) / np.median(_norms(apart))
+    return rows if turned > _LEAST_TURN and _turns(apart) else None
+
+
+def _whole(values: Array) -> bool:
+    """Return whether all numbers are whole ones, as a converter counts."""
+    there = values[np.isfinite(values)]
+    return bool(np.all(there == np.round(there)) and np.ptp(there) > 1.0)
+
+
+def _middle(means: Array) -> Array:
+    """Return the middle of the sphere on which poses lie, shape (3,); zero where that serves.
+
+    |m|^2 = 2 c m + r^2 - |c|^2 is linear in the middle c.
+    """
+    none = np.zeros(3)
+    if len(means) < _FEWEST_ABOUT_MIDDLE or _turns(means):
+        return none
+    center = means.mean(axis=0)
+    apart = means - center
+    known = np.column_stack([2.0 * apart, np.ones(len(apart))])
+    middle = np.linalg.lstsq(known, np.sum(apart**2, axis=1), rcond=None)[0][:3] + center
+    return middle if _alike(_norms(means - middle), _SPHERE_PART) else none
+
+
+def _alike(sizes: Array, part: float) -> bool:
+    return bool(np.mean(np.abs(sizes / np.median(sizes) - 1.0) < part) > 0.8)
+
+
+def _norms(means: Array) -> Array:
+    return np.asarray(np.linalg.norm(means, axis=1))
+
+
+def _is_gravity(felt: Array) -> bool:
+    """Return whether most of what is felt at rest, m/s^2, is gravity, wrongly scaled a little."""
+    return bool(np.mean(np.abs(felt / STANDARD_GRAVITY - 1.0) < _GRAVITY_PART) > 0.8)
+
+
+def _turns(means: Array) -> bool:
+    """Return whether poses, (n, 3), are many, alike in size and unlike in direction."""
+    felt = _norms(means)
+    spread = np.linalg.svd(means / felt[:, None], compute_uv=False)
+    many = len(felt) >= _FEWEST_POSES
+    # In at least three directions, none of them rare.
+    return bool(many and _alike(felt, _GRAVITY_PART) and spread[-1] > 0.2 * spread[0])
+
+
+def grade_of(found: TriadColumns, guess: FileGuess) -> str | None:
+    """Return a grade by the noise at rest; None where nothing tells it."""
+    if found.means is None:
+        return None
+    if found.poses is None:
+        # Sensitivities and axes that are so far from alike are no better sensor's.
+        apart = _norms(found.means - found.zero) / found.gravity - 1.0
+        return "consumer" if float(np.median(np.abs(apart))) > _UNLIKE else None
+    scatter = float(np.median(found.poses.scatter)) / found.gravity
+    density = scatter * math.sqrt(2.0 * _step(guess))
+    return next((grade for grade, least in _NOISY.items() if density > least), GRADES[0])
+
+
+def _step(guess: FileGuess) -> float:
+    if guess.time is None:
+        return 1.0 / (guess.sampling or USUAL_RATE)
+    column = next(one for one in guess.look.columns if one.name == guess.time.column)
+    return float(np.nanmedian(np.diff(column.values))) * guess.time.factor
