@@ -151,6 +151,18 @@ def test_few_poses_are_about_zero(tmp_path, values):
     assert guessed_test(looks) == "double-turntable"
 
 
+def test_numbers_of_rows_are_no_time(tmp_path, values):
+    columns = {"n_samples": np.arange(len(values))}
+    columns |= {f"acc_{n}": values[:, n] for n in range(3)}
+    pl.DataFrame(columns).write_csv(tmp_path / "session.csv")
+    looks = look_at([tmp_path / "session.csv"])
+    assert guessed_test(looks) == "poses"
+    asked = [question.key for question in poses_draft(looks).open_questions]
+    assert asked == ["gravity", "latitude", "sampling_rate"]
+    document = poses_draft(looks, ANSWERS).document(tmp_path / "camp")
+    assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
+
+
 def test_a_file_for_each_pose(tmp_path):
     rng = np.random.default_rng(4)
     forces = rng.normal(size=(16, 3))

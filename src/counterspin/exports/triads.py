@@ -90,7 +90,8 @@ def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
     """Return which column is what, where nothing turns: what rises in even steps is the time."""
     guess = guess_file(look, told)
     first = look.columns[0]
-    if guess.time is None and "time" not in told and is_even(first.values):
+    known = {"time", "sampling_rate"} & set(told)
+    if guess.time is None and not known and is_even(first.values) and not _counts_rows(first):
         guess = guess_file(look, {**told, "time": first.name})
     if guess.time is not None and guess.time.unit is None:
         column = next(one for one in look.columns if one.name == guess.time.column)
@@ -98,6 +99,12 @@ def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
         unit = next(unit for unit, least in _STEPS_IN.items() if step > least)
         guess = guess_file(look, {**told, "time": column.name, "time unit": unit})
     return guess
+
+
+def _counts_rows(column: FileColumn) -> bool:
+    """Return whether a column numbers the rows, which is no time."""
+    start = column.values[0]
+    return bool(start in (0.0, 1.0) and np.all(np.diff(column.values) == 1.0))
 
 
 def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadColumns | None:
