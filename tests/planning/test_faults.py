@@ -58,10 +58,14 @@ def place_of(prediction, name="Qx.K_II"):
 
 
 def fault(prediction, symbol):
-    """Return a fault and its place among those of a campaign."""
-    faults = faults_of(prediction.campaign, "Qx")
-    index = [one.symbol for one in faults].index(symbol)
-    return sensitivities(prediction, faults), index
+    """Return what a fault of those of a campaign would do."""
+    found = sensitivities(prediction, faults_of(prediction.campaign, "Qx"))
+    return next(one for one in found if one.fault.symbol == symbol)
+
+
+def shown_by(fault, series):
+    """Return what a record shows of one unit of each part of a fault."""
+    return series.columns([part.symbol for part in fault.parts], 1.0)
 
 
 # Against the model that knows them
@@ -78,21 +82,21 @@ def test_shift_is_what_the_term_adds_to_u_when_it_is_held(symbol, size, predict)
     named = ('# hold = ["K_PP"]  ', f'hold = ["{name}"]')
     held = [named, ("[model.priors]", known)]
     left_out = predict(*out)
-    found, index = fault(left_out, symbol)
+    found = fault(left_out, symbol)
     told = predict(*out, *held).fit.solution
     place = place_of(left_out)
     added = math.sqrt(told.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
-    assert found.shift(index, place) == pytest.approx(added, rel=1e-6)
+    assert found.shift(place) == pytest.approx(added, rel=1e-6)
 
 
 @pytest.mark.parametrize("symbol", ["K_OO", "K_IO"])
 def test_deviation_is_that_of_a_fit_that_estimates_it(symbol, predict):
     left_out = predict(*VELOCITY)
-    found, index = fault(left_out, symbol)
+    found = fault(left_out, symbol)
     estimated = predict(*VELOCITY, ('"K_III", ', f'"K_III", "{symbol}", '))
     u = estimated.u[f"Qx.{symbol}"]
-    size = found.faults[index].size
-    assert found.deviation(index, place_of(left_out)) == pytest.approx(size / u, rel=1e-6)
+    size = found.fault.size
+    assert found.deviation(place_of(left_out)) == pytest.approx(size / u, rel=1e-6)
 
 
 # Against records that have the fault
@@ -104,21 +108,21 @@ OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
     prediction = predict(*changes)
-    found = sensitivities(prediction, [ECCENTRICITY])
+    (found,) = sensitivities(prediction, [ECCENTRICITY])
     place = place_of(prediction)
-    moved = found.moved[0][place]
+    moved = found.moved[place]
     phase = moved / np.linalg.norm(moved)
     prepared = []
     for part in prediction.fit.prepared:
-        shown = np.column_stack([own.columns(part.series) for own in ECCENTRICITY.parts])
+        shown = shown_by(ECCENTRICITY, part.series)
         error = ECCENTRICITY.size * (shown @ phase)
         prepared.append(replace(part, series=replace(part.series, error=error)))
     fit = solve_joint(prepared, prediction.fit.model, prediction.fit.noise)
     estimate = float(fit.solution.estimate[place])
-    assert estimate == pytest.approx(found.shift(0, place), rel=1e-6)
+    assert estimate == pytest.approx(found.shift(place), rel=1e-6)
     # And what it leaves in the residuals is what the test of them will see.
     left = sum(float(residual.whitened @ residual.whitened) for residual in fit.residuals)
-    seen = found._square(found.left_in["Qx"], 0, place)
+    seen = found.square(found.left_in["Qx"], place)
     assert left == pytest.approx(seen, rel=1e-4)
 
 
@@ -155,7 +159,7 @@ def test_columns_are_the_motion_s(phase, changes, mounting, predict):
     time = series.time[:400]
     for one, position in ((IMBALANCE, imbalanced), (ECCENTRICITY, eccentric)):
         expected = derivatives(position, time, ORDERS[series.observable])
-        shown = one.parts[phase].columns(series)[:400]
+        shown = shown_by(one, series)[:400, phase]
         assert np.abs(shown - expected).max() < 1e-4 * np.abs(expected).max(), one.symbol
 
 
@@ -166,7 +170,7 @@ def test_stretch_looks_like_a_radius_for_each_rate(predict):
     grown = motion.radius * (1.0 + 1e-6 * motion.radius * 25.0)
     longer = Trajectory(motion.spindle, grown, motion.site)
     change = (series.reference(longer) - series.reference()) / 1e-6
-    assert stretch.parts[0].columns(series) == pytest.approx(change, rel=1e-4, abs=1e-6)
+    assert shown_by(stretch, series)[:, 0] == pytest.approx(change, rel=1e-4, abs=1e-6)
 
 
 # How much of K_II rests on its harmonic
@@ -175,7 +179,7 @@ def test_stretch_looks_like_a_radius_for_each_rate(predict):
 def share(prediction):
     place = place_of(prediction)
     found = sensitivities(prediction, [mean_square("Qx"), square("Qx")])
-    mean, whole = (moved[place, 0] for moved in found.moved)
+    mean, whole = (one.moved[place, 0] for one in found)
     return 1.0 - mean / whole
 
 

@@ -15,6 +15,11 @@ from counterspin.reports.text import report_console
 from counterspin.toml_text import write_document
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
+FORCE = [
+    SMALL,
+    ('displacement = "0.01 m"', 'specific_force = "1e-4 g"'),
+    ("bias = ", 'specific_force = { column = "f", unit = "m/s^2" }\nbias = '),
+]
 
 
 def test_requirements_make_u_a_twentieth_larger(starter, tmp_path):
@@ -31,23 +36,32 @@ def test_requirements_make_u_a_twentieth_larger(starter, tmp_path):
 
 
 def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
-    force = [
-        SMALL,
-        ('displacement = "0.01 m"', 'specific_force = "1e-4 g"'),
-        ("bias = ", 'specific_force = { column = "f", unit = "m/s^2" }\nbias = '),
-    ]
-    planned = plan(starter(*force))
+    planned = plan(starter(*FORCE))
     prediction = forecast(planned_campaign(planned, starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
     found = sensitivities(prediction, [of_path(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
-    for index, words in enumerate(("eccentric encoder", "imbalance")):
+    for one, words in zip(found, ("eccentric encoder", "imbalance"), strict=True):
         size = next(size for key, size in sizes.items() if words in key)
-        added = found.sensitivity(index, place) * size / prediction.u["Qx.K_II"]
+        added = one.of_unit(place) * size / prediction.u["Qx.K_II"]
         assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
     # A second of arc would be far too much, where a force is recorded.
-    assert found.shift(0, place) > 10.0 * prediction.u["Qx.K_II"]
+    assert found[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]
+
+
+def test_what_is_required_of_a_fault_that_is_an_unknown_is_said_without_it(starter, tmp_path):
+    """The fit would give way to it, and its records seem to need nothing."""
+    document = tomllib.loads(plan(starter(*FORCE)).document)
+    moved = []
+    for known in ({}, {"encoder.harmonic.1": "0 ± 1 arcsec"}):
+        document["model"]["priors"] |= known
+        (tmp_path / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+        result = check(tmp_path)
+        u = result.accelerometers["Qx"].coefficients["K_II"].u
+        sizes = {line.words: line.size for line in result.requirements}
+        moved += [u / next(size for words, size in sizes.items() if "eccentric" in words)]
+    assert moved[1] == pytest.approx(moved[0], rel=1e-6)
 
 
 def planned_campaign(planned, starter):

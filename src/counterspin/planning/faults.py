@@ -8,8 +8,7 @@ cannot notice it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -20,21 +19,6 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered
 from counterspin.physics.terms import MOTION_TERMS, term
-
-#: What a record shows of one unit of a fault: shape (n, k); None where nothing.
-Columns = Callable[[Series], Array | None]
-
-
-#: Stands where a fault is no term of the table: readings show nothing of it.
-_NO_TERM: Final = Considered("nobody", "", (0.0, 0.0), 1.0)
-
-
-@frozen(eq=False)
-class Part:
-    """What a fault, or a part of it, shows of one unit: in records and, of a term, in readings."""
-
-    columns: Columns
-    term: Considered = _NO_TERM
 
 
 @frozen(eq=False)
@@ -47,10 +31,17 @@ class Fault:
     #: What to reckon with where nothing is known, SI and g-units.
     size: float
     unit: str
-    parts: tuple[Part, ...]  #: Each has the size.
+    parts: tuple[Considered, ...]  #: Each has the size.
     #: Whether the parts are independent (each run has its own); else they are cosine and sine of
     #: one amplitude, the worst phase of which is taken.
     random: bool = False
+    #: What a record shows of one unit in place of the one part, shape (n,), or None: nothing.
+    shown: Callable[[Series], Array | None] | None = None
+
+
+def _of_family(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
+    row = term(parts[0].symbol)
+    return Fault(symbol, row.words_of_family, size, row.unit, tuple(parts), random=row.per_run)
 
 
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
@@ -59,14 +50,7 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
     for other in assumed_of(campaign, name):
         by_symbol.setdefault(term(other.symbol).family, []).append(other)
     return [
-        Fault(
-            symbol,
-            term(parts[0].symbol).words_of_family,
-            campaign.typical_of(parts[0].symbol, name),
-            term(parts[0].symbol).unit,
-            tuple(_of_term(part, campaign) for part in parts),
-            random=term(parts[0].symbol).per_run,
-        )
+        _of_family(symbol, parts, campaign.typical_of(parts[0].symbol, name))
         for symbol, parts in by_symbol.items()
     ]
 
@@ -74,49 +58,30 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
 def of_path(symbol: str) -> Fault:
     """Return an error of the path, both quadratures: such as ``encoder.harmonic.1``."""
     rows = [row for row in MOTION_TERMS.values() if row.family == symbol]
-    return Fault(
-        symbol,
-        rows[0].words_of_family,
-        rows[0].typical,
-        rows[0].unit,
-        tuple(Part(_seen(row.symbol)) for row in rows),
-    )
+    return _of_family(symbol, [perfect("", row.symbol) for row in rows], rows[0].typical)
 
 
-def _seen(symbol: str) -> Columns:
-    return lambda series: series.columns([symbol], 1.0)[:, 0]
+def perfect(owner: str, symbol: str) -> Considered:
+    """Return a term that is taken as perfect."""
+    return Considered(owner, symbol, (0.0, 0.0), 1.0)
 
 
 def square(name: str) -> Fault:
     """Return K_II of an accelerometer itself, as the estimate is to see it whole."""
-    return Fault("K_II", "", 1.0, "g/g^2", (_only(name, _k_ii),))
+    return Fault("K_II", "", 1.0, "g/g^2", (perfect(name, "K_II"),))
 
 
 def mean_square(name: str) -> Fault:
     """Return what K_II of an accelerometer does to the mean force, without its harmonics."""
-    return Fault("K_II", "", 1.0, "g/g^2", (_only(name, _mean_of_square),))
 
+    def shown(series: Series) -> Array | None:
+        if series.accelerometer != name:
+            return None
+        motion = series.trajectory
+        times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))
+        along = motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
+        mean = float(np.mean((along / motion.site.gravity) ** 2))
+        return np.asarray(mean * series.columns(["K_F"], 1.0)[:, 0])
 
-def _only(name: str, columns: Columns) -> Part:
-    return Part(lambda series: columns(series) if series.accelerometer == name else None)
-
-
-def _k_ii(series: Series) -> Array:
-    return series.columns(["K_II"], 1.0)[:, 0]
-
-
-def _mean_of_square(series: Series) -> Array:
-    motion = series.trajectory
-    times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))
-    along = motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
-    mean = float(np.mean((along / motion.site.gravity) ** 2))
-    return np.asarray(mean * series.columns(["K_F"], 1.0)[:, 0])
-
-
-def _of_term(part: Considered, campaign: Campaign) -> Part:
-    def columns(series: Series) -> Array | None:
-        prior = campaign.accelerometers[series.accelerometer].priors.get("K_I")
-        factor = prior.value if prior else 1.0
-        return series.columns([part.symbol], factor)[:, 0] if part.concerns(series) else None
-
-    return Part(columns, part)
+    # Readings are of a mean force: nobody's term shows them nothing.
+    return Fault("K_II", "", 1.0, "g/g^2", (perfect("nobody", ""),), shown=shown)

@@ -50,8 +50,8 @@ def _attitude(value: object) -> object:
     return value
 
 
-class PlanDocument(SettingsSection):
-    """The sections that there may be; each is checked by its own model afterwards."""
+class _Sections(SettingsSection):
+    """The sections of either kind of plan; each is checked by its own model afterwards."""
 
     schema_version: Schema = described("version of this format", 1, alias="schema")
     campaign: dict[str, Any] = described(
@@ -61,23 +61,50 @@ class PlanDocument(SettingsSection):
         default_factory=dict,
     )
     site: dict[str, Any] = described("where, as in a campaign", {})
-    centrifuge: dict[str, Any] = described("its size, as in a campaign", {})
-    records: dict[str, Any] | None = described("how files will be read, as in a campaign", {}, None)
     accelerometers: dict[str, Any] = described(
         "one table for each, as in a campaign", {"Qx": {}}, min_length=1
     )
+    model: dict[str, Any] | None = described(
+        "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
+    )
+    records: dict[str, Any] | None = described("how files will be read, as in a campaign", {}, None)
+    limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
+    goal: dict[str, Any] = described("what the plan is for", {"minimise": ["K_II"]})
+
+
+class PlanDocument(_Sections):
+    """The sections of a plan of records."""
+
+    centrifuge: dict[str, Any] = described("its size, as in a campaign", {})
     noise: dict[str, Any] = described(
         "of the records, as in a campaign; every size a number", {"displacement": "0.01 m"}
     )
-    model: dict[str, Any] | None = described(
-        "what is asked for, and what is known, as in a campaign",
-        {},
-        None,
-        absent="the paper's terms",
-    )
     truth: dict[str, Any] | None = described("true values, for a simulation of the plan", {}, None)
-    limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
-    goal: dict[str, Any] = described("what the plan is for", {"minimise": ["K_II"]})
+
+
+class ReadingPlanDocument(_Sections):
+    """The sections of a plan of readings."""
+
+    centrifuge: dict[str, Any] | None = described(
+        "its size, as in a campaign; needed where a station turns", {}, None
+    )
+    fixture: dict[str, Any] | None = described(
+        "how well positions are set, as in a campaign", {}, None
+    )
+    noise: dict[str, Any] | None = described("of the records of `runs`, as in a campaign", {}, None)
+    triad: dict[str, Any] | None = described(
+        "three accelerometers of one sensor, as in a campaign", {}, None
+    )
+    runs: list[Any] = described(
+        "records and readings that are taken in any case, as in a campaign",
+        [],
+        absent="none",
+        default_factory=list,
+    )
+    readings: dict[str, Any] | None = described(
+        "a table of readings that are taken in any case, as in a campaign", {}, None
+    )
+    stations: list[Any] = described("readings that may be taken", [{}], min_length=1)
 
 
 class LimitsSettings(SettingsSection):
@@ -141,50 +168,6 @@ class LimitsSettings(SettingsSection):
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
         "of the records", "100 Hz", 50.0, absent="50 Hz"
     )
-
-
-class ReadingPlanDocument(SettingsSection):
-    """The sections of a plan of readings; each is checked by its own model afterwards."""
-
-    schema_version: Schema = described("version of this format", 1, alias="schema")
-    campaign: dict[str, Any] = described(
-        "what a report says, as in a campaign",
-        {"title": "A tumble"},
-        absent="empty",
-        default_factory=dict,
-    )
-    site: dict[str, Any] = described("where, as in a campaign", {})
-    centrifuge: dict[str, Any] | None = described(
-        "its size, as in a campaign; needed where a station turns", {}, None
-    )
-    fixture: dict[str, Any] | None = described(
-        "how well positions are set, as in a campaign", {}, None
-    )
-    accelerometers: dict[str, Any] = described(
-        "one table for each, as in a campaign", {"A": {}}, min_length=1
-    )
-    model: dict[str, Any] | None = described(
-        "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
-    )
-    records: dict[str, Any] | None = described(
-        "how the files of `runs` will be read, as in a campaign", {}, None
-    )
-    noise: dict[str, Any] | None = described("of the records of `runs`, as in a campaign", {}, None)
-    triad: dict[str, Any] | None = described(
-        "three accelerometers of one sensor, as in a campaign", {}, None
-    )
-    runs: list[Any] = described(
-        "records and readings that are taken in any case, as in a campaign",
-        [],
-        absent="none",
-        default_factory=list,
-    )
-    readings: dict[str, Any] | None = described(
-        "a table of readings that are taken in any case, as in a campaign", {}, None
-    )
-    stations: list[Any] = described("readings that may be taken", [{}], min_length=1)
-    limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
-    goal: dict[str, Any] = described("what the plan is for", {"minimise": ["K_II"]})
 
 
 class StationsSettings(SettingsSection):

@@ -120,15 +120,14 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
 
     The first is None where there are readings, which are means.
     """
-    faults = faults_of(prediction.campaign, name)
-    found = sensitivities(prediction, [*faults, mean_square(name), square(name)])
-    *_, of_mean, of_square = (float(moved[k_ii, 0]) for moved in found.moved)
+    faults = [*faults_of(prediction.campaign, name), mean_square(name), square(name)]
+    *found, of_mean, of_square = sensitivities(prediction, faults)
     u = float(prediction.fit.solution.u[k_ii])
     effects = []
-    for place, fault in enumerate(faults):
-        shift = found.shift(place, k_ii)
+    for one in found:
+        shift, fault = one.shift(k_ii), one.fault
         if shift > u:
-            detection = found.detection(place, k_ii, name, SIGNIFICANCE)
+            detection = one.detection(k_ii, name, SIGNIFICANCE)
             effects.append(
                 FaultEffect(
                     symbol=fault.symbol,
@@ -137,12 +136,13 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
                     unit=fault.unit,
                     shift=shift,
                     ratio=shift / u,
-                    deviation=found.deviation(place, k_ii),
+                    deviation=one.deviation(k_ii),
                     detection=detection,
                     noticed=detection >= _DETECTION_PROBABILITY,
                 )
             )
-    share = None if prediction.campaign.readings else 1.0 - of_mean / of_square
+    part = float(of_mean.moved[k_ii, 0] / of_square.moved[k_ii, 0])
+    share = None if prediction.campaign.readings else 1.0 - part
     return share, sorted(effects, key=lambda effect: -effect.shift)
 
 

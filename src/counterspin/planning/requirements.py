@@ -12,10 +12,9 @@ from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import sample_count
 from counterspin.inference.joint.inputs import INPUTS, TIMING
-from counterspin.inference.joint.prepared import prepare_columns, prepared_for
-from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns, unit_of
-from counterspin.planning.faults import Fault, Part, of_path
+from counterspin.inference.joint.prepared import prepared_for
+from counterspin.inference.joint.unknowns import ROTATION, unit_of
+from counterspin.planning.faults import Fault, of_path, perfect
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
 from counterspin.planning.result import Requirement
 from counterspin.planning.sensitivities import sensitivities
@@ -42,14 +41,11 @@ def requirements_of(
     campaign = prediction.campaign
     paths = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
     # A fit that has a fault among its unknowns gives way to it: it says nothing of its own need.
-    symbols = {part.term.symbol for fault in paths for part in fault.parts}
-    before, factors = prediction.fit, scale_factors(campaign)
+    symbols = {part.symbol for fault in paths for part in fault.parts}
+    before = prediction.fit
     model = before.model.without({*symbols, *INPUTS, TIMING})
-    fit = replace(
-        before,
-        model=model,
-        observations=prepared_for(before.prepared, before.model, model, factors, {}),
-    )
+    prepared = prepared_for(before.prepared, before.model, model, scale_factors(campaign), {})
+    fit = replace(before, model=model, observations=prepared)
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
@@ -58,30 +54,15 @@ def requirements_of(
         expected[place] = unknown.limit
         unit = unit_of(unknown.symbol)
         words = f"if {name} were as large as is credible, {unknown.limit:.3g} {unit}"
-    # An input acts on what is expected: nothing else is needed for its column.
-    acting = np.flatnonzero(expected)
-    on = Unknowns(tuple(model.unknowns[i] for i in acting))
-
-    def part(owner: str, symbol: str) -> Part:
-        term = Considered(owner, symbol, (0.0, 1.0), 1.0)
-        model = Unknowns(on.unknowns, (term,))
-
-        def columns(series: Series) -> Array | None:
-            if not term.concerns(series):
-                return None
-            prepared = prepare_columns([series], model, factors, expected[acting])
-            return np.asarray(prepared[0].fixed[:, 0])
-
-        return Part(columns)
-
     # A fault of the rotation has its own size in each run.
+    owners = {symbol: [run.name for run in campaign.runs] for symbol in ROTATION}
+    owners |= {symbol: [""] for symbol in _INPUTS}
     faults = [
-        Fault(symbol, "", 1.0, "", tuple(part(run.name, symbol) for run in campaign.runs))
-        for symbol in ROTATION
+        Fault(symbol, "", 1.0, "", tuple(perfect(owner, symbol) for owner in of))
+        for symbol, of in owners.items()
     ]
-    faults += [Fault(symbol, "", 1.0, "", (part("", symbol),)) for symbol in _INPUTS]
-    moved = sensitivities(replace(prediction, fit=fit), [*faults, *paths]).moved
-    zero, rate, drift, radius, delay, *machine = (one[place] for one in moved)
+    found = sensitivities(replace(prediction, fit=fit), [*faults, *paths], expected)
+    zero, rate, drift, radius, delay, *machine = (one.moved[place] for one in found)
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
         ("radius", radius, "m"),

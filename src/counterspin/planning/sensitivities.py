@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -14,10 +14,11 @@ from counterspin.campaign.triads.grouped import all_groups
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.prepared import Prepared, prepare_columns
+from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.linear_readings import blocks_at
 from counterspin.planning.faults import Fault
-from counterspin.planning.forecast import Forecast, expected_values
+from counterspin.planning.forecast import Forecast, expected_values, scale_factors
 from counterspin.planning.possibilities import Places
 
 #: Columns of faults that are there at once; of one that each run has anew there is one a run.
@@ -25,113 +26,127 @@ _PARTS_AT_ONCE: Final = 16
 
 
 @frozen(eq=False)
-class Sensitivities:
-    """What faults would shift, each by itself, and what they would leave in the residuals."""
+class Sensitivity:
+    """What a fault would shift, and what it would leave in the residuals."""
 
-    faults: tuple[Fault, ...]  #: The faults.
-    #: For each fault, what one unit of each of its parts moves the unknowns by, (p, k).
-    moved: tuple[Array, ...]
-    #: For each fault, the products of what one unit of its parts leaves in the whitened rows and
-    #: priors once the fit has followed it as far as it can, (k, k).
-    left: tuple[Array, ...]
-    #: By accelerometer, the same in its own whitened residuals.
-    left_in: dict[str, tuple[Array, ...]]
-    freedom: dict[str, float]  #: By accelerometer, the degrees of freedom of these.
+    fault: Fault  #: The fault.
+    #: What one unit of each of its parts moves the unknowns by, (p, k).
+    moved: Array
+    #: The products of what one unit of its parts leaves in the whitened rows and priors once the
+    #: fit has followed it as far as it can, (k, k).
+    left: Array
+    #: By accelerometer, the same in its own whitened residuals, and their degrees of freedom.
+    left_in: dict[str, Array]
+    freedom: dict[str, float]
 
-    def shift(self, fault: int, place: int) -> float:
-        """Return by how much a fault of its size moves an unknown, without sign."""
-        return self.faults[fault].size * self.sensitivity(fault, place)
+    def of_unit(self, place: int) -> float:
+        """Return what one unit of the fault moves an unknown by, without sign."""
+        return float(np.linalg.norm(self.moved[place]))
 
-    def sensitivity(self, fault: int, place: int) -> float:
-        """Return what one unit of a fault moves an unknown by, without sign."""
-        return float(np.linalg.norm(self.moved[fault][place]))
+    def shift(self, place: int) -> float:
+        """Return by how much the fault of its size moves an unknown, without sign."""
+        return self.fault.size * self.of_unit(place)
 
-    def deviation(self, fault: int, place: int) -> float:
+    def deviation(self, place: int) -> float:
         """Return how many standard deviations the best test for this very fault would see."""
-        return math.sqrt(self._square(self.left, fault, place))
+        return math.sqrt(self.square(self.left, place))
 
-    def detection(self, fault: int, place: int, accelerometer: str, significance: float) -> float:
+    def detection(self, place: int, accelerometer: str, significance: float) -> float:
         """Return the probability that the residuals of an accelerometer fail their test."""
         from scipy.special import chdtri, chndtr
 
         dof = max(1.0, self.freedom[accelerometer])
-        square = self._square(self.left_in[accelerometer], fault, place)
+        square = self.square(self.left_in[accelerometer], place)
         return 1.0 - float(chndtr(chdtri(dof, significance), dof, square))
 
-    def _square(self, left: Sequence[Array], fault: int, place: int) -> float:
-        products, size = left[fault], self.faults[fault].size
-        if self.faults[fault].random:
-            return size**2 * float(np.trace(products))
-        moved = self.moved[fault][place]
+    def square(self, left: Array, place: int) -> float:
+        """Return the sum of squares that the fault of its size leaves, as of `left`.
+
+        Of parts that are one amplitude, in the phase that moves an unknown most.
+        """
+        size = self.fault.size
+        if self.fault.random:
+            return size**2 * float(np.trace(left))
+        moved = self.moved[place]
         length = float(np.linalg.norm(moved))
         phase = moved / length if length > 0.0 else np.eye(moved.size)[0]
-        return max(0.0, size**2 * float(phase @ products @ phase))
+        return max(0.0, size**2 * float(phase @ left @ phase))
 
 
-def sensitivities(prediction: Forecast, faults: Sequence[Fault]) -> Sensitivities:
-    """Return what faults would do to a campaign's fit, each by itself."""
+def sensitivities(
+    prediction: Forecast, faults: Sequence[Fault], expected: Array | None = None
+) -> list[Sensitivity]:
+    """Return what faults would do to a campaign's fit, each by itself.
+
+    expected: Values of the model's unknowns, less nominal, on which inputs act; None: what
+        `expected_values` says.
+    """
+    if expected is None:
+        expected = expected_values(prediction.campaign, prediction.fit.model.unknowns)
     groups: list[list[Fault]] = [[]]
     for fault in faults:
         if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _PARTS_AT_ONCE:
             groups.append([])
         groups[-1].append(fault)
-    found = [_together(prediction, group) for group in groups]
-    return Sensitivities(
-        tuple(faults),
-        tuple(moved for one in found for moved in one.moved),
-        tuple(left for one in found for left in one.left),
-        {
-            name: tuple(left for one in found for left in one.left_in[name])
-            for name in found[0].left_in
-        },
-        found[0].freedom,
-    )
+    return [one for group in groups for one in _together(prediction, group, expected)]
 
 
-def _together(prediction: Forecast, faults: Sequence[Fault]) -> Sensitivities:
+def _together(prediction: Forecast, faults: Sequence[Fault], expected: Array) -> list[Sensitivity]:
     model, campaign = prediction.fit.model, prediction.campaign
-    parts = [(index, part) for index, fault in enumerate(faults) for part in fault.parts]
-    before, count = len(model.considered), len(parts)
-    names = [part.term for _, part in parts]
-    extended = Unknowns(model.unknowns, (*model.considered, *names))
+    parts = [(fault, part) for fault in faults for part in fault.parts]
+    here = len(model.considered) + np.arange(len(parts))
+    extended = Unknowns(model.unknowns, (*model.considered, *(part for _, part in parts)))
+    # An input acts on what is expected: nothing else is needed for its column.
+    acting = np.flatnonzero(expected)
+    on = Unknowns(tuple(model.unknowns[i] for i in acting), model.considered)
+    factors = scale_factors(campaign)
     blocks = []
     for record in prediction.fit.prepared:
-        shown = [(before + i, part.columns(record.series)) for i, (_, part) in enumerate(parts)]
-        seen = [(place, column) for place, column in shown if column is not None]
-        prepared = replace(
-            record,
-            fixed=np.column_stack([record.fixed, *(column for _, column in seen)]),
-            considered=(*record.considered, *(place for place, _ in seen)),
-        )
         # One after the other: the columns of all of them together would take much memory.
-        blocks.append(prepared.block_in(extended, prediction.fit.noise))
+        whole = _with_faults(record, parts, on, expected[acting], factors)
+        blocks.append(whole.block_in(extended, prediction.fit.noise))
     groups = all_groups(campaign)
-    expected = expected_values(campaign, model.unknowns)
     blocks += blocks_at(groups, extended, expected)
     solution = solve_blocks(blocks, extended)
     owners = [record.accelerometer for record in prediction.fit.prepared]
     owners += [group.accelerometer for group in groups]
-    here = np.arange(before, before + count)
-    of_fault = [
-        np.flatnonzero([index == fault for index, _ in parts]) for fault in range(len(faults))
-    ]
     moved = -solution.sensitivity_considered[:, here]
     total, left_in = _left(blocks, owners, extended, here)
-    kept = solution.leverages
     ends = np.cumsum([block.factor.shape[0] for block in blocks])
     freedom: dict[str, float] = {}
-    for owner, block, followed in zip(owners, blocks, np.split(kept, ends[:-1]), strict=True):
-        own = block.rows - block.nuisance - float(followed.sum())
+    followed = np.split(solution.leverages, ends[:-1])
+    for owner, block, leverages in zip(owners, blocks, followed, strict=True):
+        own = block.rows - block.nuisance - float(leverages.sum())
         freedom[owner] = freedom.get(owner, 0.0) + own
-    return Sensitivities(
-        tuple(faults),
-        tuple(moved[:, places] for places in of_fault),
-        tuple(total[np.ix_(places, places)] for places in of_fault),
-        {
-            name: tuple(own[np.ix_(places, places)] for places in of_fault)
-            for name, own in left_in.items()
-        },
-        freedom,
+    found = []
+    for fault in faults:
+        places = np.flatnonzero([owner is fault for owner, _ in parts])
+        square = np.ix_(places, places)
+        by_accelerometer = {name: own[square] for name, own in left_in.items()}
+        found.append(Sensitivity(fault, moved[:, places], total[square], by_accelerometer, freedom))
+    return found
+
+
+def _with_faults(
+    record: Prepared,
+    faults: Sequence[tuple[Fault, Considered]],
+    on: Unknowns,
+    expected: Array,
+    factors: Mapping[str, float],
+) -> Prepared:
+    """Return a record with the columns of faults' parts after those of what is considered.
+
+    on, expected: What inputs act on, and how large it is, shape (p,).
+    """
+    shown = [(i, fault.shown(record.series)) for i, (fault, _) in enumerate(faults) if fault.shown]
+    seen = [(i, column) for i, column in shown if column is not None]
+    model = Unknowns(on.unknowns, tuple(part for _, part in faults))
+    (made,) = prepare_columns([record.series], model, factors, expected)
+    places = (*made.considered, *(i for i, _ in seen))
+    return replace(
+        record,
+        fixed=np.column_stack([record.fixed, made.fixed, *(column for _, column in seen)]),
+        considered=(*record.considered, *(len(on.considered) + i for i in places)),
     )
 
 

@@ -278,10 +278,10 @@ def test_stretch_of_the_arm(ways, written, tmp_path):
     text = ARM.partition("[[stations]]")[0] + "\n".join(runs)
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     prediction = forecast(tmp_path)
-    faults = faults_of(prediction.campaign, "A")
-    index = [fault.symbol for fault in faults].index("centrifuge.stretch")
+    found = sensitivities(prediction, faults_of(prediction.campaign, "A"))
+    stretch = next(one for one in found if one.fault.symbol == "centrifuge.stretch")
     place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
-    shift = sensitivities(prediction, faults).shift(index, place)
+    shift = stretch.shift(place)
     expected = 4.6e-9 * 9.80665 if len(ways) == 1 else 0.0
     # The Earth's rate is in the radius's force and not in the stretch.
     assert shift == pytest.approx(expected, rel=1e-4, abs=1e-11)
