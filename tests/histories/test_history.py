@@ -315,7 +315,7 @@ def test_wrong_usage(tmp_path, capsys):
     for term, words in (
         ("K_IV", "no term is called"),
         ("platform.tilt.up", "to the machine"),
-        ("offset.X", "of a triad; a history is of a term: K_F is the same"),
+        ("offset.X", '"offset" follows those of all accelerometers'),
     ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
         assert words in capsys.readouterr().err

@@ -50,6 +50,12 @@ def test_what_two_share_cancels_in_their_difference():
     assert en_score(first, second) == pytest.approx(1.0 / (1.959964 * math.sqrt(50.0)))
 
 
+def of(given):
+    """Return a result, and u and budget of its K_II."""
+    qx = given.accelerometers["Qx"]
+    return given, qx.coefficients["K_II"].u, qx.budget["K_II"]
+
+
 def line(source, u, sensitivity, total=1e-9, kind="stated"):
     part = abs(sensitivity * u)
     share = (part / total) ** 2
@@ -74,7 +80,7 @@ def test_what_nobody_states_is_the_same_in_all_results_of_an_instrument():
         line("slow.platform.tilt.north", 1e-6, 1e-4, kind="unstated"),
         line("slow.ripple1", 1e-6, 1e-4, kind="noise"),
     ]
-    first = shared_sources(result(budget={"K_II": lines}), "Qx", "K_II")
+    first = shared_sources(*of(result(budget={"K_II": lines})))
     assert {source for source, _ in first} == {
         "K_OO",
         "centrifuge.stretch",
@@ -85,7 +91,7 @@ def test_what_nobody_states_is_the_same_in_all_results_of_an_instrument():
     assert in_common([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
     # Taken at another size it is not known to be the same: less is then shared, never more.
     lines[0] = line("K_OO", 1e-6, -3e-4, kind="unstated")
-    other = shared_sources(result(budget={"K_II": lines}), "Qx", "K_II")
+    other = shared_sources(*of(result(budget={"K_II": lines})))
     assert in_common([1e-9, 1e-9], [first, other]).largest == pytest.approx(0.14)
 
 
@@ -98,7 +104,7 @@ LINES = [
 
 def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
     given = result(budget={"K_II": LINES})
-    found = shared_sources(given, "Qx", "K_II")
+    found = shared_sources(*of(given))
     assert {source for source, _ in found} == {"centrifuge.radius", "K_I"}
     assert found["K_I", "5e-06"] == pytest.approx(2e-10)
     common = in_common([1e-9, 1e-9], [found, found])
@@ -108,11 +114,21 @@ def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
     assert common.names == ("centrifuge.radius", "K_I")
     # Another radius is another measurement.
     inputs = given.inputs.model_copy(update={"radius": 2.51})
-    other = shared_sources(given.model_copy(update={"inputs": inputs}), "Qx", "K_II")
+    other = shared_sources(*of(given.model_copy(update={"inputs": inputs})))
     assert in_common([1e-9, 1e-9], [found, other]).names == ("K_I",)
     assert in_common([1e-9, 1e-9], [found, {}]) is None
 
 
 def test_a_budget_of_another_uncertainty_says_nothing():
     small = {"K_II": coefficient(2.7e-5, 1e-10, "g/g^2")}
-    assert shared_sources(result(coefficients=small, budget={"K_II": LINES}), "Qx", "K_II") == {}
+    assert shared_sources(*of(result(coefficients=small, budget={"K_II": LINES}))) == {}
+
+
+def test_terms_of_another_accelerometer_are_shared_if_it_is_the_same_one():
+    lines = [line("Qx.K_OO", 2e-6, -3e-4, kind="unstated"), line("slow.K_F", 1e-6, 1e-4)]
+    given = result(budget={"K_II": lines}, serial_number="Q-1")
+    found = shared_sources(*of(given))
+    assert found == {("Qx.K_OO", "2e-06 of Q-1"): pytest.approx(-6e-10)}
+    other = shared_sources(*of(result(budget={"K_II": lines}, serial_number="Q-2")))
+    assert in_common([1e-9, 1e-9], [found, found]).largest == pytest.approx(0.36)
+    assert in_common([1e-9, 1e-9], [found, other]) is None

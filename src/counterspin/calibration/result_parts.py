@@ -324,6 +324,9 @@ class TriadResult(ResultPart):
     accelerometers: list[str]  #: Their names, in the order of all that follows.
     parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles; second-order terms.
     correlation: Correlation | None = None  #: Of those that are determined.
+    #: Where the u of each of these comes from, the largest part first, terms named in full; empty
+    #: in files of earlier versions.
+    budget: dict[str, list[BudgetLine]] = {}
     #: What each of these moves by per m/s^2 of the g assumed; empty where g is exact.
     by_gravity: dict[str, float] = {}
     #: f = matrix (y - bias): the specific force in the triad's frame, g, of the indications y by

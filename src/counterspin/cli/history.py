@@ -23,7 +23,7 @@ def history(
     paths
         Result files, and folders in which all are found.
     term
-        The coefficient.
+        The coefficient; or offset, sensitivity or angle of triads.
     serial
         Only the instrument with this serial number.
     reliability

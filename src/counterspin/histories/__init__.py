@@ -1,6 +1,7 @@
 """Results of an instrument over time: whether they agree, and whether it drifts.
 
 - `history`: from result files to a coefficient's history
+- `followed`: what is followed in each: a term, or a parameter of a triad
 - `files`: which files are results, whose they are and when
 - `consistency`: whether repeated measurements agree, and whether what they measure drifts
 - `control`: limits from the results themselves; `due`: when the instrument is due again

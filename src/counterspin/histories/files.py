@@ -14,6 +14,7 @@ from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
+from counterspin.histories.followed import FollowedValue, followed_in
 from counterspin.histories.result import UnusedResult
 from counterspin.histories.shared import shared_sources
 from counterspin.inference.conformity import Conformity
@@ -145,39 +146,41 @@ def _enter(file: Path, term: str, collected: Collected) -> None:
 
 def _enter_result(result: Result, file: str, term: str, collected: Collected) -> None:
     date = _date(result.details.get("date"))
-    for name in result.accelerometers:
-        outcome = _record(result, name, term, file, date)
+    for one in followed_in(result, term):
+        outcome = _record(result, one, term, file, date)
         if isinstance(outcome, str):
-            collected.left_out.append(UnusedResult(file=file, accelerometer=name, reason=outcome))
+            names = ", ".join(one.accelerometers)
+            collected.left_out.append(UnusedResult(file=file, accelerometer=names, reason=outcome))
         else:
             collected.records.append(outcome)
 
 
 def _record(
-    result: Result, name: str, term: str, file: str, date: datetime | str
+    result: Result, one: FollowedValue, term: str, file: str, date: datetime | str
 ) -> DatedResult | str:
     """Return a record, or why there is none."""
-    accelerometer = result.accelerometers[name]
-    coefficient = accelerometer.coefficients.get(term)
+    names, coefficient = one.accelerometers, one.coefficient
     whole = result.details.get("serial_number")
-    own = accelerometer.serial_number
+    own = [result.accelerometers[name].serial_number for name in names]
+    by_campaign = None in own
     if coefficient is None:
         return f"has no {term}"
     if not coefficient.estimated or coefficient.value is None or not coefficient.u:
         return f"does not determine {term}"
-    if (wrong := _wrong(result, name)) is not None:
+    if (wrong := _wrong(result, names)) is not None:
         return wrong
-    if own is None and whole is None:
+    if by_campaign and whole is None:
         return "has no serial number; state it in [accelerometers] or [campaign]"
     if isinstance(date, str):
         return date
+    stated = [whole, *names] if by_campaign else own
     return DatedResult(
-        serial_number=f"{whole} {name}" if own is None else own,
-        stated_by="campaign" if own is None else "accelerometer",
+        serial_number=" ".join(map(str, stated)),
+        stated_by="campaign" if by_campaign else "accelerometer",
         campaign_serial_number=whole,
         date=date,
         file=file,
-        accelerometer=name,
+        accelerometer=", ".join(names),
         method=result.method,
         value=coefficient.value,
         u=coefficient.u,
@@ -188,8 +191,8 @@ def _record(
             for input_file, checksum in result.provenance.inputs.items()
             if not input_file.endswith(".toml") and checksum.startswith("sha256:")
         ),
-        shared=shared_sources(result, name, term),
-        limits=_limits(accelerometer.conformity.get(term)),
+        shared=shared_sources(result, coefficient.u, one.budget),
+        limits=_limits(one.conformity),
         laboratory=result.details.get("laboratory"),
     )
 
@@ -198,12 +201,13 @@ def _limits(stated: Conformity | None) -> tuple[float | None, float | None, str]
     return None if stated is None else (stated.low, stated.high, stated.specification)
 
 
-def _wrong(result: Result, name: str) -> str | None:
+def _wrong(result: Result, names: Sequence[str]) -> str | None:
     """Return why a result is not to be used at all, if it is not."""
     if result.model == "as-printed":
         return "is of the equations as printed, which return half the true K_II"
-    if refusal(result, [name]) is not None:
-        return f"its records contradict it: {result.accelerometers[name].findings[0].text}"
+    for name in names:
+        if refusal(result, [name]) is not None:
+            return f"its records contradict it: {result.accelerometers[name].findings[0].text}"
     return None
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from datetime import datetime
 from itertools import combinations
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_
 from counterspin.histories.control import WARNING_SIGMAS, individuals
 from counterspin.histories.due import LONGEST_YEARS, YEAR, next_due
 from counterspin.histories.files import Collected, DatedResult, collect
+from counterspin.histories.followed import KINDS, term_like
 from counterspin.histories.result import (
     ControlLimits,
     Due,
@@ -37,13 +37,6 @@ from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 
-#: Kind of a triad's parameter -> which term of its accelerometers to follow.
-_OF_A_TRIAD: Final = {
-    "offset": "K_F is the same",
-    "sensitivity": "follow K_I, from which it differs by half the squares of the misalignments",
-    "angle": "follow delta_O and delta_P of the accelerometers",
-}
-
 
 def history(
     paths: Sequence[Path | str | Result],
@@ -59,7 +52,7 @@ def history(
     paths
         Results, their files, and folders in which all are found.
     term
-        Symbol of the coefficient.
+        Symbol of the coefficient; or ``offset``, ``sensitivity`` or ``angle`` of triads.
     serial
         Serial number of the instrument, as its accelerometers or its campaigns state it; None
         takes all.
@@ -80,7 +73,7 @@ def history(
     """
     if not 0.5 < reliability < 1.0:
         raise CampaignError("`reliability`", [f"{reliability} does not lie between 0.5 and 1"])
-    if term not in TERMS:
+    if term not in TERMS and term not in KINDS:
         raise CampaignError("`term`", [_unknown(term)])
     collected = collect([p if isinstance(p, Result) else Path(p) for p in paths], term)
     _leave_out_repeated(collected)
@@ -98,7 +91,7 @@ def history(
         )
     return History(
         term=term,
-        unit=TERMS[term].unit,
+        unit=term_like(term).unit,
         gravity=gravity,
         converted=any(record.gravity != gravity for record in collected.records),
         instruments=[
@@ -119,9 +112,9 @@ def _unknown(term: str) -> str:
     if term in SHARED_TERMS:
         return f'"{term}" belongs to the machine; a history is of an accelerometer\'s term'
     kind, _, owner = term.partition(".")
-    if owner and kind in _OF_A_TRIAD:
-        return f'"{term}" is a parameter of a triad; a history is of a term: {_OF_A_TRIAD[kind]}'
-    return f'no term is called "{term}"{did_you_mean(term, TERMS)}'
+    if owner and kind in KINDS:
+        return f'"{term}" is one of a triad; "{kind}" follows those of all accelerometers'
+    return f'no term is called "{term}"{did_you_mean(term, [*TERMS, *KINDS])}'
 
 
 def _leave_out_repeated(collected: Collected) -> None:
@@ -182,7 +175,7 @@ def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:
 
     A coefficient of n factors is in g/g^n, and so inversely as g^(n - 1).
     """
-    factor = (record.gravity / gravity) ** (1 - len(TERMS[term].effect.factors))
+    factor = (record.gravity / gravity) ** (1 - len(term_like(term).effect.factors))
     limits = record.limits
     if limits is not None:
         low, high = (None if end is None else end * factor for end in limits[:2])

@@ -29,7 +29,7 @@ _ACTION_Z: Final = 3.0
 
 def history_blocks(history: History) -> Iterator[Block]:
     """Yield each instrument's verdict, table and control chart, then the unused files."""
-    yield Heading(f"History of {history.term}", 1)
+    yield Heading(f"History of {_words(history)}", 1)
     for instrument in history.instruments:
         yield Heading(_name(instrument))
         good = instrument.verdict in {"single", "constant"}
@@ -57,7 +57,7 @@ def history_blocks(history: History) -> Iterator[Block]:
 
 def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     """Return whether an instrument's results agree, in one or two sentences."""
-    name, unit, factor = history.term, *field_unit(history.unit)
+    name, unit, factor = _words(history), *field_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
@@ -208,9 +208,9 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
         )
     )
     return Plot(
-        title=f"{history.term} of {_name(instrument)}",
+        title=f"{_words(history)} of {_name(instrument)}",
         x_label="date",
-        y_label=f"{history.term}, {unit}",
+        y_label=f"{_words(history)}, {unit}",
         series=tuple(series),
         dates=True,
     )
@@ -219,6 +219,10 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
 def history_plots(history: History) -> list[Plot]:
     """Return the control chart of every instrument."""
     return [control_plot(history, instrument) for instrument in history.instruments]
+
+
+def _words(history: History) -> str:
+    return "angle less 90 deg" if history.term == "angle" else history.term
 
 
 def _name(instrument: InstrumentHistory) -> str:
@@ -241,7 +245,7 @@ def _table(history: History, instrument: InstrumentHistory) -> Table:
             Column("Date"),
             Column("File", wraps=True),
             Column("Method", wraps=True),
-            Column(f"{history.term}, {unit}", "right"),
+            Column(f"{_words(history)}, {unit}", "right"),
             Column("Less mean", "right"),
             Column("z", "right"),
             Column("E_n", "right"),

@@ -19,7 +19,7 @@ class Point(ResultPart):
 
     date: str  #: Of the campaign, as ISO 8601; UTC where it states a zone.
     file: str  #: The result's file.
-    accelerometer: str  #: Its name in that campaign.
+    accelerometer: str  #: Its name in that campaign; both, of an angle.
     method: str  #: ``joint`` or ``two-stage``.
     value: float  #: The estimate.
     u: float  #: Its standard uncertainty.
@@ -156,7 +156,8 @@ class History(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     KIND: ClassVar[str] = "history"
 
-    term: str  #: The coefficient.
+    #: The coefficient; or ``offset``, ``sensitivity`` or ``angle`` of triads, an angle less 90 deg.
+    term: str
     unit: str  #: Of every value; of a drift, per year.
     gravity: float  #: Of the g-units, m/s^2.
     converted: bool  #: Whether results of another gravity were converted.

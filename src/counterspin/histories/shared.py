@@ -10,6 +10,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
+from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.terms import is_term, mounting_of, term
 
 #: How a budget names what is common: an input of the campaign -> where the result has its value.
@@ -38,27 +39,33 @@ class InCommon:
     covariance: Array  #: Of the results, shape (n, n).
 
 
-def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, str], float]:
+def shared_sources(
+    result: Result, u: float, lines: Sequence[BudgetLine]
+) -> dict[tuple[str, str], float]:
     """Return what each source does that another result may have in common.
 
     Two results share an input if both have the same value and uncertainty of it, and a term of the
     accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
-    is then taken to be the same measurement, or the same lack of one. What belongs to a run or
-    to a mounting is not shared.
+    is then taken to be the same measurement, or the same lack of one. That of another accelerometer
+    must be of the same one. What belongs to a run or to a mounting is not shared.
+
+    u, lines: Of the coefficient, and its budget.
     """
     found: dict[tuple[str, str], float] = {}
-    lines = result.accelerometers[name].budget.get(symbol, ())
-    u = result.accelerometers[name].coefficients[symbol].u or 0.0
     if sum(line.contribution**2 for line in lines) > _MAX_BUDGET_SUM * u**2:
         return found  # a budget of another uncertainty
     for line in lines:
         source = line.source
         if line.kind == "noise" or line.u is None or line.sensitivity is None:
             continue
+        owner, _, symbol = source.partition(".")
         if source in _INPUTS:
             identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
         elif is_term(source) and not (term(source).per_run or mounting_of(source)):
             identity = repr(line.u)
+        elif owner in result.accelerometers and is_term(symbol):
+            whose = result.accelerometers[owner].serial_number
+            identity = f"{line.u!r} of {whose or result.details.get('serial_number')}"
         else:
             continue
         found[source, identity] = line.sensitivity * line.u

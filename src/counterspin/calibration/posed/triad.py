@@ -28,7 +28,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import countable
 from counterspin.inference.identifiability import PRIOR_LEFT
-from counterspin.inference.joint.budget import by_kind_of
+from counterspin.inference.joint.budget import budget_of, by_kind_of
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.poses import LINEAR, PosesAt
 from counterspin.physics.terms import TERMS
@@ -84,6 +84,7 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
         accelerometers=list(names),
         parameters=found,
         correlation=_correlation(estimated, {n: parameters[n] for n in determined}),
+        budget={n: budget_of(estimated.fit, parameters[n].slopes) for n in determined},
         by_gravity=_by_gravity(estimated, {n: parameters[n] for n in determined}),
         matrix=None if matrix is None else matrix.tolist(),
         u_matrix=None if matrix is None else _u_matrix(estimated, at, matrix),

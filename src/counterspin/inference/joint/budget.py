@@ -53,13 +53,16 @@ class BudgetLine:
 
 
 def budget(fit: JointFit, index: int, name: str = "") -> list[BudgetLine]:
-    """Return the budget of one unknown, largest contribution first.
+    """Return the budget of one unknown; as `budget_of`."""
+    return budget_of(fit, np.eye(len(fit.model.unknowns))[index], name)
+
+
+def budget_of(fit: JointFit, weights: Array, name: str = "") -> list[BudgetLine]:
+    """Return the budget of a combination of the unknowns, largest contribution first.
 
     name: An accelerometer, whose own terms are named without it.
     """
     solution, model = fit.solution, fit.model
-    weights = np.zeros(len(model.unknowns))
-    weights[index] = 1.0
     parts = solution.combine(weights)
     lines = [
         BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
@@ -67,11 +70,12 @@ def budget(fit: JointFit, index: int, name: str = "") -> list[BudgetLine]:
     ]
     for source, (level, covariance) in fit.unseen.items():
         words = f"noise of {source} that does not show"
-        size = math.sqrt(float(covariance[index, index]))
+        size = math.sqrt(float(weights @ covariance @ weights))
         slope = size / level if level else 0.0
         lines.append(BudgetLine(words, NOISE, level, WALK_UNIT, slope, size, 0.0))
     terms = (*model.unknowns, *model.considered)
-    slopes = (*solution.sensitivity_prior[index], *solution.sensitivity_considered[index])
+    sensitivity = (solution.sensitivity_prior, solution.sensitivity_considered)
+    slopes = np.concatenate([weights @ each for each in sensitivity])
     sizes = (*parts.prior, *parts.considered)
     rotation: dict[tuple[str, str], list[float]] = {}
     for term, slope, size in zip(terms, map(float, slopes), map(float, sizes), strict=True):

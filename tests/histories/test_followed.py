@@ -1,0 +1,104 @@
+"""What is followed of a triad: its nine parameters, and what its results have in common."""
+
+import math
+
+import numpy as np
+import pytest
+import triads
+
+import counterspin as cs
+from counterspin.errors import CounterspinError
+
+NOISE = 2e-4
+DATES = ("2024-03-01", "2025-03-01", "2026-03-01", "2027-03-01")
+MODEL = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]'
+
+
+def made(folder, date, values, serials=("A", "B", "C"), model=MODEL):
+    """Write the result of a triad of three serial numbers, poses in the same directions."""
+    head = triads.head(model=model).replace('"9.81 m/s^2"', '"9.81 ± 1e-3 m/s^2"')
+    head = head.replace("schema = 1", f'schema = 1\ncampaign = {{ date = "{date}" }}')
+    for name, serial in zip(triads.NAMES, serials, strict=True):
+        with_serial = triads.accelerometer(name, f'serial_number = "{serial}"\n' if serial else "")
+        head = head.replace(triads.accelerometer(name), with_serial)
+    table = triads.table(folder / f"campaign {date}", values, u=NOISE, description=head)
+    result = cs.calibrate(table, accept_misfit="made")
+    cs.write_result(result, folder / f"{date}.json")
+    return result
+
+
+def results(folder, **options):
+    generator = np.random.default_rng(11)
+    values = triads.indications(triads.directions(24, generator))
+    return [
+        made(folder, date, values + NOISE * generator.standard_normal(values.shape), **options)
+        for date in DATES
+    ]
+
+
+@pytest.mark.parametrize("kind", ["offset", "sensitivity", "angle"])
+def test_nine_parameters_are_followed_with_what_nobody_states_in_common(tmp_path, kind):
+    found = results(tmp_path)
+    parameters = [name for name in found[0].triad.parameters if name.startswith(kind)]
+    history = cs.history([tmp_path], term=kind)
+    assert [one.serial_number for one in history.instruments] == (
+        ["A B", "A C", "B C"] if kind == "angle" else ["A", "B", "C"]
+    )
+    assert history.unit == {"offset": "g", "sensitivity": "g/g", "angle": "rad"}[kind]
+    for parameter, one in zip(parameters, history.instruments, strict=True):
+        own = [result.triad.parameters[parameter] for result in found]
+        less = 0.5 * math.pi if kind == "angle" else 0.0
+        assert [p.value for p in one.points] == pytest.approx([c.value - less for c in own])
+        # The same poses each time: only their noise differs from one result to the next.
+        alone, common = own[0].u_noise, math.hypot(own[0].u_stated, own[0].u_unstated)
+        assert one.u_mean == pytest.approx(math.hypot(alone / 2.0, common), rel=1e-3)
+        # The largest of six, whose u differ by what noise does to the directions.
+        assert one.correlation == pytest.approx((common / own[0].u) ** 2, rel=5e-3)
+        assert one.drift.u == pytest.approx(alone / math.sqrt(5.0), rel=2e-3)  # years -1.5 to 1.5
+        assert one.verdict == "constant"
+    if kind == "angle":
+        assert "angle less 90 deg" in str(history)
+
+
+def test_a_term_of_a_triad_has_the_others_terms_in_common(tmp_path):
+    found = results(tmp_path)
+    (first, *_) = cs.history([tmp_path], term="K_F").instruments
+    own = found[0].coefficient("X.K_F")
+    common = math.hypot(own.u_stated, own.u_unstated)
+    assert first.u_mean == pytest.approx(math.hypot(own.u_noise / 2.0, common), rel=1e-3)
+    assert any(line.source.startswith(("Y.", "Z.")) for line in found[0].triad.budget["offset.X"])
+
+
+def test_a_budget_says_by_what_a_parameter_moves(tmp_path):
+    along = triads.directions(24, np.random.default_rng(12))
+    delta = 1e-5
+    plain = made(tmp_path, DATES[0], triads.indications(along))
+    moved = made(tmp_path, DATES[1], triads.indications(along, squares=(0.0, delta, 0.0)))
+    for name, parameter in plain.triad.parameters.items():
+        lines = plain.triad.budget[name]
+        assert sum(one.contribution**2 for one in lines) == pytest.approx(parameter.u**2)
+        slope = sum(one.sensitivity for one in lines if one.source == "Y.K_II")
+        change = moved.triad.parameters[name].value - parameter.value
+        assert change == pytest.approx(-slope * delta, rel=1e-2, abs=1e-9)
+    assert abs(plain.triad.parameters["offset.Y"].value - triads.BIAS[1]) < 1e-6
+
+
+def test_what_cannot_be_followed_is_said(tmp_path):
+    made(tmp_path, DATES[0], triads.indications(triads.directions(24, np.random.default_rng(3))))
+    result = cs.read_result(tmp_path / f"{DATES[0]}.json")
+    alone = result.model_copy(update={"triad": None, "details": {"date": DATES[1]}})
+    (left, *_) = cs.history([tmp_path, alone], term="angle").left_out
+    assert (left.accelerometer, left.reason) == ("X", "has no angle")
+    with pytest.raises(CounterspinError, match="has no angle"):
+        cs.history([alone], term="angle")
+
+
+def test_an_angle_needs_both_serial_numbers_or_the_campaigns(tmp_path):
+    values = triads.indications(triads.directions(24, np.random.default_rng(3)))
+    result = made(tmp_path, DATES[0], values, serials=("A", "B", None))
+    history = cs.history([tmp_path], term="angle")
+    assert [one.serial_number for one in history.instruments] == ["A B"]
+    assert {left.accelerometer for left in history.left_out} == {"X, Z", "Y, Z"}
+    of_campaign = result.model_copy(update={"details": {**result.details, "serial_number": "S"}})
+    history = cs.history([of_campaign], term="angle")
+    assert [one.serial_number for one in history.instruments] == ["A B", "S X Z", "S Y Z"]
