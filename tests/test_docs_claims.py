@@ -539,6 +539,31 @@ def test_what_a_stretched_arm_looks_like():
         assert fit[2] == pytest.approx(k_ii, abs=1e-10)
 
 
+def test_what_a_bias_that_settles_early_leaves_to_be_seen():
+    """diagnosis.md: what of it neither start, nor t^2, nor the waves of the run take up."""
+    time, rate, rise = np.arange(0.0, 100.0, 0.02), 2.0 * math.pi, 50e-6
+    (g, radius) = (9.8066, 2.5)
+    claimed = told(
+        "diagnosis",
+        "leaves {} standard deviations of a displacement with 0.01 m of noise if it takes 10 s ({} "
+        "if it takes 5 s), {} of a velocity with 1 mm/s if it takes 3 s, {} of a specific force",
+    )
+    waves = [wave(n * rate * time) for n in (1, 2) for wave in (np.cos, np.sin)]
+    for text, (order, noise, takes) in zip(
+        claimed,
+        ((2, 0.01, 10.0), (2, 0.01, 5.0), (1, 1e-3, 3.0), (0, 1e-4, 1.0)),
+        strict=True,
+    ):
+        power = order + 1  # the ramp and its end, integrated as often
+        ramp = time**power - np.maximum(time - takes, 0.0) ** power
+        shown = rise * g / takes * ramp / math.factorial(power)
+        others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
+        left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
+        assert f"{np.linalg.norm(left) / noise:.2g}" == text
+    (moved,) = told("diagnosis", "it moves K_II by {} ug/g^2, of which u")
+    assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == moved
+
+
 @pytest.mark.parametrize("page", ["arm", "tumble", "double-turntable"])
 def test_names_of_terms_are_those_of_the_standard(page):
     """Each row of the table names, for each term of ours, its letter in IEEE Std 1293."""

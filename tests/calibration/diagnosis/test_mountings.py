@@ -98,6 +98,17 @@ def test_a_wrong_axis_is_named_where_the_records_show_it(recorded, axis):
         assert "K_IO and K_OO rests on it" in remarks(result)[0]
 
 
+def test_a_wrong_axis_is_named_beside_noise_that_is_found_and_terms_that_nobody_states(tmp_path):
+    """The whole fit has more unknowns than the one in which the noise was found."""
+    text = described("specific_force").replace("2e-6", "4e-5").replace("3e-6", "6e-5")
+    simulate(campaign_of(tmp_path / "true", text), tmp_path / "made")
+    own = ('[noise]\nspecific_force = "1e-4 m/s^2"\n', ""), ('[model]\nassume = "all"\n', "")
+    result = calibrate(write(tmp_path / "made", changed(text, *own, ('"down"', '"north"'))).parent)
+    first = result.findings[0]
+    assert (first.code, first.subject) == ("wrong-mounting", "Qx")
+    assert "pointed down; it is stated as north" in first.text
+
+
 def test_where_nothing_is_stated_nothing_rests_on_it(recorded):
     assert remarks(calibrated(recorded, "down", known="")) == []
 

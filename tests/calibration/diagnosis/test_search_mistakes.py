@@ -41,6 +41,16 @@ def drifting(size):
     return lambda t: size * 9.8066 * t**3 / (6.0 * t[-1])
 
 
+def settling(size, part):
+    """Return the displacement by a bias that rises by so many g in the first part of a record."""
+
+    def fallen(t):
+        end = part * t[-1]
+        return size * 9.8066 * (t**3 - np.maximum(t - end, 0.0) ** 3) / (6.0 * end)
+
+    return fallen
+
+
 def warming(rate):
     """Return the displacement by a bias that grows by so many g/s from the start of a record."""
     return lambda t: rate * 9.8066 * t**3 / 6.0
@@ -218,6 +228,15 @@ MISTAKES = (
         records=added("middle", EAST, drifting(50e-6)),
         estimated=True,
         state="reservations",
+    ),
+    *(
+        Mistake(
+            "a bias that rises by 500 ug in the first quarter of the fastest record",
+            "bias-drifts fast.Qx",
+            records=added("fast", EAST, settling(500e-6, 0.25)),
+            estimated=estimated,
+        )
+        for estimated in (False, True)
     ),
     Mistake(
         "a record that is bent over its length, 20 cm at its middle",

@@ -96,7 +96,7 @@ _KINDS_OF_PRIORS: Final = ("prior", "priors")
 #: What comes first where the records cannot tell: what is stated is checked at no cost, and the
 #: velocity of the Coriolis acceleration, all or nothing, is seldom as large by chance.
 _FIRST_KINDS: Final = (mistakes.CORIOLIS, *_KINDS_OF_PRIORS)
-_KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE)  # in a record
+_KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE, mistakes.BIAS_STEP)  # in a record
 
 
 def causes_of(
@@ -111,7 +111,7 @@ def causes_of(
     estimated = views[0].estimate
     read = [part for view in views for part in view.parts]
     given = not estimated.components and all(part.weighed for part in read)
-    now = replace(estimated, fit=relax(estimated.fit), core=None)
+    now = replace(estimated, fit=relax(estimated.fit), core=None, lost={})
     priors = of_priors(now.fit)
     turned = better(mountings)
     # Beside readings alone, what nothing states is held to them at no cost too.

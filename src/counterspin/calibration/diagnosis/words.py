@@ -69,6 +69,7 @@ class Explanation:
             mistakes.BIAS_DRIFT: self._drift,
             mistakes.JUMP: self._step,
             mistakes.SLOPE: self._step,
+            mistakes.BIAS_STEP: self._bias_step,
         }[self.other.kind]()
 
     def _estimate(self, unit: str) -> str:
@@ -206,6 +207,19 @@ class Explanation:
             subject=self.other.owner,
             text=text,
             name=f"drift of the bias of {self._place}",
+        )
+
+    def _bias_step(self) -> Described:
+        text = (
+            f"{self._place} would fit with a bias that changes by {self._estimate('g')} at about "
+            f"{self.other.at:.4g} s: it was switched on, or warmed up, shortly before, or "
+            "something else adds a slow error. Leave out what was recorded before, or the run."
+        )
+        return Described(
+            code="bias-drifts",
+            subject=self.other.owner,
+            text=text,
+            name=f"change of the bias of {self._place}",
         )
 
     def _step(self) -> Described:

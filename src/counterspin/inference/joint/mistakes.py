@@ -31,6 +31,7 @@ BIAS_DRIFT: Final = "bias drift"  #: g/s, of an accelerometer in one run, or in 
 JUMP: Final = "jump"  #: step of a record, in its unit
 CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly taken into account
 SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
+BIAS_STEP: Final = "bias step"  #: g, of one accelerometer within one run
 
 #: Estimates of the part of the error velocity, which is all or nothing.
 _WHOLE_VELOCITY: Final = (0.8, 1.2)
@@ -85,11 +86,11 @@ def of_records(
             yield Alternative(ANGLE, run, ANGLE, own, between=_ANGLE_RANGE)
 
 
-def _fallen(fit: JointFit, i: int, power: int) -> Array:
-    """Return what a bias of t^power, in g and s from the record's start, makes of a record."""
+def _fallen(fit: JointFit, i: int, power: int, since: float | None = None) -> Array:
+    """Return what a bias of t^power makes of a record, in g and s from a time on, or its start."""
     series = fit.prepared[i].series
     total = power + series.order
-    fallen: Array = (series.time - series.time[0]) ** total
+    fallen: Array = (series.time - (series.time[0] if since is None else since)) ** total
     return fallen * (series.trajectory.site.gravity * math.factorial(power) / math.factorial(total))
 
 
@@ -165,6 +166,9 @@ def jumps(
 ) -> Iterator[Alternative]:
     """Yield steps and bends of each record at evenly spaced times, or of one about a time.
 
+    A step of the bias is a step of a force and a bend of a velocity; of a displacement it is one
+    more, without which a bias that settles early in a run is told from none.
+
     about: One that has been found; None: all records, over their whole length.
     within: s, how far from it.
     """
@@ -185,6 +189,9 @@ def jumps(
             if about is None or about.kind == SLOPE:
                 ramp, steepest = {i: step * (time - at)}, swing / (last - at)
                 yield Alternative(SLOPE, owner, SLOPE, ramp, at=at, between=(-steepest, steepest))
+            if part.series.order == 2 and (about is None or about.kind == BIAS_STEP):
+                fallen, most = {i: step * _fallen(fit, i, 0, at)}, TERMS["K_F"].limit
+                yield Alternative(BIAS_STEP, owner, BIAS_STEP, fallen, at=at, between=(-most, most))
 
 
 def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternative]:

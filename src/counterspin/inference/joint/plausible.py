@@ -29,6 +29,7 @@ _RARER: Final[Mapping[str, float]] = {
     mistakes.BIAS_DRIFT: 0.3,
     mistakes.JUMP: 0.03,
     mistakes.SLOPE: 0.03,
+    mistakes.BIAS_STEP: 0.03,
 }
 
 
