@@ -11,7 +11,7 @@ from counterspin.inference.noise.growth import information_lost
 from counterspin.inference.noise.model import WANTED, Differences, Noise, make_whitener
 from counterspin.inference.noise.reduced import RecordData
 from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
-from counterspin.inference.noise.search import KEEPING_GAIN, effective_dof, find_noise
+from counterspin.inference.noise.search import KEEPING_GAIN, _step, effective_dof, find_noise
 from counterspin.physics.simulation import bias_wander
 
 TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 160
@@ -201,6 +201,20 @@ def test_a_walk_that_is_there_is_kept_and_found():
     assert found.evaluations <= 30
     likelihoods = found.log_likelihoods
     assert likelihoods["white", "random_walk"] - likelihoods["white",] > 10
+
+
+def test_what_is_next_to_nothing_does_not_hold_a_search_up():
+    """Its likelihood goes with -e^x: a factor of e a step; the other is found in one."""
+
+    def value(x):
+        return -50.0 * (x[0] - 1.3) ** 2 - 0.02 * math.exp(x[1])
+
+    x, gain = _step(value, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(x, [1.3, -1.0], atol=1e-3)
+    assert gain == pytest.approx(50.0 * 0.3**2 + 0.01, rel=1e-3)
+    # From where it does not show, upward and as far as may be.
+    x, _ = _step(lambda x: 0.02 * math.exp(x[0]), np.zeros(1))
+    assert x[0] == 3.0
 
 
 @pytest.mark.parametrize("order", [2, 1])

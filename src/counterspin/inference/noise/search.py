@@ -52,8 +52,10 @@ _LAST_STEP: Final = 0.02
 _STEP: Final = 0.05
 _SMALL: Final = 1e-4
 
-#: Most of Newton's steps.
+#: Most of Newton's steps, and the gain in log-likelihood of the last: what is next to nothing could
+#: go on towards zero.
 _MOST_STEPS: Final = 20
+_LAST_GAIN: Final = 1e-3
 
 #: Least curvature that counts: in a direction of less a variance is known to a factor of e^2.
 _LEAST_CURVATURE: Final = 0.25
@@ -256,8 +258,8 @@ class Choice:
     def _climbed(self, x: Array) -> Array:
         """Return where Newton's steps uphill end."""
         for _ in range(_MOST_STEPS if x.size else 0):
-            before, x = x, _step(self.value, x)
-            if np.abs(x - before).max() < _LAST_STEP:
+            before, (x, gain) = x, _step(self.value, x)
+            if np.abs(x - before).max() < _LAST_STEP or gain < _LAST_GAIN:
                 break
         return x
 
@@ -376,15 +378,22 @@ def _unseen(likelihood: RestrictedLikelihood, noise: Noise, best: Maximum) -> Un
     return unseen_walk(at, likelihood.least_walk + _DETECTION_LOG_RATIO, best.value)
 
 
-def _step(function: Callable[[Array], float], x: Array) -> Array:
-    """Return x a step of Newton's further uphill, no further than a function rises."""
+def _step(function: Callable[[Array], float], x: Array) -> tuple[Array, float]:
+    """Return x a step of Newton's further uphill, and the gain that slope and curvature promise.
+
+    Curvatures are taken as they are, however small: near zero a variance's effect goes with e^x,
+    whose slope and curvature are the same, so that a step takes it down by a factor of e.
+    """
     middle, gradient, hessian = _derivatives(function, x)
-    values, vectors = np.linalg.eigh(-hessian)
-    step = vectors @ ((vectors.T @ gradient) / np.maximum(values, _LEAST_CURVATURE))
-    step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
+    curvatures, vectors = np.linalg.eigh(-hessian)
+    slopes = vectors.T @ gradient
+    near = curvatures * _LARGEST_STEP > np.abs(slopes)
+    steps = np.sign(slopes) * _LARGEST_STEP
+    steps[near] = slopes[near] / curvatures[near]
+    step, gain = vectors @ steps, float(slopes @ steps) / 2.0
     while np.abs(step).max() >= _LAST_STEP and function(x + step) < middle:
         step = step / 4.0
-    return np.asarray(x + step)
+    return np.asarray(x + step), gain
 
 
 def _polished(function: Callable[[Array], float], x: Array) -> Array:
