@@ -7,13 +7,16 @@ import triads
 import counterspin as cs
 from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
 from counterspin.calibration.result_parts import Correlation
+from counterspin.certificates.amendment import changes
 from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.elements import NAMESPACES
 from counterspin.certificates.front import front_blocks
 from counterspin.certificates.reading import read_certificate
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.statements import statements
+from counterspin.cli import main
 from counterspin.reports.blocks import Paragraph, Table
+from counterspin.reports.numbers import field_unit, format_estimate
 
 G = 9.81
 OWN = LAB + '\n[evidence]\nall = "Type test 4714."\n'
@@ -73,6 +76,55 @@ def test_parameters_stand_in_si_with_their_covariance(tmp_path, poses):
     )
     # No accelerometer more is read than there are.
     assert set(read_certificate(made, "x.xml").accelerometers) == {"X", "Y", "Z"}
+
+
+def test_parameters_and_matrix_are_read_back(tmp_path, poses):
+    triad, found = poses.triad, read_certificate(document(tmp_path, poses, text=OWN), "x").triad
+    assert found.accelerometers == ("X", "Y", "Z")
+    coefficients = found.parameters.coefficients
+    assert list(coefficients) == list(triad.parameters)
+    for name, c in triad.parameters.items():
+        read = coefficients[name]
+        assert (read.unit, read.dof) == (c.unit, pytest.approx(16.0, abs=1e-3))
+        assert (read.value, read.u) == pytest.approx((c.value, c.u), rel=1e-4)  # k has five digits
+    u = [c.u for c in triad.parameters.values()]
+    np.testing.assert_allclose(
+        found.parameters.covariance, triad.correlation.values * np.outer(u, u), rtol=1e-9
+    )
+    np.testing.assert_allclose(found.matrix, triad.matrix, rtol=1e-15)
+    np.testing.assert_allclose(found.expanded / found.factor, triad.u_matrix, rtol=1e-4)
+    np.testing.assert_allclose(found.bias, triad.bias, rtol=1e-14)
+
+
+def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, capsys):
+    made = document(tmp_path, poses, text=OWN)
+    file = tmp_path / "c.xml"
+    file.write_bytes(made)
+    assert main(["certificate", "--verify", str(file)]) == 0
+    told = capsys.readouterr().out
+    for words in ("sensitivity of Z", "angle between Y and Z less 90 deg", "M ± U", "are those of"):
+        assert words in told
+    first = f"{poses.triad.matrix[2][2]!r}".encode()
+    assert made.count(first) == 1
+    file.write_bytes(made.replace(first, f"{poses.triad.matrix[2][2] + 1e-9!r}".encode()))
+    assert main(["certificate", "--verify", str(file)]) == 1
+    assert "matrix and offsets make sensitivity.Z" in capsys.readouterr().err
+
+
+def test_an_amendment_names_changed_parameters(tmp_path, poses):
+    one = document(tmp_path, poses, text=OWN)
+    other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
+    shown = shown_of(poses.triad.parameters["angle.X.Y"])
+    assert [line for line in changes(one, other) if "triad" in line] == [
+        f"angle.X.Y of the triad: it was {shown}, and is not certified.",
+        f"angle.Y.X of the triad: it was not certified, and is {shown}.",
+    ]
+
+
+def shown_of(c):
+    """Return a parameter with U as an amendment shows it."""
+    unit, factor = field_unit(c.unit)
+    return format_estimate(c.value * factor, coverage_factor(16.0) * c.u * factor, unit)
 
 
 def test_matrix_and_bias_correct_what_the_sensor_indicates(tmp_path, poses):

@@ -12,7 +12,11 @@ from typing import Any, Final
 from counterspin.certificates.attached import read_document
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import NAMESPACES, Element
-from counterspin.certificates.reading import Certified, read_certificate
+from counterspin.certificates.reading import (
+    Certified,
+    CertifiedAccelerometer,
+    read_certificate,
+)
 from counterspin.certificates.schema import parse
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
@@ -119,15 +123,19 @@ def check_amends(new: bytes, old: Path, source: str) -> str:
 
 
 def _numbers(before: Certified, after: Certified) -> Iterator[str]:
-    for name in dict.fromkeys([*before.accelerometers, *after.accelerometers]):
-        sides = [
-            side.accelerometers[name].coefficients if name in side.accelerometers else {}
-            for side in (before, after)
-        ]
+    first, second = _certified(before), _certified(after)
+    for name in dict.fromkeys([*first, *second]):
+        sides = [side[name].coefficients if name in side else {} for side in (first, second)]
         for symbol in dict.fromkeys([*sides[0], *sides[1]]):
             was, is_ = (_shown(side.get(symbol)) for side in sides)
             if sides[0].get(symbol) != sides[1].get(symbol):
                 yield f"{symbol} of {name}: it was {was}, and is {is_}."
+
+
+def _certified(certified: Certified) -> dict[str, CertifiedAccelerometer]:
+    """Return what has values: each accelerometer, and the triad."""
+    triad = certified.triad
+    return certified.accelerometers | ({"the triad": triad.parameters} if triad else {})
 
 
 def _shown(coefficient: Any) -> str:

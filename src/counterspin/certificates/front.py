@@ -25,6 +25,7 @@ from counterspin.certificates.triad import (
     certified_triad,
     matrix_dof,
     output_lines,
+    output_table,
     shown_in_si,
     triad_lines,
 )
@@ -150,27 +151,8 @@ def _triad(stated: Result, triad: TriadResult) -> Iterator[Block]:
         yield Paragraph(typeset(line))
     if triad.matrix is not None and triad.u_matrix is not None:
         k = coverage_factor(matrix_dof(triad))
-        rows = zip("xyz", triad.matrix, triad.u_matrix, strict=True)
-        yield Table(
-            (
-                Column("M ± U"),
-                *(Column(name, "right") for name in triad.accelerometers),
-                Column("k", "right"),
-            ),
-            tuple(
-                (
-                    f"f_{axis}",
-                    *(_element(m, k * u) for m, u in zip(row, u_row, strict=True)),
-                    factor(k),
-                )
-                for axis, row, u_row in rows
-            ),
-        )
-
-
-def _element(value: float, expanded: float) -> str:
-    """Return an element of a matrix, with U where it has one: not of what is zero by choice."""
-    return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
+        expanded = [[k * u for u in row] for row in triad.u_matrix]
+        yield output_table(triad.accelerometers, triad.matrix, expanded, k)
 
 
 def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages.triad import shown_parameter
 from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
     Amended,
@@ -34,6 +35,7 @@ from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import is_signed, sign, verify
 from counterspin.certificates.signers import KeyFile, Signer, certificates_in
 from counterspin.certificates.statements import Issue, Verdicts
+from counterspin.certificates.triad import output_table
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import reserve, write_whole
@@ -406,6 +408,14 @@ def certificate_blocks(certified: Certified) -> Iterator[Block]:
     for name, accelerometer in certified.accelerometers.items():
         coefficients = accelerometer.coefficients
         yield results_table(name, coefficients, with_exact_g(coefficients, certified.gravity))
+    if (triad := certified.triad) is not None:
+        parameters = triad.parameters.coefficients
+        shown = dict(shown_parameter(name, c) for name, c in parameters.items())
+        yield results_table("Parameter", shown, with_exact_g(shown, certified.gravity))
+        if triad.matrix is not None and triad.expanded is not None and triad.factor is not None:
+            matrix, expanded = triad.matrix.tolist(), triad.expanded.tolist()
+            yield output_table(triad.accelerometers, matrix, expanded, triad.factor)
+            yield Paragraph("Matrix and offsets are those of these parameters.", "quiet")
     yield Paragraph(
         f"g = {format_number(certified.gravity, 9)} m/s^2, taken as exact for what is shown in "
         "g-units.",

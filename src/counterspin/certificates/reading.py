@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +14,7 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.conversion import OUTPUT
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
+from counterspin.certificates.triad import TITLE
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.si_units import from_si
@@ -31,6 +34,20 @@ _REGION: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalReg
 _COLUMN: Final = f"{_REGION}/si:covarianceMatrixXMLList/si:columnXMLList"
 _DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
 
+#: The part of a triad, and in it the corrected output and what stands before that.
+_NAME: Final = "dcc:name/dcc:content"
+_TRIAD: Final = f"{_RESULT}[not(@refId)][starts-with({_NAME}, '{TITLE}')]"
+_OUTPUT: Final = f"[{_NAME}='Corrected output']"
+_PARAMETERS: Final = f"[not({_NAME}='Corrected output')]"
+_DATA: Final = "dcc:data/dcc:quantity"
+_EXPANDED_LIST: Final = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
+
+#: Units of a triad's parameters by their kind.
+_KINDS: Final = {"offset": "g", "sensitivity": "g/g", "angle": "rad"}
+
+#: A matrix and the parameters it is made of, all in every digit, differ by no more.
+_ROUNDING: Final = 1e-12
+
 
 @frozen
 class CertifiedAccelerometer:
@@ -43,6 +60,20 @@ class CertifiedAccelerometer:
 
 
 @frozen
+class CertifiedTriad:
+    """Three accelerometers as one sensor in a certificate, in g-units as theirs."""
+
+    accelerometers: tuple[str, ...]  #: Their names.
+    parameters: CertifiedAccelerometer  #: By their names, such as ``angle.X.Y``.
+    #: Of the corrected output matrix (y - bias): shape (3, 3), its expanded uncertainties, their
+    #: coverage factor, and the bias, g, shape (3,); None where the certificate states none.
+    matrix: npt.NDArray[np.float64] | None = None
+    expanded: npt.NDArray[np.float64] | None = None
+    factor: float | None = None
+    bias: npt.NDArray[np.float64] | None = None
+
+
+@frozen
 class Certified:
     """The numbers of a certificate; gravity in m/s^2; `amends` identifies the one it replaces."""
 
@@ -50,6 +81,7 @@ class Certified:
     gravity: float
     accelerometers: dict[str, CertifiedAccelerometer]
     amends: str | None = None
+    triad: CertifiedTriad | None = None
 
 
 def read_certificate(document: bytes, source: str) -> Certified:
@@ -63,11 +95,12 @@ def read_certificate(document: bytes, source: str) -> Certified:
             identifier=_one(root, "dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier"),
             gravity=gravity,
             accelerometers={
-                _designation(root, part): _accelerometer(part, gravity)
+                _designation(root, part): _values(_all(part, _QUANTITY), gravity)
                 for part in _all(root, _RESULT)
                 if part.get("refId")
             },
             amends=next((_text(element) for element in _all(root, _REPLACED)), None),
+            triad=next((_triad(part, gravity) for part in _all(root, _TRIAD)), None),
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
@@ -75,11 +108,51 @@ def read_certificate(document: bytes, source: str) -> Certified:
         ) from error
 
 
-def _accelerometer(part: Element, gravity: float) -> CertifiedAccelerometer:
+def _triad(part: Element, gravity: float) -> CertifiedTriad:
+    """Return the parameters of a triad; ValueError if its matrix or bias is not theirs."""
+    names = tuple(_one(part, _NAME).removeprefix(TITLE).split(", "))
+    parameters = _values(_all(part, f"dcc:results/dcc:result{_PARAMETERS}/{_DATA}"), gravity)
+    output = _all(part, f"dcc:results/dcc:result{_OUTPUT}/{_DATA}/si:realListXMLList")
+    if not output:
+        return CertifiedTriad(names, parameters)
+    of_matrix, of_bias = output
+    matrix = np.reshape(_numbers(of_matrix, "si:valueXMLList"), (3, 3))
+    bias = _numbers(of_bias, "si:valueXMLList") * from_si(1.0, "g", gravity)
+    by_them = _parameters(names, np.linalg.inv(matrix).astype(np.float64), bias)
+    for name, c in parameters.coefficients.items():
+        if name in by_them and abs((c.value or 0.0) - by_them[name]) > _ROUNDING:
+            raise ValueError(f"matrix and offsets make {name} {by_them[name]:.9g}, not {c.value}")
+    return CertifiedTriad(
+        names,
+        parameters,
+        matrix,
+        np.reshape(_numbers(of_matrix, f"{_EXPANDED_LIST}/si:valueExpandedMUXMLList"), (3, 3)),
+        _number(_one(of_matrix, f"{_EXPANDED_LIST}/si:coverageFactorXMLList")),
+        bias,
+    )
+
+
+def _parameters(
+    names: Sequence[str], rows: npt.NDArray[np.float64], bias: npt.NDArray[np.float64]
+) -> dict[str, float]:
+    """Return a triad's nine parameters by the vectors along which its accelerometers feel."""
+    sizes = np.linalg.norm(rows, axis=1)
+    cosine = (rows / sizes[:, None]) @ (rows / sizes[:, None]).T
+    return {
+        **{f"offset.{name}": float(value) for name, value in zip(names, bias, strict=True)},
+        **{f"sensitivity.{name}": float(value) for name, value in zip(names, sizes, strict=True)},
+        **{
+            f"angle.{names[a]}.{names[b]}": math.acos(float(np.clip(cosine[a, b], -1.0, 1.0)))
+            for a, b in combinations(range(len(names)), 2)
+        },
+    }
+
+
+def _values(quantities: Sequence[Element], gravity: float) -> CertifiedAccelerometer:
     coefficients = {}
     terms: tuple[str, ...] = ()
     covariance = np.empty((0, 0))
-    for quantity in _all(part, _QUANTITY):
+    for quantity in quantities:
         for real in _all(quantity, "si:real"):
             if (label := _one(real, "si:label")) not in OUTPUT:  # which is of no other value
                 coefficients[label] = _coefficient(quantity, real, gravity)
@@ -90,7 +163,7 @@ def _accelerometer(part: Element, gravity: float) -> CertifiedAccelerometer:
 
 
 def _coefficient(quantity: Element, real: Element, gravity: float) -> Coefficient:
-    unit = TERMS[_one(real, "si:label")].unit
+    unit = _unit(_one(real, "si:label"))
     u = None
     if _all(real, _EXPANDED):
         expanded = _number(_one(real, f"{_EXPANDED}/si:valueExpandedMU"))
@@ -120,7 +193,7 @@ def _covariance(
             for column in _all(together, _COLUMN)
         ]
     ).T
-    scale = np.array([from_si(1.0, TERMS[symbol].unit, gravity) for symbol in terms])
+    scale = np.array([from_si(1.0, _unit(symbol), gravity) for symbol in terms])
     if in_si.shape != (len(terms), len(terms)):
         raise ValueError("the covariance matrix has another size than the list")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -128,6 +201,14 @@ def _covariance(
     if not np.all(np.isfinite(covariance)):
         raise ValueError("the covariance matrix holds numbers beyond measure")
     return covariance
+
+
+def _unit(label: str) -> str:
+    """Return the unit of a term, of a parameter of a triad, or of the term of one of its three."""
+    kind, _, rest = label.partition(".")
+    if kind in _KINDS and rest:
+        return _KINDS[kind]
+    return TERMS[rest if rest in TERMS else label].unit
 
 
 def _designation(root: Element, part: Element) -> str:
@@ -142,6 +223,10 @@ def _number(text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"{text} is not a finite number")
     return number
+
+
+def _numbers(element: Element, path: str) -> npt.NDArray[np.float64]:
+    return np.array([_number(word) for word in _one(element, path).split()])
 
 
 def _all(element: Element, path: str, **variables: str) -> list[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
 from counterspin.calibration.pages.triad import (
@@ -16,7 +17,11 @@ from counterspin.certificates import wording
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.physics.si_units import si_unit
-from counterspin.reports.numbers import format_number
+from counterspin.reports.blocks import Column, Table
+from counterspin.reports.numbers import format_estimate, format_number
+
+#: How the whole certificate begins what a triad is called.
+TITLE: Final = "Triad "
 
 
 def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
@@ -27,7 +32,7 @@ def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
 
 def title(triad: TriadResult) -> str:
     """Return what the triad is called in the whole certificate."""
-    return f"Triad {', '.join(triad.accelerometers)}"
+    return TITLE + ", ".join(triad.accelerometers)
 
 
 def triad_in_si(result: Result, triad: TriadResult) -> dict[str, SiEstimate]:
@@ -90,6 +95,25 @@ def triad_lines(triad: TriadResult) -> list[str]:
         if not wording.is_determined(c)
     ]
     return lines
+
+
+def output_table(
+    names: Sequence[str],
+    matrix: Sequence[Sequence[float]],
+    expanded: Sequence[Sequence[float]],
+    k: float,
+) -> Table:
+    """Return the matrix of the corrected output with U and k."""
+    rows = zip("xyz", matrix, expanded, strict=True)
+    return Table(
+        (Column("M ± U"), *(Column(name, "right") for name in names), Column("k", "right")),
+        tuple((f"f_{axis}", *map(_element, row, own), factor(k)) for axis, row, own in rows),
+    )
+
+
+def _element(value: float, expanded: float) -> str:
+    """Return an element of a matrix, with U where it has one: not of what is zero by choice."""
+    return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
 
 
 def parameter_line(name: str, parameter: Coefficient) -> str:
