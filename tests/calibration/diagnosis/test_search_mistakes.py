@@ -1,15 +1,18 @@
 """Deliberate mistakes are named or refused, as the documentation's table says, row by row."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from campaigns import write
 from mistaken_campaigns import (
     ANGLE,
     EAST,
     NOISE,
     NORTH,
+    SOUND,
     TIME,
     Mistake,
     added,
@@ -25,6 +28,7 @@ from mistaken_campaigns import (
 
 from counterspin import calibrate
 from counterspin.calibration.diagnosis import search
+from counterspin.campaign.simulation import simulate
 from counterspin.errors import CounterspinError
 from counterspin.inference.joint.estimation import estimate_again
 
@@ -432,3 +436,31 @@ def test_a_bias_that_drifts_in_every_run_is_named_beside_a_drift_of_the_platform
     assert (found.subject, found.contradicts) == ("platform.drift.north", True)
     assert "Qx" in found.as_well
     assert "drift of the bias of Qx" in found.text
+
+
+@pytest.mark.parametrize(("observable", "unit"), [("velocity", "m/s"), ("specific_force", "m/s^2")])
+@pytest.mark.parametrize(("fast", "alone"), [(1e-4, False), (-1e-4, True)])
+def test_a_clock_is_named_beside_what_looks_the_same(observable, unit, fast, alone, tmp_path):
+    """Off by e it looks like a radius off by -2 e; of one accelerometer like its scale factor too.
+
+    Of what looks the same, what somebody wrote down comes first.
+    """
+    text = re.sub(r"start_.*\n", "", SOUND).replace('"0.01 m"', f'"1e-4 {unit}"')
+    text = text.replace("displacement =", f"{observable} =").replace(' "m" }', f' "{unit}" }}')
+    if alone:
+        text = re.sub(r"\[(accelerometers|truth)\.Qy\](\n[a-zK].*)+", "", text)
+    simulate(write(tmp_path / "true", text), tmp_path / "made")
+    for record in (tmp_path / "made").glob("*.csv"):
+        rows = np.loadtxt(record, delimiter=",", skiprows=1)
+        rows[:, TIME] *= 1.0 + fast
+        head = record.read_text("utf-8").partition("\n")[0]
+        np.savetxt(record, rows, delimiter=",", header=head, comments="", fmt="%.15g")
+    first = calibrate(write(tmp_path / "made", text).parent).findings[0]
+    named = [first.subject, *first.as_well]
+    if alone:
+        assert {"records.clock", "centrifuge.radius", "Qx.K_I", "Qx"} <= {*named[:4]}
+        assert "fit as well with another" in first.text
+        assert "error of the recorder's clock" in first.text
+    else:
+        assert named == ["records.clock", "centrifuge.radius"]
+        assert "x 1e-4 would fit" in first.text or "x 1e-5 would fit" in first.text
