@@ -5,8 +5,10 @@ import shutil
 import time
 
 import pytest
+from served import told_inline
 
 from counterspin.application import live
+from counterspin.monitoring.result import WatchState
 
 
 def look(page, until):
@@ -34,6 +36,25 @@ def test_what_is_new_is_told(page, folder):
     assert [float(f"{one['u']:.2g}") for one in reached["u"]] == list(map(float, shown))
     shutil.move(folder / "later.csv", three / "fast.csv")
     assert look(page, lambda told: told["html"] != before)
+
+
+def test_what_happened_is_told_once(monkeypatch):
+    """The page lists it."""
+    event = "slow.csv was replaced."
+    state = WatchState(
+        title="By hand",
+        runs=[],
+        coefficients=[],
+        goals=[],
+        events=[event],
+        trouble=None,
+        complete=True,
+    )
+    monkeypatch.setattr("counterspin.monitoring.watch.watch", lambda *_, **__: [state])
+    (_, told), *_ = told_inline(live.follow_into, None, "")
+    assert told["events"] == [event]
+    assert event not in told["html"]
+    assert told["html"].count("Every run is as long as the campaign states.") == 1
 
 
 def test_nobody_is_followed_whom_nobody_looks_at(desk, page, monkeypatch):

@@ -336,6 +336,19 @@ def test_dates_fill_an_axis_of_any_length(years):
     assert low <= min(places) < max(places) <= low + 365.25 * years
 
 
+def test_the_last_date_is_whole():
+    first, last = days("2025-10-01", "2026-03-01")
+    # The axis ends a hundredth of its length after the last point.
+    line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
+    with settings(COLOURS_OF_PAPER):
+        figure = drawn([Plot("", "date", "", (line,), dates=True)], COLOURS_OF_PAPER, titled=True)
+        figure.canvas.draw()
+    texts = [text for text in figure.findobj(Text) if text.get_text() == "2026-03"]
+    end = max(text.get_window_extent().x1 for text in texts)
+    # It is nearly the end of the axis, about which it stands.
+    assert figure.axes[0].get_window_extent().x1 < end <= figure.bbox.x1
+
+
 # Files
 
 

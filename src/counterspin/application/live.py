@@ -163,7 +163,9 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
         from counterspin.reports.html import part
 
         for state in watch(campaign, goals=[goal] if goal else []):
-            blocks = list(map(typeset_block, state.blocks()))
+            # The page keeps a list of what happened, of which the state knows the newest.
+            quiet = state.model_copy(update={"events": []})
+            blocks = list(map(typeset_block, quiet.blocks()))
             told = {"events": state.events, "complete": state.complete, "reached": reached(state)}
             there.send(("told", {"html": part(blocks, title="Live"), **told}))
 

@@ -104,10 +104,16 @@ def margins(
     elif not ticks.get("labelbottom", True):
         bottom = 6.0
         height -= 24.0
-    elif (names := _labels(axes.xaxis)) and _crowded(axes, names, WIDTH - left - right):
-        axes.tick_params(axis="x", labelrotation=90.0)
-        bottom += _widest(axes.xaxis) - 9.0
-        height += _widest(axes.xaxis) - 9.0
+    elif names := _names(axes.xaxis):
+        if _crowded(axes, names, WIDTH - left - right):
+            axes.tick_params(axis="x", labelrotation=90.0)
+            bottom += _widest(axes.xaxis) - 9.0
+            height += _widest(axes.xaxis) - 9.0
+        else:
+            # The last one stands about its tick, which may be at the end of the axis.
+            low, high = axes.get_xlim()
+            beyond = (high - max(axes.get_xticks())) / (high - low) * (WIDTH - left - right)
+            right = max(right, 0.5 * text_width(names[-1]) + 2.0 - beyond)
     above = 14.0 * legend_rows
     # The common power of ten stands above the axis.
     offset = bool(axes.yaxis.get_major_formatter().get_offset())
@@ -195,12 +201,15 @@ def _widest(axis: Any) -> float:
     return max(map(text_width, lines), default=0.0)
 
 
-def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
-    """Return whether names of things, such as runs, would touch."""
+def _names(axis: Any) -> list[str]:
+    """Return the labels of an axis that has names of things, such as runs, or dates."""
     from matplotlib.ticker import FixedLocator
 
-    if not isinstance(axes.xaxis.get_major_locator(), FixedLocator):
-        return False
+    return _labels(axis) if isinstance(axis.get_major_locator(), FixedLocator) else []
+
+
+def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
+    """Return whether names would touch."""
     low, high = axes.get_xlim()
     distances = np.diff(axes.get_xticks()) * room / (high - low)
     pairs = itertools.pairwise(map(text_width, names))

@@ -73,8 +73,8 @@ test("coefficients have their index below the line, and other names stay", () =>
 // What if something were known better
 
 test("a source is named in words with its symbol, and its size is in its own unit", () => {
-  const source = { name: "K_OO", words: "output-axis squared", u: 2e-6, factor: 1e6, unit: "µg/g²", share: 0.9 };
-  assert.equal(named(source), "output-axis squared, K_OO");
+  const source = { name: "K_OO", words: "second-order output-axis coefficient", u: 2e-6, factor: 1e6, unit: "µg/g²", share: 0.9 };
+  assert.equal(named(source), "second-order output-axis coefficient, K_OO");
   assert.equal(named({ name: "noise of Qx", words: "" }), "noise of Qx");
   assert.equal(size(source, knownTo(source, 0)), "2 µg/g²");
   assert.equal(size(source, knownTo(source, -2)), "0.02 µg/g²");

@@ -2,7 +2,7 @@
 // A campaign while its records grow.
 
 import { get, Refused } from "./api.js";
-import { commandLine, labelled, make, warning } from "./dom.js";
+import { commandLine, labelled, make, say, warning } from "./dom.js";
 import { campaignTabs } from "./tabs.js";
 
 const PAUSE = 1000;
@@ -106,7 +106,7 @@ export async function liveView(name) {
         told.events.forEach(/** @param {string} one */ (one) => events.prepend(make("li", {}, one)));
       }
       if (told.complete) {
-        events.prepend(make("li", {}, "Every run is as long as the campaign states."));
+        say("All is recorded.");
         looking = false;
         return;
       }

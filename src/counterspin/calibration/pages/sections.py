@@ -111,7 +111,7 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
         yield Paragraph(f"Warning: {warning}", "warning")
     known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
     if line := "; ".join(known):
-        yield Paragraph(f"{line}.", "quiet")
+        yield Paragraph(f"{line[:1].upper()}{line[1:]}.", "quiet")
     gravity = format_number(result.inputs.gravity, 9)
     yield Paragraph(
         f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
