@@ -41,8 +41,8 @@ from counterspin.workers import one_blas_thread
 #: How far limits on time and rate can be moved, as factors of what the plan says.
 LIMIT_FACTORS: Final = (4.0, 2.0)
 
-#: Longest time at the centrifuge that may be asked for, s: two days.
-LONGEST_TIME: Final = 172800.0
+#: Longest time at the centrifuge that may be asked for, s: 30 days.
+LONGEST_TIME: Final = 30 * 86400.0
 
 #: A search looks no less far beyond its limits: so much more of them is tried by itself.
 _LEAST_FACTOR: Final = 1.11
