@@ -25,9 +25,8 @@ SERIOUS = """async () => {
 }"""
 
 
-@pytest.mark.parametrize(
-    ("scheme", "width"), [("light", 1400), ("dark", 390)], ids=["light desk", "dark phone"]
-)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 390], ids=["desk", "phone"])
 def test_no_place_keeps_anybody_out(opened, desk, scheme, width):
     desk.live.look = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
     tab = opened("/")

@@ -28,6 +28,7 @@ def test_a_campaign_with_its_result(page):
     assert result["answers"][0]["name"] == "K_II of Qx"
     assert "µg/g²" in result["answers"][0]["text"]
     assert told["results"] == []
+    assert {"name": "K_OO", "words": "second-order output-axis coefficient"} in told["terms"]
 
 
 def test_poses_count_as_runs(page, folder):

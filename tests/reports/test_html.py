@@ -233,6 +233,15 @@ def test_ids_are_unique_and_every_reference_has_its_target(tree, text):
     assert named <= set(ids)
 
 
+def test_no_line_ends_with_the_hyphens_of_an_option():
+    command = "counterspin calibrate a-b --json x --overwrite"
+    text = part([Paragraph(command, "command")], title="")
+    whole = re.findall(r'<span class="whole">(.*?)</span>', text)
+    assert whole == ["--json", "--overwrite"]
+    (code,) = re.findall(r"<code>(.*?)</code>", text)
+    assert re.sub("<.*?>", "", code) == command
+
+
 def test_two_like_headings_have_two_names():
     tree = parsed(page(made=[Heading("A b"), Heading("A: b"), Heading("µ", 3), Heading("²", 3)]))
     assert tree.xpath("//h2[position() > 0]/@id|//h3/@id")[1:] == [

@@ -62,7 +62,7 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
         "results": others,
         "plans": plans,
         "labs": labs,
-        "terms": list(TERMS),
+        "terms": [{"name": name, "words": row.words} for name, row in TERMS.items()],
     }
 
 

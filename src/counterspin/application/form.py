@@ -114,7 +114,7 @@ def _section(key: str, model: type[BaseModel]) -> Field:
     said = words.partition("]: ")[2]
     return {
         "key": key,
-        "words": said[:1].upper() + said[1:],
+        "words": (said[:1].upper() + said[1:]).replace("`", ""),
         "repeat": _REPEATED.get(key),
         "fields": _fields(model),
     }

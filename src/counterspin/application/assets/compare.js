@@ -2,7 +2,8 @@
 // Results beside each other, and results over the years.
 
 import { get } from "./api.js";
-import { labelled, make, stateMark } from "./dom.js";
+import { labelled, make, stateMark, symbols } from "./dom.js";
+import { named } from "./improving.js";
 import { fill } from "./result.js";
 
 /** All results of the folder that can be read. */
@@ -18,8 +19,10 @@ export async function compareView() {
   const place = make("div");
   const boxes = results.map((result) => make("input", { type: "checkbox", value: result.name }));
   const reference = make("select", {});
+  const against = make("div", { class: "row" }, labelled("Each is compared with", reference));
   const show = () => {
     const chosen = boxes.filter((box) => box.checked).map((box) => box.value);
+    against.hidden = chosen.length < 2;
     const first = chosen.includes(reference.value) ? reference.value : chosen[0];
     reference.replaceChildren(...chosen.map((name) =>
       make("option", { value: name, selected: name === first }, name)));
@@ -35,8 +38,8 @@ export async function compareView() {
       make("fieldset", {}, make("legend", {}, "Results"),
         ...results.map((result, i) => make("label", { class: "choice" }, boxes[i],
           `${result.name} `, stateMark(result.state, result.words),
-          ` ${(result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; ")}`))),
-      make("div", { class: "row" }, labelled("Each is compared with", reference)),
+          ...symbols(` ${(result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; ")}`)))),
+      against,
       place,
     ],
   };
@@ -46,8 +49,8 @@ export async function compareView() {
 export async function historyView() {
   const { folder, results } = await allResults();
   const place = make("div");
-  const term = make("select", {}, ...folder.terms.map(/** @param {string} symbol */ (symbol) =>
-    make("option", { value: symbol, selected: symbol === "K_II" }, symbol)));
+  const term = make("select", {}, ...folder.terms.map((/** @type {{name: string, words: string}} */ one) =>
+    make("option", { value: one.name, selected: one.name === "K_II" }, named(one))));
   const show = () => fill(place, "history", results.map(({ name }) => name), term.value);
   term.addEventListener("change", show);
   if (results.length) show();

@@ -46,7 +46,8 @@ export const symbols = (text) =>
 export const commandLine = (command) =>
   make("details", { class: "command-line" },
     make("summary", {}, "The same as a command"),
-    make("pre", { class: "command" }, make("code", {}, command)));
+    make("pre", { class: "command" }, make("code", {}, ...command.split(/( --\S+)/).map((part) =>
+      part.startsWith(" --") ? make("span", {}, " ", make("span", { class: "whole" }, part.slice(1))) : part))));
 
 /**
  * A warning that says what is wrong.

@@ -2,7 +2,7 @@
 // Plans: limits as sliders, and the best plan's uncertainty while they move.
 
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, oneAtATime, warning } from "./dom.js";
+import { commandLine, labelled, make, oneAtATime, symbols, warning } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
 import { follow } from "./job.js";
 import { fill } from "./result.js";
@@ -80,8 +80,7 @@ function timeField(id, limit, moved) {
  */
 export async function planView(name) {
   const plan = await get("plan", { name });
-  const answer = make("div", { class: "answers", "aria-live": "polite" },
-    make("p", {}, "Searching the best plan."));
+  const answer = make("div", { "aria-live": "polite" });
   const runs = make("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": "Runs" });
   const wrong = make("div");
   /** @type {Record<string, number>} */
@@ -92,9 +91,10 @@ export async function planView(name) {
   /** @param {any} told */
   const show = (told) => {
     first ??= told;
+    answer.className = "answers";
     answer.replaceChildren(...told.u.map(/** @type {(line: any, i: number) => Node} */ (line, i) =>
       make("p", { class: "answer" },
-        make("strong", {}, `Uncertainty of ${line.name}: ${line.text}`), " ",
+        make("strong", {}, ...symbols(`Uncertainty of ${line.name}: ${line.text}`)), " ",
         make("span", {}, line.text === first.u[i].text ? "as with the limits of the file"
           : `${short(line.u / first.u[i].u)} times that with the limits of the file`))),
     make("p", {}, `${told.runs.length} runs in ${duration(told.time)}`));
