@@ -4,8 +4,7 @@
 - `plan_sections`, `plan_file`: what may stand in ``PLAN.toml``; `read_plan`
 - `forecast`, `recorded`: what a calibration will say, before there are records; of a campaign that
   has them, with their lengths, rates and noise
-- `experimental_setup`, `angle_functions`, `even_samples`, `information_table`,
-  `run_information`: what a run of a plan would tell, as a smooth function of its rate and length
+- `runs`: what a run of a plan would tell, as a smooth function of its rate and length
 - `design`: plans, what they may be and how good they are
 - `possibilities`: what may be observed, and the best numbers of it that need not be whole
 - `relaxation`, `polishing`, `optimisation`: the best plan of records, and what no plan can better

@@ -20,7 +20,7 @@ from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Predictor, RunType
 from counterspin.planning.forecast import Forecast, forecast, setup_of
 from counterspin.planning.relaxation import relax
-from counterspin.planning.run_information import RunInformation
+from counterspin.planning.runs.run_information import RunInformation
 from counterspin.planning.search import Search
 from counterspin.reports.numbers import format_apart
 

@@ -19,7 +19,7 @@ from counterspin.planning.forecast import setup_of
 from counterspin.planning.optimisation import Optimum, least_time, optimise
 from counterspin.planning.plan_file import Plan, campaign_of
 from counterspin.planning.polishing import fitted_into, polish, shortened
-from counterspin.planning.run_information import RunInformation
+from counterspin.planning.runs.run_information import RunInformation
 
 #: Part of a limit by which it is relaxed, to see what it costs.
 _RELAXATION: Final = 0.1

@@ -19,7 +19,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.resolved import MOST_ROWS
 from counterspin.errors import CounterspinError
 from counterspin.inference.noise.model import Noise, make_whitener
-from counterspin.planning.angle_functions import functions, prefix_factors, shifted
+from counterspin.planning.runs.angle_functions import functions, prefix_factors, shifted
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 
 #: Parts of a revolution at which factors are tabulated; rows to a revolution are a multiple.

@@ -1,7 +1,7 @@
 """What evenly spaced samples tell about functions of the angle, in closed form.
 
 With white noise the information of a record is the matrix of sums, over its samples, of products
-of the functions in `counterspin.planning.angle_functions`. About the middle of the record each
+of the functions in `counterspin.planning.runs.angle_functions`. About the middle of the record each
 function is a power of x in [-1, 1] times a cosine or sine of a multiple of the angle, the sums are
 derivatives of the Dirichlet kernel sin(n a/2)/(n sin(a/2)), and even and odd functions do not mix.
 In this basis the sums can be factored without loss of digits, which the raw t^2 and cos wt cannot
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
-from counterspin.planning.angle_functions import shifted
+from counterspin.planning.runs.angle_functions import shifted
 
 #: Largest angle by which the highest harmonic of the products may turn from sample to sample, rad.
 #: Towards 2 pi the kernel becomes singular.

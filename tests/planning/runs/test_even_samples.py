@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from counterspin.planning.angle_functions import functions, shifted
-from counterspin.planning.even_samples import EvenSamples, root
+from counterspin.planning.runs.angle_functions import functions, shifted
+from counterspin.planning.runs.even_samples import EvenSamples, root
 
 HARMONICS = [3, 4, 11]
 
