@@ -1,10 +1,15 @@
 """Campaigns as a laboratory has them: records, whose description says no truth and no length."""
 
+import numpy as np
+import polars as pl
 from campaigns import write
 
 from counterspin.campaign.simulation import simulate
 from counterspin.campaign.toml_file import load_document
 from counterspin.toml_text import write_document
+
+#: True noise of a sample of the two columns of a record at rest, m.
+WHITE = {"east_m": 0.01, "north_m": 0.0101}
 
 
 def record(folder, plan, text, *without):
@@ -29,4 +34,16 @@ def record(folder, plan, text, *without):
         for key in ("revolutions", "truth"):
             run.pop(key, None)
     write(folder, write_document(document))
+    return folder
+
+
+def at_rest(folder, rows=4000, **columns):
+    """Write a record at rest at 20 Hz: white noise and, over an offset, a constant force."""
+    rng = np.random.default_rng(5)
+    time = np.arange(rows) / 20.0
+    made = {
+        name: 3.0 + 1e-3 * time**2 + white * rng.standard_normal(rows)
+        for name, white in WHITE.items()
+    }
+    pl.DataFrame({"time_s": time, **made, **columns}).write_csv(folder / "rest.csv")
     return folder

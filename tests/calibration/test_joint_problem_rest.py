@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 from campaigns import SMALL, changed, write
-from recorded_campaigns import record
+from recorded_campaigns import WHITE, at_rest, record
 from scipy.stats import f as fisher
 
 import counterspin as cs
@@ -23,20 +23,6 @@ from counterspin.planning.forecast import forecast
 
 STATED = '[noise]\ndisplacement = "0.01 m"'
 FROM = '[noise]\nfrom = "rest.csv"'
-#: True noise of a sample of the two columns, m.
-WHITE = {"east_m": 0.01, "north_m": 0.0101}
-
-
-def at_rest(folder, rows=4000, **columns):
-    """Write a record at rest at 20 Hz: white noise and, over an offset, a constant force."""
-    rng = np.random.default_rng(5)
-    time = np.arange(rows) / 20.0
-    made = {
-        name: 3.0 + 1e-3 * time**2 + white * rng.standard_normal(rows)
-        for name, white in WHITE.items()
-    }
-    pl.DataFrame({"time_s": time, **made, **columns}).write_csv(folder / "rest.csv")
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -249,11 +235,3 @@ def test_what_is_no_record_at_rest_is_refused(folder):
         described(folder, **{"from": "slow.csv"})
     with pytest.raises(CampaignError, match=r"noise\.from: cannot read"):
         described(folder, **{"from": "rest.doc"})
-
-
-def test_a_simulation_asks_for_true_sizes(tmp_path):
-    text = changed(
-        SMALL, (STATED, FROM), ('[truth.noise]\ndisplacement = "0.01 m"\nangle = "1e-6 rad"\n', "")
-    )
-    with pytest.raises(CampaignError, match=r"noise\.from: a simulation needs true sizes"):
-        cs.simulate(write(tmp_path, text), tmp_path / "out")

@@ -19,19 +19,16 @@ from counterspin.campaign.resolved import Accelerometer, Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.inference.noise.stretches import RestSignal
 from counterspin.physics import observation
 from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.amplitude import Swing
-from counterspin.records.memory import MemoryTable
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
 from counterspin.records.removed import WORDS as REMOVED
 from counterspin.records.removed import removed
-from counterspin.records.tables import read_scaled
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
 _HORIZONTAL_PART: Final = 0.05
@@ -125,8 +122,9 @@ def _refuse_missing(campaign: Campaign) -> None:
         if isinstance(campaign.record_at(file), Path)
     )
     missing = [f"{file}: " for file in dict.fromkeys(on_disk) if not file.exists()]
-    if campaign.rest is not None and not campaign.rest.exists():
-        missing.append(f"{campaign.rest} (noise.from): ")
+    rest = None if campaign.rest is None else campaign.record_at(campaign.rest)
+    if isinstance(rest, Path) and not rest.exists():
+        missing.append(f"{rest} (noise.from): ")
     if missing:
         raise RecordError("\n".join(f"{file}there is no such file." for file in missing))
 
@@ -172,20 +170,6 @@ def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing 
     derivatives = 2 - observation.ORDERS[accelerometer.observable]
     wave = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
     return Swing(wave, OBSERVABLES[accelerometer.observable])
-
-
-def rest_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestSignal]:
-    """Return the columns of a campaign's accelerometers in a record at rest."""
-    gravity = campaign.gravity.value
-    used = [a for a in campaign.accelerometers.values() if a.channel.column]
-    specs = [campaign.time.spec(gravity), *(a.channel.spec(gravity) for a in used)]
-    time, *signals = read_scaled(record, specs, campaign.dialect)
-    return [
-        RestSignal(
-            a.name, a.channel.column, observation.ORDERS[a.observable], a.channel.in_g, time, values
-        )
-        for a, values in zip(used, signals, strict=True)
-    ]
 
 
 def record_columns(campaign: Campaign, run: Run) -> RecordColumns:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from counterspin.calibration.joint_problem import noise_of, said_noise, series_of
+from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
+from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.noise.search import FoundNoise

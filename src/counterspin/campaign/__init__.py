@@ -25,5 +25,5 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `starter`: a commented campaign to start from
 - `simulation`: records and readings of a campaign whose coefficients are known
-- `simulated`: whether a campaign can be simulated; its readings
+- `simulated`: whether a campaign can be simulated; its readings, and noise from a record at rest
 """

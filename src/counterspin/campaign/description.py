@@ -334,7 +334,7 @@ def resolved_in_memory(
         raise CampaignError(source.label, problems.lines)
     info = source.document.get("campaign")
     titled = source.file is not None or (isinstance(info, Mapping) and "title" in info)
-    named = set(campaign.files)
+    named = {*campaign.files, campaign.rest}
     made = replace(
         campaign,
         path=Path(source.label),

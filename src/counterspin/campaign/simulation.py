@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -17,7 +17,7 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign, resolved_in_memory
-from counterspin.campaign.memory.records import WRITERS
+from counterspin.campaign.memory.records import WRITERS, write_as_it_is
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
@@ -27,6 +27,7 @@ from counterspin.campaign.resolved import (
     sample_count,
 )
 from counterspin.campaign.settings import StatedNoise
+from counterspin.campaign.simulated.noise_at_rest import true_noise
 from counterspin.campaign.simulated.reading_simulation import (
     Exact,
     filled_description,
@@ -49,7 +50,7 @@ from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
 from counterspin.physics.path_errors import encoder_error, true_trajectory
-from counterspin.records.memory import memory_table
+from counterspin.records.memory import MemoryTable, memory_table
 
 
 @overload
@@ -125,17 +126,9 @@ def simulate(
             "into another folder"
         )
     replaced = [description] if text is not None or not own else []
-    in_the_way = [path for path in (*targets, *replaced) if path.exists()]
-    if in_the_way and not description.exists():
-        raise CounterspinError(
-            f"{in_the_way[0]} exists, and no {DESCRIPTION_NAME} beside it says that it was "
-            "simulated; it is not replaced: simulate into another folder"
-        )
-    if in_the_way and not overwrite:
-        raise CounterspinError(
-            f"{in_the_way[0]} exists; simulate into another folder, or give `overwrite=True`"
-        )
-    for place in (folder, *(target.parent for target in targets)):
+    taken_along = _rest_taken_along(campaign, folder)
+    _refuse_in_the_way((*targets, *taken_along, *replaced), description, overwrite=overwrite)
+    for place in (folder, *(target.parent for target in (*targets, *taken_along))):
         make_folder(place)
 
     # Each is made when its turn comes, so that never two of them are in memory.
@@ -149,11 +142,27 @@ def simulate(
         write_text(description, text, overwrite=overwrite)
     elif not own:
         write_whole(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
+    for target, rest in taken_along.items():
+        write_as_it_is(rest, target, overwrite=overwrite)
     for done, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
         write_whole(target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite)
         if progress is not None:
             progress(done, len(targets))
     return targets
+
+
+def _refuse_in_the_way(paths: Sequence[Path], description: Path, *, overwrite: bool) -> None:
+    """Raise CounterspinError for files that would be replaced, if they may not be."""
+    in_the_way = [path for path in paths if path.exists()]
+    if in_the_way and not description.exists():
+        raise CounterspinError(
+            f"{in_the_way[0]} exists, and no {DESCRIPTION_NAME} beside it says that it was "
+            "simulated; it is not replaced: simulate into another folder"
+        )
+    if in_the_way and not overwrite:
+        raise CounterspinError(
+            f"{in_the_way[0]} exists; simulate into another folder, or give `overwrite=True`"
+        )
 
 
 def _refuse_unfit(campaign: Campaign) -> None:
@@ -181,7 +190,7 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
     text = filled_description(campaign, exact, noise) if read else None
     if text is not None:
         source = replace(source, document=tomllib.loads(text))
-    files = dict.fromkeys(run.record for run in campaign.runs)
+    files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
     files |= dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
     frames = [*_run_records(campaign), *_mean_records(campaign, head_errors)]
     names = {run.record: run.name for run in campaign.runs}
@@ -190,7 +199,8 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
         file: memory_table(f"{names[file]} in memory", frame)
         for file, frame in zip(files, frames, strict=True)
     }
-    return resolved_in_memory(source, tables, campaign.folder)
+    # A record at rest is not simulated; it goes along.
+    return resolved_in_memory(source, {**campaign.frames, **tables}, campaign.folder)
 
 
 def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
@@ -204,7 +214,7 @@ def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
 def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
     """Yield the records whose means are readings, with a column for each accelerometer."""
     assert campaign.simulation is not None
-    noise = campaign.simulation.truth.noise
+    noise = true_noise(campaign)
     recorded = [(reading, float(head_errors[i])) for i, reading in enumerate(campaign.readings)]
     by_file: dict[Path, list[tuple[Reading, float]]] = {}
     for reading, error in recorded:
@@ -243,6 +253,19 @@ def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
     return _inside(campaign, folder, records)
 
 
+def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | MemoryTable]:
+    """Return where the record at rest goes and what it is; {}: none, or it stays where it is."""
+    named, place = campaign.noise and campaign.noise.rest, campaign.rest
+    if not named or place is None or Path(named).is_absolute():
+        return {}
+    if ".." in place.parts:
+        words = "is not inside the campaign's folder; name a file beside the description"
+        raise CampaignError(str(campaign.path), [f"noise.from: {named} {words}"])
+    target, rest = folder / named, campaign.record_at(place)
+    there = isinstance(rest, Path) and target.exists() and target.samefile(rest)
+    return {} if there else {target: rest}
+
+
 def _inside(campaign: Campaign, folder: Path, files: Mapping[str, Path]) -> tuple[Path, ...]:
     """Return where files go: the places that they have in the campaign's own folder."""
     targets, problems = [], []
@@ -271,7 +294,7 @@ def simulate_run(
     """
     if campaign.simulation is None or run.truth is None or run.duration is None:
         raise ValueError("this campaign says nothing of what to simulate")
-    truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
+    rate = campaign.simulation.sampling_rate
     trajectory = Trajectory(
         run.truth.spindle,
         campaign.radius.value,
@@ -279,7 +302,7 @@ def simulate_run(
         conditions=conditions_of(campaign)[run.name],
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
-    noise = truth.noise
+    noise = true_noise(campaign)
     columns = {campaign.time.column: _noisy(generator, times, noise.timing) / campaign.time.factor}
     if campaign.angle is not None:
         late = campaign.timing_offset.value if campaign.timing_offset else 0.0

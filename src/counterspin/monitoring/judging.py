@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
 from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
-from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
 from counterspin.monitoring.observing import record_name
 from counterspin.monitoring.result import ResidualState, RunState

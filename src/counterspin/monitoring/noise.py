@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.observed import rest_signals
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.simulated.noise_at_rest import SI_UNITS, rest_signals
 from counterspin.errors import CampaignError, RecordError
 from counterspin.exports.guessing import STANDARD_GRAVITY, FileGuess, converts, guess_file
 from counterspin.exports.looking import FileColumn, Look, look
@@ -53,13 +53,6 @@ _MISFIT: Final = 1e-3
 
 #: An interval wider than this factor on either side is told.
 _WIDE: Final = 2.0
-
-#: Key of [noise] -> SI unit, of those that all observables have.
-_SI_UNITS: Final = {
-    "acceleration": "m/s^2/Hz^0.5",
-    "flicker": "m/s^2",
-    "bias_walk": "m/s^2/s^0.5",
-}
 
 #: Component -> key of [noise]; white noise has that of its observable.
 _KEYS: Final = {"random_walk": "acceleration", "flicker": "flicker", "bias_walk": "bias_walk"}
@@ -244,7 +237,7 @@ def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
             value=math.sqrt(one.variance) if one.variance > 0.0 else None,
             low=math.sqrt(one.low),
             high=math.sqrt(one.high) if math.isfinite(one.high) else None,
-            unit=_SI_UNITS.get(_KEYS.get(name, ""), unit),
+            unit=SI_UNITS.get(_KEYS.get(name, ""), unit),
         )
         for name, one in ((name, rest.components[name]) for name in COMPONENTS)
     }
@@ -400,6 +393,6 @@ def noise_table(signals: Sequence[SignalNoise], gravity: float) -> str:
                 largest[key] = max(before, (size.value, signal.in_g))
     lines = ["[noise]"]
     for key, (value, in_g) in largest.items():
-        unit, factor = shown_unit(_SI_UNITS.get(key) or OBSERVABLES[key], in_g, gravity)
+        unit, factor = shown_unit(SI_UNITS.get(key) or OBSERVABLES[key], in_g, gravity)
         lines.append(f'{key} = "{format_number(value * factor)} {unit}"')
     return "\n".join(lines) + "\n"

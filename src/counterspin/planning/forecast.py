@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.model import model_of
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.resolved import Run, sample_count
+from counterspin.campaign.simulated.noise_at_rest import said_noise, true_noise
 from counterspin.campaign.simulated.simulable import require_room
 from counterspin.campaign.triads.grouped import all_groups
 from counterspin.errors import CampaignError
@@ -188,8 +188,8 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
 
 def _noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
     """Return the noise that is said; what is to be estimated, from a simulation's truth."""
-    stated = dict(said_noise(campaign)[name].sizes or ())
-    truth = vars(campaign.simulation.truth.noise) if campaign.simulation else {}
+    stated = dict(said_noise(campaign, 0.0)[name].sizes or ())
+    truth = vars(true_noise(campaign)) if campaign.simulation else {}
     return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
         key: size for key, size in truth.items() if not isinstance(stated.get(key), float)
     }

@@ -19,7 +19,8 @@ from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.memory.changes import SHORT
 from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
+from counterspin.campaign.simulated.noise_at_rest import SI_UNITS, with_sizes_found
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -128,6 +129,9 @@ def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
         for i, (name, attitude) in enumerate(attitudes.items())
     ]
     campaign = resolve_campaign({**document, "runs": stand_ins}, file, problems)
+    if campaign is not None and campaign.noise is not None and campaign.rest is not None:
+        document["noise"] = _found_sizes(campaign, campaign.noise, problems)
+        campaign = resolve_campaign({**document, "runs": stand_ins}, file, problems)
     plan = None
     if campaign is not None:
         _check_noise(campaign, problems)
@@ -224,12 +228,21 @@ def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
         problems.add(("noise", key), "a plan needs its size; nothing can be estimated yet")
-    if "from" in noise:
+    return {key: size for key, size in noise.items() if key not in unknown}
+
+
+def _found_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
+    """Return [noise] as it is written with the sizes that a record at rest says."""
+    units = {**OBSERVABLES, **SI_UNITS, "quantisation": "m", "angle": "rad", "timing": "s"}
+    sizes = {key: size for key, size in with_sizes_found(campaign, stated) if size}
+    for key in {"flicker", "bias_walk"} & sizes.keys() - stated.model_fields_set:
         problems.add(
             ("noise", "from"),
-            "a plan says nothing of how a record is read; write what `counterspin noise` prints",
+            f"the record shows {key}, {sizes[key]:.3g} {units[key]}, and a search for runs knows "
+            f'nothing of a bias that wanders; write {key} = "0 {units[key]}" beside it, and check '
+            "the campaign that the plan makes with it",
         )
-    return {key: size for key, size in noise.items() if key not in (*unknown, "from")}
+    return {key: f"{size!r} {units[key]}" for key, size in sizes.items()}
 
 
 def _check_noise(campaign: Campaign, problems: Problems) -> None:

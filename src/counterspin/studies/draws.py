@@ -15,6 +15,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.simulated.noise_at_rest import true_noise
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import OWN_TERMS
@@ -172,7 +173,7 @@ class StudyTruth:
             fixed=fixed,
             spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
             radius=campaign.radius.value,
-            white=float(campaign.simulation.truth.noise.displacement),
+            white=float(true_noise(campaign).displacement),
             varying=varying,
         )
 

@@ -16,6 +16,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
+from counterspin.campaign.simulated.noise_at_rest import true_noise
 from counterspin.campaign.simulated.reading_simulation import (
     head_errors,
     indications,
@@ -221,7 +222,7 @@ def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
     """Return the standard deviation of a record's mean, g, and the freedom of what it shows."""
     assert campaign.simulation is not None
     duration = reading.duration or 0.0
-    noise, rate = campaign.simulation.truth.noise, campaign.simulation.sampling_rate
+    noise, rate = true_noise(campaign), campaign.simulation.sampling_rate
     turns = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
     if reading.rate and turns:
         duration = turns * 2.0 * math.pi / abs(reading.rate)

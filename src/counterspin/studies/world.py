@@ -11,6 +11,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.simulated.noise_at_rest import true_noise
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
@@ -104,7 +105,7 @@ def world_of(campaign: Campaign) -> World:
     ]
     if short:
         raise CampaignError(str(campaign.path), short)
-    noise = campaign.simulation.truth.noise
+    noise = true_noise(campaign)
     return World(
         runs=tuple(run.name for run in campaign.runs),
         spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),

@@ -71,6 +71,8 @@ def join_campaigns(
     titles = dict.fromkeys(campaign.title for campaign in campaigns if campaign.title)
     if titles:
         document["campaign"] = {**document.get("campaign", {}), "title": " + ".join(titles)}
+    if first.rest is not None and isinstance(rest := first.record_at(first.rest), MemoryTable):
+        tables[first.rest] = rest
     return document, tables
 
 
@@ -80,6 +82,10 @@ def _apart(first: Documented, other: Documented, place: int) -> Iterator[str]:
     for attribute, key in _COMMON.items():
         if getattr(first, attribute) != getattr(other, attribute):
             yield f"{key}: {words} ({_said(first, key)}, {_said(other, key)})"
+    rest = [c.rest and c.record_at(c.rest) for c in (first, other)]
+    in_memory = [one.checksum if isinstance(one, MemoryTable) else "" for one in rest]
+    if first.rest == other.rest and in_memory[0] != in_memory[1]:
+        yield f"noise.from: {words}"
     for name in dict.fromkeys([*first.accelerometers, *other.accelerometers]):
         one, two = first.accelerometers.get(name), other.accelerometers.get(name)
         if one is None or two is None:

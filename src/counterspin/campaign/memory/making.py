@@ -44,7 +44,8 @@ def make_campaign(
         there are no records (yet). Quantities are text, or a `Quantity`. Or the file itself.
     records
         Run's name -> its record: a frame of polars or pandas, a mapping of arrays, a structured
-        array, or a file. Numbers are copied.
+        array, or a file. Numbers are copied. ``"noise.from"`` -> a record at rest, from which the
+        noise is taken.
     readings
         The table of ``[readings]`` as a frame, in the place of its ``file``; each of its rows
         becomes a run, as which `Campaign.write` writes it.

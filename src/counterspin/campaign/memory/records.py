@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.output import write_open
+from counterspin.output import write_open, write_whole
 from counterspin.records.memory import MemoryTable, memory_table
 
 if TYPE_CHECKING:
     import polars as pl
+
+#: Name of the record at rest among the records of runs: its key in the description.
+AT_REST: Final = "noise.from"
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
     ".csv": lambda frame, path: write_open(path, frame.write_csv),
     ".parquet": lambda frame, path: write_open(path, frame.write_parquet),
 }
+
+
+def write_as_it_is(record: Path | MemoryTable, target: Path, *, overwrite: bool) -> None:
+    """Write a record that is there, in memory or as a file, to another place."""
+    if isinstance(record, MemoryTable):
+        write = partial(WRITERS[target.suffix.lower()], record.frame())
+    else:
+        write = partial(shutil.copyfile, record)
+    write_whole(target, write, overwrite=overwrite)
 
 
 def name_records(document: dict[str, Any]) -> None:
@@ -43,14 +57,17 @@ def give_records(
 ) -> dict[Path, MemoryTable]:
     """Put records into a document's runs; return those in memory by the file each stands for.
 
-    records: Run's name -> frame or file.
+    records: Run's name -> frame or file; `AT_REST` -> that of the record at rest.
     folder: Of the document's files.
     """
     runs = document.get("runs")
     given = list(runs) if isinstance(runs, list) else []
     names = {run.get("name"): place for place, run in enumerate(given) if isinstance(run, Mapping)}
-    tables = {}
+    tables: dict[Path, MemoryTable] = {}
     for name, record in records.items():
+        if name == AT_REST:
+            tables |= _give_rest(document, record, folder)
+            continue
         if name not in names:
             known = [known for known in names if isinstance(known, str)]
             problems.add(("records",), f'no run is called "{name}"' + did_you_mean(name, known))
@@ -65,9 +82,26 @@ def give_records(
                 run["record"] = record_name(name, ".parquet", taken)
             tables[folder / run["record"]] = memory_table(f"{name} in memory", record)
         given[names[name]] = run
-    if records:
+    if isinstance(runs, list):
         document["runs"] = given
     return tables
+
+
+def _give_rest(document: dict[str, Any], record: Any, folder: Path) -> dict[Path, MemoryTable]:
+    """Put a record at rest into a document's noise; return it by its file where it is in memory."""
+    noise = document.get("noise", {})
+    if not isinstance(noise, Mapping):
+        return {}  # which is a mistake that is told with all others
+    if isinstance(record, Path | str):
+        document["noise"] = {**noise, "from": _file_name(Path(record).absolute(), folder)}
+        return {}
+    stated = noise.get("from")
+    if not (isinstance(stated, str) and stated.lower().endswith(tuple(WRITERS))):
+        runs = document.get("runs")
+        taken = [r.get("record") for r in runs or () if isinstance(r, Mapping)]
+        stated = record_name("rest", ".parquet", taken)
+    document["noise"] = {**noise, "from": stated}
+    return {folder / stated: memory_table("record at rest in memory", record)}
 
 
 def record_name(run: str, ending: str, taken: list[Any]) -> str:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from counterspin.campaign.memory.records import WRITERS, record_name
+from counterspin.campaign.memory.records import record_name, write_as_it_is
 from counterspin.campaign.memory.source import Documented, source_of
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
@@ -29,17 +29,14 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
         if table.is_relative_to(campaign.folder):
             targets.setdefault(folder / table.relative_to(campaign.folder), table)
     if campaign.rest is not None:
-        name = _rest_placed(campaign.rest, campaign.folder, folder, targets)
+        name = _rest_placed(campaign, campaign.rest, folder, targets)
         document["noise"] = {**document["noise"], "from": name}
     description = folder / DESCRIPTION_NAME
     _refuse_overwriting([description, *targets], campaign, overwrite=overwrite)
     for target, record in targets.items():
         make_folder(target.parent)
-        if isinstance(record, MemoryTable):
-            writer = WRITERS[target.suffix.lower()]
-            write_whole(target, partial(writer, record.frame()), overwrite=overwrite)
-        elif not (target.exists() and target.samefile(record)):
-            write_whole(target, partial(shutil.copyfile, record), overwrite=overwrite)
+        if isinstance(record, MemoryTable) or not (target.exists() and target.samefile(record)):
+            write_as_it_is(record, target, overwrite=overwrite)
     make_folder(folder)
     unchanged = not source.in_memory and document == source.document
     if unchanged and source.file is not None:
@@ -51,15 +48,16 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
 
 
 def _rest_placed(
-    rest: Path, source: Path, folder: Path, targets: dict[Path, Path | MemoryTable]
+    campaign: Documented, rest: Path, folder: Path, targets: dict[Path, Path | MemoryTable]
 ) -> str:
     """Note where the record at rest goes, and return its name there."""
+    source, record = campaign.folder, campaign.record_at(rest)
     inside = rest.is_relative_to(source) and ".." not in rest.parts
     name = rest.relative_to(source).as_posix() if inside else rest.name
     taken = [target.relative_to(folder).as_posix() for target in targets]
     if name.lower() in map(str.lower, taken):
         name = record_name("rest", rest.suffix, taken)
-    targets[folder / name] = rest
+    targets[folder / name] = record
     return name
 
 

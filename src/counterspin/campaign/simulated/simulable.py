@@ -9,6 +9,7 @@ from typing import Final, Literal
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
+from counterspin.campaign.settings import StatedNoise
 from counterspin.errors import CampaignError
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term
@@ -36,14 +37,9 @@ def unfit(campaign: Campaign) -> list[str]:
     problems = [
         f"{'noise' if stated else 'truth.noise'}.{key}: a simulation needs its true size"
         + ("; write it in [truth.noise]" if stated else "")
-        for key, size in vars(truth.noise).items()
-        if size == ESTIMATE
+        for key in StatedNoise.model_fields
+        if getattr(truth.noise, key) == ESTIMATE
     ]
-    if stated and campaign.rest is not None:
-        problems.append(
-            "noise.from: a simulation needs true sizes; write those of the record at rest, as "
-            "`counterspin noise` prints them, in [truth.noise]"
-        )
     for name, coefficients in truth.coefficients.items():
         for symbol, value in coefficients.items():
             limit = campaign.limit_of(symbol, name)

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from counterspin.calibration.joint import estimate_campaign
-from counterspin.calibration.joint_problem import said_noise
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
+from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.noise.model import Noise
 

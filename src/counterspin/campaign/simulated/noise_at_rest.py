@@ -1,0 +1,160 @@
+"""Noise that a campaign leaves to a record of its accelerometers at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.kinds import ESTIMATE
+from counterspin.campaign.settings import NoiseSettings, StatedNoise
+from counterspin.errors import RecordError
+from counterspin.frozen import frozen
+from counterspin.inference.noise.model import COMPONENTS
+from counterspin.inference.noise.rest import RestNoise
+from counterspin.inference.noise.stretches import RestSignal, at_rest
+from counterspin.input import FileIdentity
+from counterspin.physics import observation
+from counterspin.records.memory import MemoryTable
+from counterspin.records.tables import read_scaled
+
+#: Key of [noise] -> SI unit, of those that all observables have.
+SI_UNITS: Final[Mapping[str, str]] = {
+    "acceleration": "m/s^2/Hz^0.5",
+    "flicker": "m/s^2",
+    "bias_walk": "m/s^2/s^0.5",
+}
+
+
+@frozen
+class SaidNoise:
+    """What is stated of one accelerometer's noise."""
+
+    sizes: StatedNoise | None  #: None: nothing.
+    #: Of the variances of `COMPONENTS`, as of `Noise`; empty where no record at rest says them.
+    covariance: tuple[tuple[float, ...], ...] = ()
+
+
+@frozen
+class _Asked:
+    """A record at rest and how it is read."""
+
+    identity: FileIdentity | str  #: Of a record in memory, its checksum.
+    read: tuple[object, ...]
+    campaign: Campaign = field(compare=False)
+
+
+def said_noise(campaign: Campaign, unseen: float | str = ESTIMATE) -> dict[str, SaidNoise]:
+    """Return what is stated of the noise, by accelerometer.
+
+    Of a record at rest counts what is not stated beside it; a wander that it does not show is none.
+
+    unseen: What white noise is that it does not show. A calibration leaves it to the campaign's
+        records; to what has none, such as a forecast, it is none.
+    """
+    if campaign.rest is None:
+        return dict.fromkeys(campaign.accelerometers, SaidNoise(campaign.noise))
+    found = _found(campaign)
+    return {
+        name: _said(campaign, name, found.get(name), unseen) for name in campaign.accelerometers
+    }
+
+
+def true_noise(campaign: Campaign) -> StatedNoise:
+    """Return the noise with which a campaign is simulated, every component a number."""
+    assert campaign.simulation is not None
+    true = campaign.simulation.truth.noise
+    if isinstance(true, NoiseSettings) and true.rest is not None:
+        return with_sizes_found(campaign, true)
+    return true
+
+
+def with_sizes_found(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
+    """Return a campaign's noise with the sizes that its record at rest says.
+
+    Of sizes that each accelerometer has its own the largest: a simulation and a plan have one
+    noise.
+    """
+    said = said_noise(replace(campaign, noise=noise), 0.0)
+    sizes = {name: getattr(noise, name) for name in StatedNoise.model_fields}
+    for name, accelerometer in campaign.accelerometers.items():
+        for key in {accelerometer.observable, *SI_UNITS} - noise.model_fields_set:
+            sizes[key] = max(sizes[key], getattr(said[name].sizes, key))
+    return StatedNoise.model_construct(**sizes)
+
+
+def _said(campaign: Campaign, name: str, found: RestNoise | None, unseen: float | str) -> SaidNoise:
+    noise, observable = campaign.noise, campaign.accelerometers[name].observable
+    assert noise is not None
+    if found is None:
+        return SaidNoise(noise)
+    # Of a specific force the first component is quantisation of the velocity: it averages away.
+    own = None if observable == "specific_force" else observable
+    covariance = found.covariance.copy()
+    sizes: dict[str, float | str] = {}
+    for place, key in enumerate((own, "acceleration", "flicker", "bias_walk")):
+        if key is None or key in noise.model_fields_set:
+            covariance[place], covariance[:, place] = 0.0, 0.0
+            continue
+        variance = found.components[COMPONENTS[place]].variance
+        if key == "displacement" and isinstance(noise.quantisation, float):
+            # What is stated of the steps is a part of what is white.
+            variance = max(variance - noise.quantisation**2 / 12.0, 0.0)
+        sizes[key] = math.sqrt(variance)
+        if variance == 0.0 and key in (own, "acceleration"):
+            sizes[key] = unseen
+    said = tuple(map(tuple, covariance.tolist())) if np.any(covariance) else ()
+    return SaidNoise(noise.model_copy(update=sizes), said)
+
+
+def _found(campaign: Campaign) -> Mapping[str, RestNoise]:
+    """Return the noise of the record at rest, by accelerometer."""
+    file, key = campaign.rest, f"{campaign.path}: noise.from"
+    assert file is not None
+    read = (
+        file,
+        campaign.gravity,
+        campaign.time,
+        campaign.dialect,
+        tuple((a.name, a.channel, a.observable) for a in campaign.accelerometers.values()),
+    )
+    try:
+        # What was found stays in memory: the record, and the campaign's others, need not.
+        record = campaign.record_at(file)
+        frames = {file: record} if isinstance(record, MemoryTable) else {}
+        asked = replace(campaign, frames=frames, runs=(), readings=())
+        identity = record.checksum if isinstance(record, MemoryTable) else FileIdentity.of(record)
+        return _analysed(_Asked(identity, read, asked))
+    except OSError as error:
+        raise RecordError(f"{key}: {file}: there is no such file.") from error
+    except RecordError as error:
+        raise RecordError(f"{key}: {error}") from error
+
+
+@lru_cache(maxsize=4)
+def _analysed(asked: _Asked) -> Mapping[str, RestNoise]:
+    file = asked.campaign.rest
+    assert file is not None
+    record = asked.campaign.record_at(file)
+    signals = rest_signals(asked.campaign, record)
+    return {signal.name: at_rest(record, signal).analysis.noise for signal in signals}
+
+
+def rest_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestSignal]:
+    """Return the columns of a campaign's accelerometers in a record at rest."""
+    gravity = campaign.gravity.value
+    used = [a for a in campaign.accelerometers.values() if a.channel.column]
+    specs = [campaign.time.spec(gravity), *(a.channel.spec(gravity) for a in used)]
+    time, *signals = read_scaled(record, specs, campaign.dialect)
+    return [
+        RestSignal(
+            a.name, a.channel.column, observation.ORDERS[a.observable], a.channel.in_g, time, values
+        )
+        for a, values in zip(used, signals, strict=True)
+    ]

@@ -1,0 +1,183 @@
+"""Noise from a record at rest, for what has no records yet, and from a record in memory."""
+
+import numpy as np
+import polars as pl
+import pytest
+from campaigns import SMALL, changed, write
+from recorded_campaigns import WHITE, at_rest
+
+import counterspin as cs
+from counterspin.calibration.joint_problem import noise_of
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory.making import make_campaign
+from counterspin.campaign.simulated.noise_at_rest import true_noise
+from counterspin.errors import CampaignError
+from counterspin.planning.forecast import forecast
+from counterspin.planning.plan import plan
+from counterspin.toml_text import write_document
+
+STATED = '[noise]\ndisplacement = "0.01 m"'
+TRUE_NOISE = '[truth.noise]\ndisplacement = "0.01 m"\nangle = "1e-6 rad"\n'
+FROM = '[noise]\nfrom = "rest.csv"\nangle = "1e-6 rad"'
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the description of a simulation, and a record at rest."""
+    made = at_rest(tmp_path_factory.mktemp("described"), rows=2000)
+    write(made, changed(SMALL, (STATED, FROM), (TRUE_NOISE, "")))
+    return made
+
+
+@pytest.fixture(scope="module")
+def white(folder):
+    """Return the larger white noise of the two accelerometers, as it is found, m."""
+    found = cs.noise(folder / "rest.csv", campaign=folder).signals
+    sizes = [signal.components["displacement"].value for signal in found]
+    # Of 2000 samples a standard deviation is known to 1.6 %.
+    assert sizes == pytest.approx(list(WHITE.values()), rel=0.06)
+    assert sizes[0] != sizes[1]
+    return max(sizes)
+
+
+def by_hand(folder, white):
+    """Return the campaign with the noise as `counterspin noise` prints it."""
+    return read_campaign(folder).change(noise={"from": None, "displacement": f"{white!r} m"})
+
+
+def test_the_largest_noise_found_is_simulated(folder, white):
+    made, stated = (cs.simulate(c) for c in (read_campaign(folder), by_hand(folder, white)))
+    for one, other in zip(made.runs, stated.runs, strict=True):
+        frames = made.record_at(one.record).frame(), stated.record_at(other.record).frame()
+        assert frames[0].equals(frames[1])
+    assert cs.calibrate(made).accelerometers["Qy"].noise["displacement"].record == "rest.csv"
+
+
+def test_true_noise_of_its_own_is_simulated_instead(folder, tmp_path):
+    at_rest(tmp_path, rows=2000)
+    own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
+    assert true_noise(own).displacement == 0.01
+    wanted = read_campaign(folder).change(noise={"acceleration": "estimate"})
+    with pytest.raises(CampaignError, match=r"noise\.acceleration: a simulation needs its true"):
+        cs.simulate(wanted)
+
+
+def test_a_simulated_folder_has_the_record_at_rest(folder, tmp_path):
+    cs.simulate(folder, tmp_path / "there")
+    assert (tmp_path / "there/rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
+    again = read_campaign(tmp_path / "there")
+    assert noise_of(again) == noise_of(read_campaign(folder))
+    cs.simulate(folder, tmp_path / "there", overwrite=True)
+    with pytest.raises(cs.CounterspinError, match="exists"):
+        cs.simulate(folder, tmp_path / "there")
+    outside = read_campaign(folder).change(noise={"from": "../rest.csv"})
+    with pytest.raises(CampaignError, match=r"noise\.from: \.\./rest\.csv is not inside"):
+        cs.simulate(outside, tmp_path / "elsewhere")
+
+
+def test_a_forecast_takes_what_the_record_does_not_show_for_none(folder, white):
+    campaign, stated = read_campaign(folder).change(accelerometers=["Qy"]), by_hand(folder, white)
+    without_truth = campaign.change(
+        truth=None, simulation=None, runs={n: {"revolutions": 20} for n in ("slow", "middle")}
+    ).change(runs=["slow", "middle"])
+    stated = stated.change(accelerometers=["Qy"], runs=["slow", "middle"])
+    one, other = (forecast(c, sampling_rate=20.0).u["Qy.K_II"] for c in (without_truth, stated))
+    assert one == pytest.approx(other, rel=1e-12)
+
+
+def test_a_study_draws_it(folder, white):
+    beside = {"acceleration": "0 g/Hz^0.5"}  # or the trials had to look for it
+    of_rest = read_campaign(folder).change(accelerometers=["Qy"], noise=beside)
+    stated = by_hand(folder, white).change(accelerometers=["Qy"])
+    one, other = (
+        cs.study(c, trials=50, seed=1).analyses["joint"].coefficients["Qy.K_II"]
+        for c in (of_rest, stated)
+    )
+    assert (one.bias, one.se_bias) == pytest.approx((other.bias, other.se_bias), rel=1e-9)
+
+
+PLAN = """
+schema = 1
+[site]
+gravity = "9.8 m/s^2"
+latitude = "45.75 deg"
+[centrifuge]
+radius = "2.5 m"
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+displacement = { column = "east_m", unit = "m" }
+[noise]
+from = "rest.csv"
+[model]
+assume = "all"
+[limits]
+total_time = "700 s"
+highest_rate = "1 rev/s"
+sampling_rate = "50 Hz"
+[goal]
+minimise = ["K_II"]
+"""
+
+
+def test_a_plan_is_of_the_noise_found_and_writes_it_down(tmp_path):
+    at_rest(tmp_path, rows=2000)
+    file = tmp_path / "PLAN.toml"
+    file.write_text(PLAN, encoding="utf-8")
+    (signal,) = cs.noise(
+        tmp_path / "rest.csv", campaign=read_campaign(write(tmp_path, SMALL)), columns=["east_m"]
+    ).signals
+    size = f"{signal.components['displacement'].value!r} m"
+    found = plan(file)
+    file.write_text(changed(PLAN, ('from = "rest.csv"', f'displacement = "{size}"')), "utf-8")
+    stated = plan(file)
+    assert found.document == stated.document
+    assert f'displacement = "{size}"' in found.document
+    assert found.u == stated.u
+
+
+def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):
+    """A walk of 1 mm/s^2 in a second: the twentieth of it from sample to sample, integrated."""
+    rng = np.random.default_rng(1)
+    walk = np.cumsum(1e-3 * np.sqrt(0.05) * rng.standard_normal(1000))
+    frame = pl.DataFrame({"time_s": np.arange(1000) / 20.0, "east": walk})
+    frame.write_csv(tmp_path / "rest.csv")
+    file = tmp_path / "PLAN.toml"
+    force = 'specific_force = { column = "east", unit = "m/s^2" }'
+    text = changed(PLAN, ('displacement = { column = "east_m", unit = "m" }', force))
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(
+        CampaignError, match=r"noise\.from: the record shows bias_walk, 0\.00\d+ m"
+    ) as e:
+        plan(file)
+    assert 'write bias_walk = "0 m/s^2/s^0.5" beside it' in str(e.value)
+
+
+def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):
+    frame, recorded = pl.read_csv(folder / "rest.csv"), cs.simulate(read_campaign(folder))
+    of_file = noise_of(recorded)
+    document = {**recorded.source.document, "noise": {"angle": "1e-6 rad"}}
+    records = {run.name: recorded.record_at(run.record).frame() for run in recorded.runs}
+    held = make_campaign(document, {**records, "noise.from": frame}, folder=tmp_path / "nowhere")
+    assert noise_of(held) == of_file
+    result = cs.calibrate(held)
+    assert result.accelerometers["Qx"].noise["displacement"].record == "rest.parquet"
+    assert result.provenance.in_memory["rest.parquet"] == "arrays"
+    again = read_campaign(held.write(tmp_path / "written"))
+    assert again.rest == tmp_path / "written" / "rest.parquet"
+    assert noise_of(again) == of_file
+    other = held.change(records={"noise.from": frame.with_columns(pl.col("east_m") * 2.0)})
+    assert noise_of(other)["Qx"].white == pytest.approx(2.0 * of_file["Qx"].white, rel=1e-6)
+    with pytest.raises(CampaignError, match=r"noise\.from: is not the same in campaign 2"):
+        held.join(other)
+    joined = held.join(held.change(runs={"slow": {"rate": "0.3 rev/s"}}))
+    assert noise_of(joined) == of_file
+
+
+def test_a_file_may_be_given_for_a_record_at_rest_too(folder, tmp_path):
+    described = by_hand(folder, 0.01).source.document
+    given = make_campaign(
+        {**described, "noise": {}}, {"noise.from": folder / "rest.csv"}, folder=tmp_path
+    )
+    assert noise_of(given) == noise_of(read_campaign(folder))
+    assert write_document(given.source.document["noise"]).strip() == f'from = "{folder}/rest.csv"'
