@@ -17,6 +17,7 @@ from counterspin.calibration.options import Method, TwoStageOptions, command_wor
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
 from counterspin.calibration.two_stage import in_two_stages
+from counterspin.campaign.conditions import origin_of, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.records.removed import WORDS as REMOVED
@@ -61,6 +62,7 @@ def calibration(
         *_odd_ends(observed),
     ]
     checksums, in_memory = inputs()
+    warm, stated = temperatures_of(campaign), campaign.reference_temperature
     result = Result(
         method=method,
         model=found.model,
@@ -79,6 +81,8 @@ def calibration(
             u_latitude=campaign.latitude.u,
             radius=campaign.radius.value,
             u_radius=campaign.radius.u,
+            reference_temperature=origin_of(campaign).temperature if warm else stated,
+            temperatures=[min(warm), max(warm)] if warm else [],
         ),
         rests_on=found.rests_on,
         assumed=list(assumed(campaign)),

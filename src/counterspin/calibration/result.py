@@ -194,6 +194,8 @@ class Result(ShownResult):
     ) -> Prediction:
         """Return what an accelerometer will indicate (Eq. 7), with its uncertainty.
 
+        It is at the temperature from which slopes count, `inputs.reference_temperature`.
+
         Parameters
         ----------
         accelerometer

@@ -503,6 +503,10 @@ class Inputs(ResultPart):
     radius: float  #: Of the centrifuge, in `radius_unit`.
     u_radius: float = 0.0  #: Its standard uncertainty.
     radius_unit: Literal["m"] = "m"  #: Of the radius and its uncertainty.
+    #: From which slopes with temperature count, K; null where no temperature was stated.
+    reference_temperature: float | None = None
+    #: The lowest and the highest of its runs and readings, K; empty where none was stated.
+    temperatures: list[float] = []
 
 
 class Provenance(ResultPart):

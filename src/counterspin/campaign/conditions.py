@@ -28,10 +28,16 @@ class Origin:
     time: float
 
 
+def temperatures_of(campaign: Campaign) -> list[float]:
+    """Return the temperatures that runs and readings state, K."""
+    dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
+    return [one.temperature for one in dated if one.temperature is not None]
+
+
 def origin_of(campaign: Campaign) -> Origin:
     """Return the reference temperature, or the mean of all; and the time of what came first."""
     dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
-    warmths = [one.temperature for one in dated if one.temperature is not None]
+    warmths = temperatures_of(campaign)
     temperature = campaign.reference_temperature
     if temperature is None:
         temperature = sum(warmths) / len(warmths) if warmths else 0.0

@@ -45,8 +45,9 @@ COMPASS: Final = {
 ESTIMATE: Final = "estimate"
 
 #: Kelvin at 0 degC; only differences of temperature count.
-_ZERO_CELSIUS: Final = 273.15
+ZERO_CELSIUS: Final = 273.15
 
+_UNCERTAIN_TEMPERATURE: Final = re.compile(r"\s*(.*?)\s*(degC|°C|K)\s*")
 _TEMPERATURE: Final = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
 
 #: Gravity of any laboratory on Earth, m/s^2, with room to spare.
@@ -249,7 +250,16 @@ def a_temperature(value: object) -> float:
     match = _TEMPERATURE.fullmatch(value)
     if match is None:
         raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')
-    return float(match[1]) + (0.0 if match[2] == "K" else _ZERO_CELSIUS)
+    return float(match[1]) + (0.0 if match[2] == "K" else ZERO_CELSIUS)
+
+
+def temperature_known(text: str) -> Quantity:
+    """Return a temperature with its standard uncertainty, K."""
+    match = _UNCERTAIN_TEMPERATURE.fullmatch(text)
+    if match is None:
+        raise ValueError(f'{text!r} is not a temperature; write "23.4 ± 0.5 degC" or "296.5 K"')
+    number = parse(f"{match[1]} 1", "1")
+    return Quantity(number.value + (0.0 if match[2] == "K" else ZERO_CELSIUS), number.u, "K")
 
 
 def date_or_text(value: object) -> str:

@@ -34,6 +34,8 @@ class Forces:
         Specific force along the pendulous axis: a column, or a constant such as "-1 g".
     output_axis
         Specific force along the output axis, likewise.
+    temperature
+        How warm it was: a column in degC, or a constant such as "23 ± 1 degC".
     others
         Accelerometers beside it, from which both follow: Qy=COLUMN,Qz=COLUMN.
     force
@@ -44,6 +46,7 @@ class Forces:
     unit: str = "g"
     pendulous: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     output_axis: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    temperature: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     others: str | None = None
     force: bool = False
 
@@ -128,6 +131,7 @@ def apply(
             unit=forces.unit,
             pendulous=forces.pendulous,
             output_axis=forces.output_axis,
+            temperature=forces.temperature,
             others=parse_others(forces.others),
             force=forces.force,
             dialect=Dialect(**keys),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.notebook.instrument import (
+    acts,
     covariance_of,
     determined,
     instrument_of,
@@ -24,10 +25,11 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse
 from counterspin.correction.related import covariances_between
+from counterspin.correction.warmth import notes_of_warmth, warmth_of, warnings_of_warmth
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.units import unit_factor
 
@@ -102,6 +104,9 @@ class ApplyOptions:
     pendulous, output_axis
         Specific force along the pendulous and the output axis: shape (n,), one number, or text
         such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
+    temperature
+        Of each row in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; in a file,
+        a column or such a text. Slopes with temperature need it.
     others
         Indications of other accelerometers of the result on the same platform, shape (n,), or
         their columns, by name; a_P and a_O then follow from all of them, corrected as well.
@@ -114,6 +119,7 @@ class ApplyOptions:
     unit: str = "g"
     pendulous: Force | None = None
     output_axis: Force | None = None
+    temperature: npt.ArrayLike | str | None = None
     others: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
     force: bool = False
     dialect: Dialect = TO_BE_FOUND
@@ -145,8 +151,9 @@ def apply(
     Raises
     ------
     CampaignError
-        If the result or what is given does not fit: an unknown accelerometer, a force that the
-        model needs and that is not known or given twice, equations as printed.
+        If the result or what is given does not fit: an unknown accelerometer, a force or a
+        temperature that the model needs and that is not known, a force that is given twice,
+        equations as printed.
     ConvergenceError
         If a sample lies outside of what the model can indicate.
     RecordError
@@ -171,6 +178,9 @@ def apply(
     given |= {"O"} if options.output_axis is not None else set()
     # Three accelerometers feel the whole force.
     given |= {"P", "O"} if len(options.others) > 1 else set()
+    reference = result.inputs.reference_temperature
+    if reference is not None and options.temperature is not None:
+        given |= {"temperature"}
     whole, lost = with_unstated(result, given)
     instruments = [instrument_of(whole, name, placed=bool(options.others)) for name in indications]
     judged = judge_result(result)
@@ -190,12 +200,13 @@ def apply(
         raise CampaignError(_SOURCE, [str(error)]) from error
     if missing:
         raise CampaignError(_SOURCE, _needed(accelerometer, missing))
+    warmth = warmth_of(result, instruments, options.temperature)
     columns = [
         np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
         for name, values in indications.items()
     ]
     between = covariances_between(whole, instruments)
-    forces = correct(instruments, np.stack(columns, axis=1), known, between)
+    forces = correct(instruments, np.stack(columns, axis=1), known, between, warmth)
     applied = [result.accelerometers[name] for name in indications]
     done = Correction(
         corrected=forces.force[:, 0] / factor,
@@ -206,15 +217,20 @@ def apply(
             (c.dof for own in applied for c in terms_of(own).values() if c.dof is not None),
             default=math.inf,
         ),
-        notes=tuple(_note(name, own) for name, own in zip(indications, applied, strict=True)),
+        notes=(
+            *(_note(name, own) for name, own in zip(indications, applied, strict=True)),
+            *notes_of_warmth(result, instruments, options.temperature),
+        ),
         warnings=(
             *_accepted(judged),
+            *warnings_of_warmth(result, warmth, options.temperature),
             *(
                 warning
                 for name, own, column in zip(indications, applied, columns, strict=True)
                 for warning in (
                     *_left_out(name, own),
                     *_not_carried(name, lost.get(name, ())),
+                    *_not_applied(name, own),
                     *_contradictory(name, own),
                     *_stretched(result, name, column),
                 )
@@ -266,12 +282,30 @@ def _scales(result: Result, names: Iterable[str], unit: str) -> tuple[str, dict[
     return "g", scales
 
 
-def _not_carried(name: str, symbols: Sequence[str]) -> list[str]:
-    if not symbols:
+def _not_carried(name: str, symbols: Sequence[str]) -> Iterator[str]:
+    slopes = [symbol for symbol in symbols if symbol not in TERMS]
+    products = [symbol for symbol in symbols if symbol in TERMS]
+    for lost, what in (
+        (products, "force along the other axes is not given (`pendulous`, `output_axis`)"),
+        (slopes, "temperature is not given (`temperature`), or not that of the calibration"),
+    ):
+        if lost:
+            yield f"{name}: nothing states {', '.join(lost)}, and the {what}: no part of u."
+
+
+def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
+    """Return a warning of what changes with something that a record does not say."""
+    known = {**accelerometer.known, **accelerometer.coefficients}
+    others = [
+        symbol
+        for symbol, c in known.items()
+        if symbol in CONDITION_TERMS and not acts(symbol) and (c.value or c.u)
+    ]
+    if not others:
         return []
     return [
-        f"{name}: nothing states {', '.join(symbols)}, and the force along the other axes is not "
-        "given (`pendulous`, `output_axis`): they are no part of u."
+        f"{name}: not applied: {', '.join(others)}. The correction is that of the beginning of the "
+        "calibration, without heating by its specific forces."
     ]
 
 

@@ -11,15 +11,21 @@ from typing import Any, Final
 import numpy as np
 import polars as pl
 
+from counterspin.arrays import Array
 from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.result import Result
+from counterspin.campaign.kinds import ZERO_CELSIUS
 from counterspin.correction.apply import ApplyOptions, Correction, apply
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import FileKind, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
+from counterspin.records.dialect import TEMPERATURES
 from counterspin.records.tables import locate, read_numbers, read_table
 from counterspin.units import same_unit, unit_factor
+
+#: What a constant in the place of a column may be.
+_EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
 
 #: Ending of the output -> what parts its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -131,7 +137,7 @@ def apply_file(
     frame = table.frame
     given: dict[str, Any] = {
         name: text
-        for name in ("pendulous", "output_axis")
+        for name in ("pendulous", "output_axis", "temperature")
         if (text := getattr(options, name)) is not None
     }
     used = [text for text in (*given.values(), *others.values()) if text in frame.columns]
@@ -139,7 +145,11 @@ def apply_file(
     corrected = {accelerometer: column, **(others if together else {})}
     names = sorted({column, *used, *others.values()})
     values = read_numbers(source, names, options.dialect)
-    _check_units(source, {name: table.units.get(name, "") for name in names}, options.unit)
+    units = {name: table.units.get(name, "") for name in names}
+    warm = given.get("temperature")
+    _check_units(source, {n: u for n, u in units.items() if n != warm}, options.unit)
+    if warm in values:
+        values[warm] = _in_celsius(source, warm, values[warm], units[warm])
     for name in (f"{one}_corrected{u}" for one in corrected.values() for u in ("", "_u")):
         if name in frame.columns:
             raise CampaignError(str(source), [f"has a column '{name}' already; was it corrected?"])
@@ -181,6 +191,18 @@ def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
             )
 
 
+def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
+    """Return a column of temperatures in degC, in which it is where its file says no unit."""
+    if unit == "K":
+        return values - ZERO_CELSIUS
+    if unit in ("", *TEMPERATURES):
+        return values
+    raise RecordError(
+        f"{source}: column '{column}' is in '{unit}' by the file's row of units; a temperature is "
+        "in degC or K."
+    )
+
+
 def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
     free = [name for name in table.columns if name not in used]
     if accelerometer in free:
@@ -203,7 +225,7 @@ def _constant(name: str, text: str, columns: list[str]) -> str:
             "apply",
             [
                 f"`{name}`: {text!r} is neither a column of the file ({', '.join(columns)}) nor a "
-                'constant with its unit such as "-1 g"'
+                f'constant with its unit such as "{_EXAMPLES[name]}"'
             ],
         )
     return text

@@ -7,6 +7,7 @@ in turn, until the forces converge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
@@ -16,8 +17,9 @@ import numpy as np
 from counterspin.arrays import Array, semidefinite_root
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import Product, Slope
 from counterspin.physics.inversion import NotInvertibleError, invert
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import OWN_TERMS, TERMS
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
@@ -34,7 +36,8 @@ class CalibratedAccelerometer:
 
     name: str  #: For messages.
     mounting: Mounting  #: Its axes on the platform.
-    #: Symbol -> value in g-units; terms not named have their nominal value, known exactly.
+    #: Symbol of a product, or of a slope with temperature -> value in g-units; terms not named have
+    #: their nominal value, known exactly.
     coefficients: Mapping[str, float]
     covariance: Array  #: Of these coefficients in their order, shape (t, t).
 
@@ -43,8 +46,37 @@ class CalibratedAccelerometer:
         return tuple(
             symbol
             for place, (symbol, value) in enumerate(self.coefficients.items())
-            if axis in TERMS[symbol].effect.factors and (value or self.covariance[place, place])
+            if axis in product_of(symbol).factors and (value or self.covariance[place, place])
         )
+
+    @property
+    def slopes(self) -> dict[str, Slope]:
+        """What changes its coefficients with the conditions, by symbol."""
+        own = {s: OWN_TERMS[s].effect for s in self.coefficients}
+        return {s: effect for s, effect in own.items() if isinstance(effect, Slope)}
+
+    def at(self, warmth: Array | float) -> dict[str, Array | float]:
+        """Return the coefficients of products at a temperature, as of `Warmth`."""
+        slopes = self.slopes
+        values: dict[str, Array | float] = {
+            s: value for s, value in self.coefficients.items() if s not in slopes
+        }
+        for symbol, slope in slopes.items():
+            own = values.get(slope.coefficient, TERMS[slope.coefficient].nominal)
+            values[slope.coefficient] = own + self.coefficients[symbol] * _lever(slope, warmth)
+        return values
+
+
+def product_of(symbol: str) -> Product:
+    """Return the product of a term, or of that whose coefficient a slope changes."""
+    effect = OWN_TERMS[symbol].effect
+    return TERMS[effect.coefficient].effect if isinstance(effect, Slope) else effect
+
+
+def _lever(slope: Slope, warmth: Array | float) -> Array:
+    """Return what a slope is multiplied with; with time and heating it is at the beginning."""
+    zero = np.zeros_like(warmth)
+    return slope.levers(zero, np.asarray(warmth, dtype=np.float64), zero)
 
 
 @frozen(eq=False)
@@ -57,6 +89,29 @@ class Known:
 
 
 @frozen(eq=False)
+class Warmth:
+    """How much warmer it was than where the coefficients are those that are named, K."""
+
+    value: Array | float = 0.0  #: Shape (n,), or one for all samples.
+    u: float = 0.0  #: Its standard uncertainty, common to all samples.
+
+    @property
+    def nodes(self) -> list[tuple[float, Array | float]]:
+        """Weights and temperatures that give means of polynomials over what it may have been.
+
+        Three, exact for powers of a normal temperature up to the fifth.
+        """
+        if self.u == 0.0:
+            return [(1.0, self.value)]
+        step = math.sqrt(3.0) * self.u
+        return [
+            (1.0 / 6.0, self.value - step),
+            (2.0 / 3.0, self.value),
+            (1.0 / 6.0, self.value + step),
+        ]
+
+
+@frozen(eq=False)
 class Corrected:
     """What the accelerometers' indications stand for."""
 
@@ -64,6 +119,9 @@ class Corrected:
     #: Its standard uncertainty from coefficients and known forces, shape (n, m); the noise of the
     #: indications is no part of it.
     u: Array
+
+
+_AS_CALIBRATED: Final = Warmth()
 
 
 def missing_axes(
@@ -84,6 +142,7 @@ def correct(
     indicated: Array,
     known: Sequence[Known] = (),
     between: Mapping[tuple[int, int], Array] = MappingProxyType({}),
+    warmth: Warmth = _AS_CALIBRATED,
 ) -> Corrected:
     """Correct the indications of accelerometers that stand on one platform.
 
@@ -97,6 +156,8 @@ def correct(
     indicated: Indicated specific force in g, shape (n, m); not finite: nor is the sample's result.
     between: Places of two accelerometers, the lower first -> covariance of their coefficients, of
         the first along the rows; where there is none they are uncorrelated.
+    warmth: For slopes with temperature. Its u moves the force by the slopes, and what these are
+        uncertain by counts at every temperature that it may have been.
     """
     missing = missing_axes(instruments, known)
     if missing:
@@ -109,26 +170,30 @@ def correct(
     given = np.empty((n, len(known)))
     for place, item in enumerate(known):
         given[:, place] = item.force
-    force = _settled(instruments, indicated, given, weights)
+    force = _settled(instruments, indicated, given, weights, warmth.value)
     a_ipo = _along_axes(force, given, weights)
 
     jacobian = np.empty((n, m, m))
-    from_known = np.zeros((n, m, len(known)))
+    from_known = np.zeros((n, m, len(known) + 1))
     variance = np.zeros((n, m, m))
     for k, instrument in enumerate(instruments):
-        p, o = (_total_slope(instrument, a_ipo[k], axis)[:, None] for axis in "PO")
+        at = instrument.at(warmth.value)
+        p, o = (_total_slope(at, a_ipo[k], axis)[:, None] for axis in "PO")
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
-        jacobian[:, k, k] += _total_slope(instrument, a_ipo[k], "I")
-        from_known[:, k] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
-        variance[:, k, k] = _variance(instrument, a_ipo[k])
+        jacobian[:, k, k] += _total_slope(at, a_ipo[k], "I")
+        from_known[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
+        from_known[:, k, -1] = _by_warmth(instrument, a_ipo[k], warmth.value)
+        variance[:, k, k] = _variance(instrument, a_ipo[k], warmth)
     for (k, other), covariance in between.items():
-        one, two = (_products(instruments[at], a_ipo[at]) for at in (k, other))
-        variance[:, k, other] = variance[:, other, k] = np.sum((one @ covariance) * two, axis=1)
+        for weight, value in warmth.nodes:
+            one, two = (_products(instruments[at], a_ipo[at], value) for at in (k, other))
+            variance[:, k, other] += weight * np.sum((one @ covariance) * two, axis=1)
+        variance[:, other, k] = variance[:, k, other]
     inverse = np.full_like(jacobian, np.nan)
     present = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[present] = np.linalg.inv(jacobian[present])
     total = np.sum((inverse @ variance) * inverse, axis=2)
-    spread = inverse @ from_known * [item.u for item in known]
+    spread = inverse @ from_known * [*(item.u for item in known), warmth.u]
     total += np.sum(spread**2, axis=2)
     # Rounding alone may leave less than nothing where errors of two accelerometers cancel.
     return Corrected(force, np.sqrt(np.maximum(total, 0.0)))
@@ -137,6 +202,8 @@ def correct(
 def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
     """Return what an accelerometer indicates (Eq. 7), and its u from the coefficients; both in g.
 
+    It is as warm as where its coefficients are those that are named.
+
     a_ipo: Specific force along its axes I, P, O in g, shape (3, n).
     """
     total = np.zeros(a_ipo.shape[1])
@@ -144,7 +211,7 @@ def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array
         value = instrument.coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
             total += value * row.effect.evaluate(a_ipo)
-    return total, np.sqrt(_variance(instrument, a_ipo))
+    return total, np.sqrt(_variance(instrument, a_ipo, _AS_CALIBRATED))
 
 
 def _projections(
@@ -176,22 +243,28 @@ def _along_axes(force: Array, given: Array, weights: Array) -> Array:
 
 
 def _settled(
-    instruments: Sequence[CalibratedAccelerometer], indicated: Array, given: Array, weights: Array
+    instruments: Sequence[CalibratedAccelerometer],
+    indicated: Array,
+    given: Array,
+    weights: Array,
+    warmth: Array | float,
 ) -> Array:
     """Correct each accelerometer with the others' corrected forces until none moves."""
     force = np.array(indicated, dtype=np.float64)
     # A sample that one accelerometer misses is missing altogether.
-    force[~np.isfinite(np.concatenate([force, given], axis=1)).all(axis=1)] = np.nan
+    there = np.isfinite(np.concatenate([force, given], axis=1)).all(axis=1)
+    force[~(there & np.isfinite(warmth))] = np.nan
     m = len(instruments)
     coupled = bool(np.any(weights[:, :, :m]))
     scale = 32.0 * _EPSILON * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))
+    coefficients = [instrument.at(warmth) for instrument in instruments]
     for _ in range(_MAX_ROUNDS if coupled else 1):
         a_ipo = _along_axes(force, given, weights)
         new = np.empty_like(force)
         for k, (instrument, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
             wanted = np.where(np.isnan(force[:, k]), np.nan, indicated[:, k])
             try:
-                new[:, k] = invert(instrument.coefficients, wanted, p, o)
+                new[:, k] = invert(coefficients[k], wanted, p, o)
             except NotInvertibleError as error:
                 raise NotInvertibleError(
                     error.row, f"of {instrument.name} {error.reason}"
@@ -208,23 +281,40 @@ def _settled(
     )
 
 
-def _total_slope(instrument: CalibratedAccelerometer, a_ipo: Array, axis: str) -> Array:
+def _total_slope(coefficients: Mapping[str, Array | float], a_ipo: Array, axis: str) -> Array:
     total = np.zeros(a_ipo.shape[1])
     for row in TERMS.values():
-        value = instrument.coefficients.get(row.symbol, row.nominal)
-        if value != 0.0:
+        value = coefficients.get(row.symbol, row.nominal)
+        if np.any(value):
             total += value * row.effect.slope(a_ipo, axis)
     return total
 
 
-def _products(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
+def _by_warmth(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float) -> Array:
+    """Return by what an error of the temperature moves the indication, g/K, shape (n,)."""
+    total = np.zeros(a_ipo.shape[1])
+    for symbol, slope in instrument.slopes.items():
+        if slope.condition == "temperature":
+            steep = slope.power * np.asarray(warmth) ** (slope.power - 1)
+            value = instrument.coefficients[symbol]
+            total += value * steep * product_of(symbol).evaluate(a_ipo)
+    return total
+
+
+def _products(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Array | float) -> Array:
     """Return by what an error of each coefficient moves the indication, shape (n, t)."""
-    return np.stack(
-        [TERMS[symbol].effect.evaluate(a_ipo) for symbol in instrument.coefficients], axis=1
-    )
+    slopes = instrument.slopes
+    columns = [product_of(symbol).evaluate(a_ipo) for symbol in instrument.coefficients]
+    for place, symbol in enumerate(instrument.coefficients):
+        if symbol in slopes:
+            columns[place] = columns[place] * _lever(slopes[symbol], warmth)
+    return np.stack(columns, axis=1)
 
 
-def _variance(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
-    # A sum of squares: no error of the covariance makes it less than nothing.
-    parts = _products(instrument, a_ipo) @ semidefinite_root(instrument.covariance)
-    return np.asarray(np.sum(parts**2, axis=1))
+def _variance(instrument: CalibratedAccelerometer, a_ipo: Array, warmth: Warmth) -> Array:
+    root = semidefinite_root(instrument.covariance)
+    total = np.zeros(a_ipo.shape[1])
+    for weight, value in warmth.nodes:
+        # A sum of squares: no error of the covariance makes it less than nothing.
+        total += weight * np.sum((_products(instrument, a_ipo, value) @ root) ** 2, axis=1)
+    return total

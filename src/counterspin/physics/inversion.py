@@ -35,14 +35,15 @@ class NotInvertibleError(ConvergenceError):
 
 
 def invert(
-    coefficients: Mapping[str, float],
+    coefficients: Mapping[str, Array | float],
     indicated: Array,
     a_p: Array | float = 0.0,
     a_o: Array | float = 0.0,
 ) -> Array:
     """Return the specific force along the input axis, the inverse of Eq. 7.
 
-    coefficients: Coefficients by symbol, in g-units; those not named have their nominal value.
+    coefficients: Coefficients by symbol, in g-units, of shape (n,) or one for all; those not named
+        have their nominal value.
     indicated: Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, so is
         the result.
     a_p, a_o: Specific force along the pendulous and the output axis in g, shape (n,) or one for
@@ -54,12 +55,13 @@ def invert(
     force = np.full(y.shape, np.nan)
     rows = np.flatnonzero(present)
     if rows.size:
-        force[rows] = _rising(coefficients, y[rows], p[rows], o[rows], rows)
+        own = {s: value[rows] if np.ndim(value) else value for s, value in coefficients.items()}  # type: ignore[index]
+        force[rows] = _rising(own, y[rows], p[rows], o[rows], rows)
     return force
 
 
 def _rising(
-    coefficients: Mapping[str, float], y: Array, p: Array, o: Array, rows: np.ndarray
+    coefficients: Mapping[str, Array | float], y: Array, p: Array, o: Array, rows: np.ndarray
 ) -> Array:
     """Return the root of the indication less y on the branch that holds a_I = 0."""
     at_zero = _polynomial(coefficients, np.ones_like(y), p, o)[0]
@@ -98,11 +100,13 @@ def _rising(
     return side * _root(poly, high, y, rows)
 
 
-def _polynomial(coefficients: Mapping[str, float], side: Array, p: Array, o: Array) -> Array:
+def _polynomial(
+    coefficients: Mapping[str, Array | float], side: Array, p: Array, o: Array
+) -> Array:
     """Return the indication's coefficients in powers of |a_I|, lowest first, shape (m, n)."""
     unit = np.stack([side, p, o])
     given = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
-    used = {row: value for row, value in given.items() if value != 0.0}
+    used = {row: value for row, value in given.items() if np.any(value)}
     poly = np.zeros((1 + max([3, *(row.power for row in used)]), side.size))
     for row, value in used.items():
         # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.

@@ -71,7 +71,7 @@ _WORDS: Final = {
     "m/s2": "m/s^2",
 }
 #: There is no factor from a temperature in these to one in another unit.
-_TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
+TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
 
 
 @frozen
@@ -326,7 +326,7 @@ def bracketed_unit(name: str) -> str:
 
 @lru_cache(maxsize=256)
 def _known_unit(text: str) -> str | None:
-    if text in _TEMPERATURES:
+    if text in TEMPERATURES:
         return "degC"
     try:
         return check_unit(_WORDS.get(text.lower(), text))

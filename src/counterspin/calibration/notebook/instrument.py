@@ -13,8 +13,8 @@ from counterspin.calibration.notebook.prediction import Prediction
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.correction import CalibratedAccelerometer, indication
-from counterspin.physics.terms import TERMS
+from counterspin.physics.correction import CalibratedAccelerometer, indication, product_of
+from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result
@@ -34,14 +34,15 @@ def with_unstated(
     What nothing states is taken as it was for the result: ideal, with its typical size. A product
     with the force along another axis counts where that is given.
 
-    given: Factors of products that are known, of I, \|I\|, P and O.
+    given: Factors of products that are known, of I, \|I\|, P and O; and ``temperature``, of slopes.
     """
     accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
     for row in result.rests_on:
         name, _, symbol = row.name.partition(".")
-        if row.kind != "unstated" or name not in accelerometers or symbol not in TERMS:
+        if row.kind != "unstated" or name not in accelerometers or not acts(symbol):
             continue
-        if set(TERMS[symbol].effect.factors) <= set(given):
+        needed = {*product_of(symbol).factors, *(["temperature"] if symbol not in TERMS else [])}
+        if needed <= set(given):
             own = accelerometers[name]
             c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
             accelerometers[name] = own.model_copy(update={"known": {**own.known, symbol: c}})
@@ -102,9 +103,15 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
 
 
 def terms_of(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
-    """Return what is estimated or known of the products of an accelerometer."""
+    """Return what is estimated or known of an accelerometer's products and their slopes."""
     known = {**accelerometer.known, **accelerometer.coefficients}
-    return {symbol: c for symbol, c in known.items() if symbol in TERMS}
+    return {symbol: c for symbol, c in known.items() if acts(symbol)}
+
+
+def acts(symbol: str) -> bool:
+    """Return whether a term is a product of an accelerometer, or its slope with temperature."""
+    row = CONDITION_TERMS.get(symbol)
+    return symbol in TERMS if row is None else row.effect.condition == "temperature"
 
 
 def determined(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:

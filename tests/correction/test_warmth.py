@@ -1,0 +1,285 @@
+"""Records at other temperatures than that of the calibration."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from results import accelerometer as found_of
+from results import bare_result
+
+import counterspin as cs
+from counterspin import cli
+from counterspin.calibration.result_parts import Coefficient, Correlation, Knowledge
+from counterspin.correction.apply import ApplyOptions, apply
+from counterspin.errors import CampaignError
+from counterspin.physics.accelerometer import QX, QY, Mounting, indicated
+from counterspin.physics.correction import CalibratedAccelerometer, Warmth, correct
+from counterspin.physics.terms import OWN_TERMS
+
+G = 9.8066
+REFERENCE = 20.0  # degC
+MODEL = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_III": 3e-6}
+SLOPES = {
+    "K_F.temperature": 3e-5,
+    "K_F.temperature.2": -4e-7,
+    "K_I.temperature": 1.5e-4,
+    "K_I.temperature.3": 2e-9,
+    "K_II.temperature": 5e-8,
+}
+FORCE = np.linspace(-15.0, 15.0, 31)
+CELSIUS = np.linspace(-10.0, 60.0, 31)
+
+
+def result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, **more):
+    u = dict(u)
+    own = {
+        s: Coefficient(value=v, u=u.get(s, 0.0), unit=OWN_TERMS[s].unit, estimated=True)
+        for s, v in values.items()
+    }
+    inputs = {"gravity": G, "latitude": 0.8, "radius": 2.5, "temperatures": list(temperatures)}
+    inputs["reference_temperature"] = None if reference is None else reference + 273.15
+    parts = {"coefficients": own, "axes": list(QX.axes), "observable": "displacement"}
+    return bare_result(accelerometers={"A": found_of(**parts)}, inputs=inputs, **more)
+
+
+def indication(celsius, force=FORCE):
+    """Return Eq. 7 with each coefficient at its own temperature, sample by sample."""
+    t = np.broadcast_to(np.asarray(celsius) - REFERENCE, force.shape)
+    made = []
+    for warm, f in zip(t, force, strict=True):
+        at = dict(MODEL)
+        at["K_F"] += 3e-5 * warm - 4e-7 * warm**2
+        at["K_I"] += 1.5e-4 * warm + 2e-9 * warm**3
+        at["K_II"] += 5e-8 * warm
+        made.append(indicated(QX, at, np.array([[f, 0.0, 0.0]]))[0])
+    return np.array(made)
+
+
+def test_slopes_are_taken_at_the_temperature_of_each_row():
+    y = indication(CELSIUS)
+    done = apply(result(MODEL | SLOPES), "A", y, ApplyOptions(temperature=CELSIUS))
+    np.testing.assert_allclose(done.corrected, FORCE, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(done.u, 0.0)
+    one = apply(result(MODEL | SLOPES), "A", indication(35.0), ApplyOptions(temperature="35 degC"))
+    np.testing.assert_allclose(one.corrected, FORCE, rtol=0, atol=1e-12)
+    kelvin = ApplyOptions(temperature="308.15 K")
+    np.testing.assert_allclose(
+        apply(result(MODEL | SLOPES), "A", indication(35.0), kelvin).corrected, FORCE, atol=1e-12
+    )
+    assert "count from 20 degC" in one.notes[-1]
+
+
+def test_at_the_reference_temperature_it_is_as_without_slopes():
+    plain = apply(result(MODEL, {"K_II": 1e-6}), "A", FORCE)
+    warm = apply(
+        result(MODEL | SLOPES, {"K_II": 1e-6}), "A", FORCE, ApplyOptions(temperature=REFERENCE)
+    )
+    np.testing.assert_allclose(warm.corrected, plain.corrected, rtol=1e-15)
+    np.testing.assert_allclose(warm.u, plain.u, rtol=1e-12)
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_u_of_a_slope_and_of_the_temperature(power):
+    """Of c t^n with c ± s and t ± u: (n c t^(n-1) u)^2 + s^2 E[t^(2n)], of a normal t."""
+    symbol = "K_F.temperature" + (f".{power}" if power > 1 else "")
+    c, s, t, u = 2e-5, 3e-6, 12.0, 1.5
+    found = result({"K_F": 0.0, "K_I": 1.0, symbol: c}, {symbol: s})
+    taken = ApplyOptions(temperature=f"{REFERENCE + t} ± {u} degC")
+    moments = {1: t**2 + u**2, 2: t**4 + 6 * t**2 * u**2 + 3 * u**4}
+    # Three nodes have the sixth power but for 6 u^6 of 15.
+    moments[3] = t**6 + 15 * t**4 * u**2 + 45 * t**2 * u**4 + 9 * u**6
+    expected = math.sqrt((power * c * t ** (power - 1) * u) ** 2 + s**2 * moments[power])
+    done = apply(found, "A", [0.5, -0.5], taken)
+    np.testing.assert_allclose(done.u, expected, rtol=1e-12)
+    # At the temperature of the calibration the slope's u counts by that of the temperature alone.
+    there = ApplyOptions(temperature=f"{REFERENCE} ± {u} degC")
+    at_reference = apply(found, "A", [0.5], there).u[0]
+    assert at_reference >= s * u**power * 0.999
+
+
+def test_a_correlation_of_slope_and_coefficient_counts():
+    found = result({"K_F": 0.0, "K_F.temperature": 0.0}, {"K_F": 3e-6, "K_F.temperature": 1e-6})
+    own = found.accelerometers["A"].model_copy(
+        update={
+            "correlation": Correlation(
+                terms=["K_F", "K_F.temperature"], matrix=[[1.0, -1.0], [-1.0, 1.0]]
+            )
+        }
+    )
+    found = found.model_copy(update={"accelerometers": {"A": own}})
+    done = apply(found, "A", [0.1, 0.1], ApplyOptions(temperature=[REFERENCE + 3, REFERENCE + 4]))
+    np.testing.assert_allclose(done.u, [0.0, 1e-6], rtol=1e-9, atol=1e-18)
+
+
+def test_two_that_sense_each_other_at_a_temperature_of_their_own_rows():
+    """u against the numerical Jacobian of all coefficients, and of the temperature."""
+    values = (
+        {"K_F": 1e-3, "K_I": 1.001, "K_OO": 3e-3, "K_I.temperature": 2e-4},
+        {"K_F": -2e-3, "K_I": 0.999, "K_OO": -2e-3, "K_F.temperature": 3e-5},
+    )
+    rng = np.random.default_rng(4)
+    half = rng.standard_normal((8, 8)) * 1e-5
+    whole = half @ half.T
+    mountings = (
+        Mounting(QX.axes),
+        Mounting(QY.axes),
+    )
+
+    def instruments(shift):
+        return [
+            CalibratedAccelerometer(
+                f"Q{k}",
+                mounting,
+                {s: v + shift[4 * k + i] for i, (s, v) in enumerate(own.items())},
+                whole[4 * k : 4 * k + 4, 4 * k : 4 * k + 4],
+            )
+            for k, (mounting, own) in enumerate(zip(mountings, values, strict=True))
+        ]
+
+    y = np.array([[1.5, -0.7], [9.0, 4.0]])
+    warm = np.array([7.0, -12.0])
+    between = {(0, 1): whole[:4, 4:]}
+
+    def forces(shift, more=0.0):
+        return correct(instruments(shift), y, (), between, Warmth(warm + more)).force
+
+    jacobian = []
+    for place in range(8):
+        step = np.zeros(8)
+        step[place] = 1e-6
+        jacobian.append((forces(step) - forces(-step)) / 2e-6)
+    jacobian = np.array(jacobian)  # (8, n, m)
+    exact = correct(instruments(np.zeros(8)), y, (), between, Warmth(warm))
+    expected = np.sqrt(np.einsum("inm,ij,jnm->nm", jacobian, whole, jacobian))
+    np.testing.assert_allclose(exact.u, expected, rtol=1e-6)
+    by_warmth = (forces(np.zeros(8), 1e-3) - forces(np.zeros(8), -1e-3)) / 2e-3
+    sure = [
+        CalibratedAccelerometer(i.name, i.mounting, i.coefficients, np.zeros((4, 4)))
+        for i in instruments(np.zeros(8))
+    ]
+    alone = correct(sure, y, (), {}, Warmth(warm, 0.3))
+    np.testing.assert_allclose(alone.u, 0.3 * np.abs(by_warmth), rtol=1e-6)
+
+
+def test_known_slopes_need_a_temperature():
+    with pytest.raises(CampaignError) as refused:
+        apply(result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
+    (said,) = refused.value.problems
+    assert said.startswith("K_F.temperature of A changes with the temperature of the record; give")
+    with pytest.raises(CampaignError, match="does not say at which temperature it was calibrated"):
+        apply(
+            result(MODEL | SLOPES, reference=None), "A", [1.0], ApplyOptions(temperature="20 degC")
+        )
+    with pytest.raises(CampaignError, match=r"`temperature`: '20 g' is not a temperature"):
+        apply(result(MODEL | SLOPES), "A", [1.0], ApplyOptions(temperature="20 g"))
+
+
+def test_slopes_that_nothing_states_are_in_u_where_the_temperature_is_known():
+    unstated = [
+        Knowledge(name=f"A.{s}", kind="unstated", unit=OWN_TERMS[s].unit, value=0.0, u=u)
+        for s, u in (("K_F.temperature", 3e-5), ("K_I.temperature", 1e-4))
+    ]
+    found = result({"K_F": 0.0, "K_I": 1.0}, rests_on=unstated)
+    there = apply(found, "A", [2.0], ApplyOptions(temperature=REFERENCE - 5.0))
+    assert there.u == pytest.approx([5.0 * math.hypot(3e-5, 2e-4)], rel=1e-12)
+    assert not there.warnings
+    unknown = apply(found, "A", [2.0])
+    assert unknown.u == pytest.approx([0.0])
+    (said,) = unknown.warnings
+    assert "nothing states K_F.temperature, K_I.temperature, and the temperature is not" in said
+
+
+def test_what_lies_beyond_the_calibration_is_said():
+    found = result(MODEL | SLOPES, temperatures=(283.15, 303.15))
+    inside = apply(found, "A", [1.0], ApplyOptions(temperature=30.9))
+    assert not inside.warnings
+    (said,) = apply(found, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
+    assert said.startswith("The temperature is 25 to 40 degC, and that of the calibration was 10 ")
+    other = result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
+    (said,) = apply(other, "A", [1.0]).warnings
+    assert "not applied: K_F.trend, K_F.heating" in said
+    (note,) = apply(result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
+    assert note == "No slope with temperature is known: the temperature changes nothing."
+
+
+# --- files ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cs.write_result(result(MODEL | SLOPES), tmp_path / "result.json")
+    return tmp_path
+
+
+def run(*words):
+    return cli.main(["apply", "result.json", "in.csv", "-o", "out.csv", "--overwrite", *words])
+
+
+def test_a_column_of_temperatures_in_a_file(folder, capsys):
+    y = indication(CELSIUS)
+    words = ["--accelerometer=A", "--input=y", "--temperature"]
+    pl.DataFrame({"y": y, "degC": CELSIUS}).write_csv("in.csv")
+    assert run(*words, "degC") == 0
+    np.testing.assert_allclose(pl.read_csv("out.csv")["y_corrected"], FORCE, atol=1e-12)
+    rows = "".join(f"{a},{b}\n" for a, b in zip(y, CELSIUS + 273.15, strict=True))
+    Path("in.csv").write_text("y,T\ng,K\n" + rows, encoding="utf-8")
+    assert run(*words, "T") == 0
+    np.testing.assert_allclose(pl.read_csv("out.csv")["y_corrected"], FORCE, atol=1e-12)
+    Path("in.csv").write_text("y,T\ng,V\n" + rows, encoding="utf-8")
+    assert run(*words, "T") == 1
+    assert "is in 'V' by the file's row of units; a temperature is" in capsys.readouterr().err
+    Path("in.csv").write_text("y,T\n1.0,20\n1.0,\n", encoding="utf-8")
+    assert run(*words, "T") == 0
+    assert pl.read_csv("out.csv")["y_corrected"].is_null().to_list() == [False, True]
+    assert run("--accelerometer=A", "--input=y") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "of A change with the temperature of the record; give --temperature: a column" in said
+    assert run(*words, "degC") == 2
+    assert 'nor a constant with its unit such as "23 degC"' in capsys.readouterr().err
+
+
+# --- from a calibration ---------------------------------------------------------------------
+
+
+def test_a_calibration_says_at_which_temperatures_it_was_made():
+    angles = np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    rng = np.random.default_rng(7)
+    rows = [(a, t) for t in (10.0, 25.0, 40.0) for a in angles]
+    frame = pl.DataFrame(
+        {
+            "deg": [math.degrees(a) for a, _ in rows],
+            "g": [
+                0.002 + 3e-5 * (t - 25) + (1.001 + 1e-4 * (t - 25)) * math.cos(a) for a, t in rows
+            ]
+            + 1e-6 * rng.standard_normal(len(rows)),
+            "warm": [t for _, t in rows],
+        }
+    )
+    slopes = ["K_F.temperature", "K_I.temperature"]
+    described = {
+        "site": {"gravity": f"{G} m/s^2", "latitude": "45 deg"},
+        "centrifuge": {"radius": "1 m"},
+        "records": {"time": {"column": "t", "unit": "s"}},
+        "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
+        "model": {"terms": ["K_F", "K_I", *slopes], "assume": "all"},
+        "readings": {
+            "columns": {"attitude": "deg", "reading": "g", "temperature": "warm"},
+        },
+    }
+    found = cs.calibrate(cs.make_campaign(described, readings=frame))
+    assert found.inputs.reference_temperature == pytest.approx(298.15)
+    assert found.inputs.temperatures == pytest.approx([283.15, 313.15])
+    # 3 g cos(60 deg) at 35 degC, ten kelvin above the reference.
+    y = 0.002 + 3e-4 + (1.001 + 1e-3) * 0.5
+    done = apply(found, "A", [y], ApplyOptions(temperature=35.0))
+    assert abs(done.corrected[0] - 0.5) < 4 * done.u[0]
+    assert 1e-7 < done.u[0] < 1e-6
+    described["centrifuge"]["reference_temperature"] = "20 degC"
+    moved = cs.calibrate(cs.make_campaign(described, readings=frame))
+    again = apply(moved, "A", [y], ApplyOptions(temperature=35.0))
+    # From where slopes count makes no difference to what is corrected.
+    assert again.corrected == pytest.approx(done.corrected, abs=1e-10)
+    assert again.u == pytest.approx(done.u, rel=1e-4)
