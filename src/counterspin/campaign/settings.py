@@ -111,6 +111,14 @@ class CampaignSettings(SettingsSection):
         "of the campaign", datetime.date(2026, 3, 1), None, kind="date or text"
     )
     laboratory: Text | None = described("where", "Hall 3", None)
+    mounting: Text | None = described(
+        "a name for the mounting: another one once the accelerometers were taken off",
+        "2026-03 B",
+        None,
+    )
+    turn_on: Text | None = described(
+        "a name for the turn-on: another one once they were switched off", "2026-03-01 a", None
+    )
     operator: Text | None = described("who", "N. N.", None)
     comment: Text | None = described("anything else", "after repair", None)
 

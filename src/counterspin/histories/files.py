@@ -51,7 +51,10 @@ class DatedResult:
     shared: dict[tuple[str, str], float] = field(default_factory=dict)
     #: Specification: lower and upper limit, and its words; None without one.
     limits: tuple[float | None, float | None, str] | None = None
-    laboratory: str | None = None  #: As the campaign states it.
+    #: As the campaign states them.
+    laboratory: str | None = None
+    mounting: str | None = None
+    turn_on: str | None = None
 
 
 @dataclass
@@ -194,6 +197,8 @@ def _record(
         shared=shared_sources(result, coefficient.u, one.budget),
         limits=_limits(one.conformity),
         laboratory=result.details.get("laboratory"),
+        mounting=result.details.get("mounting"),
+        turn_on=result.details.get("turn_on"),
     )
 
 

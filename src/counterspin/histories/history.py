@@ -20,6 +20,7 @@ from counterspin.histories.control import WARNING_SIGMAS, individuals
 from counterspin.histories.due import LONGEST_YEARS, YEAR, next_due
 from counterspin.histories.files import Collected, DatedResult, collect
 from counterspin.histories.followed import KINDS, term_like
+from counterspin.histories.repeats import repeatability
 from counterspin.histories.result import (
     ControlLimits,
     Due,
@@ -36,8 +37,10 @@ from counterspin.histories.result import (
 from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.terms import SHARED_TERMS, TERMS
+from counterspin.workers import one_blas_thread
 
 
+@one_blas_thread()
 def history(
     paths: Sequence[Path | str | Result],
     *,
@@ -213,6 +216,7 @@ def _instrument(records: Sequence[DatedResult], reliability: float) -> Instrumen
         control=_control(records),
         specification=_specification(records),
         due=_due(records, line, verdict, reliability),
+        repeatability=repeatability(records, covariance, drifts=verdict == "drifts"),
         laboratories=_laboratories(records, covariance),
     )
 
@@ -318,6 +322,8 @@ def _point(
             0.0 if covariance is None else float(covariance[index - 1, index]),
         ),
         laboratory=record.laboratory,
+        mounting=record.mounting,
+        turn_on=record.turn_on,
     )
 
 

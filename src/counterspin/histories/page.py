@@ -7,7 +7,14 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import Final
 
-from counterspin.histories.result import History, InstrumentHistory, Point, Scatter
+from counterspin.histories.result import (
+    History,
+    InstrumentHistory,
+    Point,
+    Repeatability,
+    RepeatComponent,
+    Scatter,
+)
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
@@ -37,6 +44,8 @@ def history_blocks(history: History) -> Iterator[Block]:
         yield _table(history, instrument)
         for line in judgements(history, instrument):
             yield Paragraph(line)
+        if instrument.repeatability is not None:
+            yield from _repeat_blocks(history, instrument.repeatability)
         if len(instrument.points) > 1:
             yield control_plot(history, instrument)
     yield Paragraph(
@@ -131,6 +140,59 @@ def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]
             f"{pair.second} less {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: they "
             f"{agree}."
         )
+
+
+#: Component -> what changes from one to another; and what several of them are called.
+_REPEATED: Final = {
+    "day": ("day", "days"),
+    "mounting": ("mounting", "mountings"),
+    "turn_on": ("turn-on", "turn-ons"),
+}
+
+#: Degrees of freedom below which a standard deviation is hardly known.
+_FEW: Final = 5
+
+
+def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
+    """Yield what results vary by beyond their u."""
+    unit, factor = field_unit(history.unit)
+
+    def shown(value: float) -> str:
+        return format_number(value * factor, 2)
+
+    def row(name: str, own: RepeatComponent) -> tuple[str, ...]:
+        what = " or ".join(_REPEATED[one][0] for one in (name, *own.same_as))
+        upper = "any" if own.high is None else shown(own.high)
+        interval = f"{shown(own.low) if own.low else 0} to {upper}"
+        counted = f"{own.groups} {_REPEATED[name][1]}"
+        return f"another {what}", shown(own.value), interval, counted, str(own.freedom)
+
+    rows = [row(name, own) for name, own in repeats.components.items()]
+    if len(rows) > 1:
+        rows.append(("all of them", shown(repeats.total), "", "", ""))
+    yield Table(
+        columns=(
+            Column("Repeatability with"),
+            Column(f"Standard deviation, {unit}", "right"),
+            Column("95 % interval", "right"),
+            Column("From", "right"),
+            Column("Degrees of freedom", "right"),
+        ),
+        rows=tuple(rows),
+    )
+    about = "a line" if repeats.about == "line" else "their mean"
+    few = [_REPEATED[n][1] for n, own in repeats.components.items() if own.freedom < _FEW]
+    why = [
+        f"{_REPEATED[name][0]}: {words}"
+        for name, words in repeats.not_told.items()
+        if name != "day"
+    ]
+    yield Paragraph(
+        f"What the results vary by about {about} beyond their own u, by restricted likelihood."
+        + (f" Few {' and '.join(few)} tell little: rely on the intervals." if few else "")
+        + (f" Not told apart: {'; '.join(why)}." if why else ""),
+        "quiet",
+    )
 
 
 def _limit_lines(

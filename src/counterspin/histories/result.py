@@ -28,6 +28,8 @@ class Point(ResultPart):
     z: float | None  #: The difference over its own standard uncertainty; None likewise.
     e_n: float | None  #: E_n score against the result before; None for the first.
     laboratory: str | None = None  #: Of the campaign; None where it states none.
+    mounting: str | None = None  #: Its name in the campaign; None likewise.
+    turn_on: str | None = None  #: Its name in the campaign; None likewise.
 
 
 class Scatter(ResultPart):
@@ -97,6 +99,29 @@ class LaboratoryPair(ResultPart):
         return abs(self.e_n) <= 1.0
 
 
+class RepeatComponent(ResultPart):
+    """What results vary by from one turn-on, mounting or day to another."""
+
+    value: float  #: Standard deviation beyond the u of the results; 0: nothing is seen.
+    low: float  #: Lower end of its 95 % interval; 0: there may be nothing.
+    high: float | None  #: Upper end; None: no limit.
+    groups: int  #: How many turn-ons, mountings or days there are.
+    freedom: int  #: What they tell beyond coarser ones: degrees of freedom.
+    same_as: list[str] = []  #: What else changed whenever this did, and is part of it.
+
+
+class Repeatability(ResultPart):
+    """How well results repeat, by restricted likelihood: turn-on, remount and day."""
+
+    #: By ``day``, ``mounting`` and ``turn_on``, as far as the results tell.
+    components: dict[str, RepeatComponent]
+    total: float  #: Root of the sum of their squares: from one result to any other.
+    about: Literal["mean", "line"]  #: About the mean, or about the line where they drift.
+    value: float  #: The mean with these variances; of a line, that at the mean date.
+    u: float  #: Its standard uncertainty.
+    not_told: dict[str, str] = {}  #: What of the three cannot be told, and why.
+
+
 class InstrumentHistory(ResultPart):
     """One instrument's results, oldest first."""
 
@@ -119,6 +144,8 @@ class InstrumentHistory(ResultPart):
     specification: SpecificationLimits | None = None  #: None where no result has one.
     #: When it is due again, or why nothing can be said; None in files of earlier versions.
     due: Due | None = None
+    #: What they vary by beyond their u; None for too few, and in files of earlier versions.
+    repeatability: Repeatability | None = None
     laboratories: list[LaboratoryPair] = []  #: Each pair of those that the results name.
 
 

@@ -14,6 +14,7 @@ What stands in this room:
 - `poses`: poses of three accelerometers at unknown attitudes, as rows
 - `readings`: the fit of both, alone or beside records
 - `reading_tests`: what their residuals follow
+- `variance_components`: what repeated measurements vary by from day to day and so on
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 
 Glossary

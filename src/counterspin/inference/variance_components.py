@@ -1,0 +1,230 @@
+"""What repeated measurements vary by beyond their own uncertainties, by what was repeated.
+
+Each measurement has a known uncertainty, and its groups: which day it is of, which mounting, which
+turn-on. Whatever is common to a group is drawn anew for each, with the variance of its component;
+measurements then have the covariance C + sum of v_c Z_c Z_c^T. The variances are those of the
+restricted likelihood, which allows for the mean (or line) being estimated from the same data:
+
+    -2 l = log|V| + log|X^T V^-1 X| + y^T P y,   P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
+
+In balanced classes they are those of the analysis of variance, where these are not negative.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from functools import lru_cache
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+
+#: Variances are looked for between these parts of the measurements' own.
+_SMALLEST: Final = 1e-10
+_LARGEST: Final = 1e6
+
+#: Coverage of intervals.
+_COVERAGE: Final = 0.95
+
+#: A variance below this part of the measurements' own is none if that is as likely.
+_SMALL: Final = 1e-2
+
+
+@frozen
+class Component:
+    """What measurements vary by from group to group."""
+
+    groups: int  #: How many there are.
+    #: What they tell beyond coarser groups; the variance of s groups alone has s - 1.
+    freedom: int
+    value: float  #: Standard deviation, in the unit of the measurements; 0: nothing is seen.
+    #: Its 95 % interval by the profile of the restricted likelihood; `low` is 0 where there may be
+    #: nothing.
+    low: float
+    high: float
+
+
+@frozen
+class VarianceComponents:
+    """Components by name, and what is estimated beside them."""
+
+    components: Mapping[str, Component]
+    #: Name of groups that cannot be told from those of a component -> that component.
+    same_as: Mapping[str, str]
+    value: float  #: Of the first column of the design, such as the mean, weighed with all of them.
+    u: float  #: Its standard uncertainty, with all of them.
+
+
+def variance_components(
+    values: Array, covariance: Array, groups: Mapping[str, Sequence[Hashable]], design: Array
+) -> VarianceComponents:
+    """Find the variance of each component.
+
+    values, covariance: Measurements, shape (n,), and what is known of their errors, shape (n, n).
+    groups: Component -> the group of each measurement. Coarser ones count first: what finer groups
+        show that coarser ones show too is these.
+    design: Columns of what is estimated beside, such as the mean, shape (n, p).
+    """
+    told, same_as = _told_apart(groups, design)
+    search = _Search(values, covariance, [one for one, _ in told.values()], design)
+    best, least = search.best()
+    components = {}
+    for place, (name, (of_group, freedom)) in enumerate(told.items()):
+        low, high = search.interval(place, best, least, freedom)
+        components[name] = Component(
+            groups=of_group.shape[1],
+            freedom=freedom,
+            value=math.sqrt(best[place]),
+            low=math.sqrt(low),
+            high=math.sqrt(high),
+        )
+    inverse, weighted = search.weights(best)
+    mean = np.linalg.solve(weighted, design.T @ inverse @ values)
+    return VarianceComponents(
+        components, same_as, float(mean[0]), math.sqrt(float(np.linalg.inv(weighted)[0, 0]))
+    )
+
+
+def _told_apart(
+    groups: Mapping[str, Sequence[Hashable]], design: Array
+) -> tuple[dict[str, tuple[Array, int]], dict[str, str]]:
+    """Return the indicators of groups, shape (n, g), with what they tell beyond coarser ones."""
+    told: dict[str, tuple[Array, int]] = {}
+    same_as: dict[str, str] = {}
+    before, rank = design, int(np.linalg.matrix_rank(design))
+    for name, labels in sorted(groups.items(), key=lambda item: len(set(item[1]))):
+        places = {label: place for place, label in enumerate(dict.fromkeys(labels))}
+        indicator = np.eye(len(places))[[places[label] for label in labels]]
+        whole = np.hstack([before, indicator])
+        freedom = int(np.linalg.matrix_rank(whole)) - rank
+        if freedom > 0:
+            told[name] = indicator, freedom
+            before, rank = whole, rank + freedom
+        elif len(places) > 1 and told:
+            same_as[name] = list(told)[-1]
+    return told, same_as
+
+
+class _Search:
+    """The restricted likelihood of variances, in units of the measurements' own."""
+
+    def __init__(
+        self, values: Array, covariance: Array, indicators: Sequence[Array], design: Array
+    ) -> None:
+        self.values, self.design, self.covariance = values, design, covariance
+        self.parts = [one @ one.T for one in indicators]
+        left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+        own = float(np.mean(np.diag(covariance)))
+        self.scale = max(own, float(left @ left) / values.size)
+
+    def weights(self, variances: Array) -> tuple[Array, Array]:
+        """Return V^-1, shape (n, n), and X^T V^-1 X."""
+        whole = self.covariance + sum(
+            (v * part for v, part in zip(variances, self.parts, strict=True)), 0.0
+        )
+        inverse = np.linalg.inv(whole)
+        return inverse, self.design.T @ inverse @ self.design
+
+    def deviance(self, variances: Array) -> tuple[float, Array]:
+        """Return -2 l and its derivatives by the variances."""
+        try:
+            inverse, weighted = self.weights(variances)
+            (sign, size), (_, of_mean) = (
+                np.linalg.slogdet(matrix) for matrix in (inverse, weighted)
+            )
+            seen = inverse @ self.design
+            projection = inverse - seen @ np.linalg.solve(weighted, seen.T)
+        except np.linalg.LinAlgError:
+            return math.inf, np.zeros(len(self.parts))
+        if not (sign > 0.0 and np.isfinite(projection).all()):
+            return math.inf, np.zeros(len(self.parts))
+        residual = projection @ self.values
+        total = -size + of_mean + float(self.values @ residual)
+        slopes = [np.sum(projection * part) - residual @ part @ residual for part in self.parts]
+        return float(total), np.array(slopes)
+
+    def minimised(self, start: Array, fixed: Mapping[int, float]) -> tuple[Array, float]:
+        """Return the variances of the least -2 l from a start, some of them fixed, and that."""
+        from scipy.optimize import minimize
+
+        free = [place for place in range(len(self.parts)) if place not in fixed]
+        variances = np.array(start, dtype=float)
+        for place, value in fixed.items():
+            variances[place] = value
+        if not free:
+            return variances, self.deviance(variances)[0]
+
+        def by_logarithm(x: Array) -> tuple[float, Array]:
+            variances[free] = np.exp(x) * self.scale
+            total, slopes = self.deviance(variances)
+            return (total if math.isfinite(total) else 1e300), slopes[free] * variances[free]
+
+        ends = (math.log(_SMALLEST), math.log(_LARGEST))
+        begin = np.clip(np.log(np.maximum(variances[free], 1e-300) / self.scale), *ends)
+        found = minimize(
+            by_logarithm, begin, jac=True, method="L-BFGS-B", bounds=[ends] * len(free)
+        )
+        variances[free] = np.exp(found.x) * self.scale
+        return variances, self.deviance(variances)[0]
+
+    def best(self) -> tuple[Array, float]:
+        """Return the variances of the least -2 l, and that; what is not needed is zero."""
+        starts = product((1.0, 1e-3), repeat=len(self.parts))
+        tried = [self.minimised(np.array(start) * self.scale, {}) for start in starts]
+        variances, least = min(tried, key=lambda one: one[1])
+        none: dict[int, float] = {}
+        for place in np.flatnonzero(variances < _SMALL * self.scale):
+            without, total = self.minimised(variances, {**none, int(place): 0.0})
+            if total <= least + 1e-6:
+                none[int(place)] = 0.0
+                variances, least = without, total
+        return variances, least
+
+    def interval(self, place: int, best: Array, least: float, freedom: int) -> tuple[float, float]:
+        """Return the ends of a variance's interval."""
+        from scipy.optimize import brentq
+
+        most = least + _profile_limit(freedom)
+
+        def beyond(logarithm: float) -> float:
+            value = math.exp(logarithm) * self.scale
+            return self.minimised(best, {place: value})[1] - most
+
+        ends = math.log(_SMALLEST), math.log(_LARGEST)
+        middle = math.log(max(best[place] / self.scale, _SMALLEST))
+        low = high = 0.0
+        if beyond(ends[0]) > 0.0 and middle > ends[0]:
+            low = math.exp(brentq(beyond, ends[0], middle, xtol=1e-4)) * self.scale
+        step = 1.0
+        while middle + step < ends[1] and beyond(middle + step) < 0.0:
+            step *= 2.0
+        end = min(middle + step, ends[1])
+        if beyond(end) < 0.0:
+            high = math.inf
+        else:
+            high = math.exp(brentq(beyond, middle, end, xtol=1e-4)) * self.scale
+        return low, high
+
+
+@lru_cache(maxsize=64)
+def _profile_limit(freedom: int) -> float:
+    """Return how far -2 l may rise within a 95 % interval of a variance.
+
+    For a variance that s^2 with some degrees of freedom shows, -2 l rises by n (w - 1 - log w) at
+    s^2/w. What that must be for 95 % is chi-square's 3.84 for many, and 4.76 for one.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import lambertw
+    from scipy.stats import chi2
+
+    def missed(rise: float) -> float:
+        at = -math.exp(-1.0 - rise / freedom)
+        low, high = (-float(lambertw(at, branch).real) for branch in (0, -1))
+        inside = chi2.cdf(freedom * high, freedom) - chi2.cdf(freedom * low, freedom)
+        return float(inside) - _COVERAGE
+
+    return float(brentq(missed, 3.0, 12.0))

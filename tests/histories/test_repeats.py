@@ -1,0 +1,213 @@
+"""Repeatability: what results vary by with turn-on, mounting and day."""
+
+import copy
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import counterspin as cs
+from counterspin.calibration.result import Result
+from counterspin.histories.history import history
+from counterspin.histories.page import history_blocks
+from counterspin.histories.result import History
+from counterspin.inference.variance_components import variance_components
+from counterspin.reports.blocks import Table
+
+FROZEN = Path(__file__).parents[1] / "frozen"
+BASE = json.loads((FROZEN / "schema-1-joint.json").read_text(encoding="utf-8"))
+U = 5e-8
+
+
+def result(value, date, **labels):
+    """Return the frozen result's Qx with a K_II, a date, and names of mounting and turn-on."""
+    made = copy.deepcopy(BASE)
+    qx = made["accelerometers"]["Qx"]
+    qx["coefficients"]["K_II"] |= {"value": value, "u": U}
+    qx["serial_number"] = "Q-104"
+    qx["budget"] = {}
+    made["accelerometers"] = {"Qx": qx}
+    made["details"] = {"date": date, **labels}
+    made["provenance"]["inputs"] = {"run1.csv": f"sha256:{value}{date}{labels}"}
+    return Result.model_validate(made)
+
+
+#: Two mountings on each of three days, switched on twice in each.
+DAYS = np.repeat(["2026-03-01", "2026-03-02", "2026-03-03"], 4)
+MOUNTINGS = np.repeat(["a", "b", "c", "d", "e", "f"], 2)
+VALUES = 2.7e-5 + 1e-7 * np.array([0, 1, 9, 7, -4, -2, 6, 5, -9, -8, 2, 0.5])
+
+
+def twelve(**more):
+    return [
+        result(value, str(day), mounting=str(mounting), turn_on=f"t{place}", **more)
+        for place, (value, day, mounting) in enumerate(zip(VALUES, DAYS, MOUNTINGS, strict=True))
+    ]
+
+
+def repeats(results):
+    (instrument,) = history(results).instruments
+    return instrument.repeatability
+
+
+def test_days_mountings_and_turn_ons_are_nested_classes():
+    """With u known beforehand: the mean squares of balanced classes, u^2 taken off the finest."""
+    found = repeats(twelve())
+    cube = VALUES.reshape(3, 2, 2)
+    of_mounting, of_day = cube.mean(axis=2), cube.mean(axis=(1, 2))
+    within = float(np.sum((cube - of_mounting[:, :, None]) ** 2)) / 6.0
+    between = 2.0 * float(np.sum((of_mounting - of_day[:, None]) ** 2)) / 3.0
+    days = 4.0 * float(of_day.var(ddof=1))
+    assert days < between  # so that no day is seen, and its mean square goes with the mountings'
+    pooled = (2.0 * days + 3.0 * between) / 5.0
+    assert found.components["day"].value == 0.0
+    expected = {"turn_on": within - U**2, "mounting": (pooled - within) / 2.0}
+    for name, variance in expected.items():
+        assert found.components[name].value == pytest.approx(math.sqrt(variance), rel=1e-3)
+    assert found.total == pytest.approx(math.sqrt(sum(expected.values())), rel=1e-3)
+    assert [own.freedom for own in found.components.values()] == [2, 3, 6]
+    assert found.value == pytest.approx(VALUES.mean(), rel=1e-9)
+    assert found.u == pytest.approx(math.sqrt(pooled / 12.0), rel=1e-3)
+    assert found.about == "mean"
+    assert found.not_told == {}
+
+
+def test_what_is_not_stated_or_never_changed_is_not_told():
+    one = [result(v, d) for v, d in zip(VALUES[::2], DAYS[::2], strict=True)]
+    found = repeats(one)
+    assert list(found.components) == ["day"]
+    assert found.not_told == {
+        "mounting": "6 of 6 results do not state it",
+        "turn_on": "6 of 6 results do not state it",
+    }
+    same = [result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
+    found = repeats(same)
+    assert list(found.components) == ["turn_on"]
+    assert found.not_told["mounting"] == "all results are of the same"
+    assert repeats(one[:2]) is None
+    assert repeats([result(v, "2026-03-01") for v in VALUES[:4]]) is None
+
+
+def test_results_that_drift_are_taken_about_their_line():
+    years = np.arange(8)
+    values = 2.7e-5 + 1e-6 * years + U * np.array([1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5])
+    found = repeats([result(v, f"{2010 + y}-03-01") for v, y in zip(values, years, strict=True)])
+    assert found.about == "line"
+    assert found.components["day"].value == 0.0
+    assert found.u == pytest.approx(U / math.sqrt(8.0), rel=1e-6)
+
+
+def test_what_results_share_is_taken_from_their_covariance():
+    """A bias common to all (here of the radius) is not what they vary by."""
+    budget = [
+        {
+            "source": "centrifuge.radius",
+            "kind": "stated",
+            "sensitivity": 2e-7,
+            "u": 1.0,
+            "unit": "m",
+        }
+    ]
+    results = []
+    for one in twelve():
+        document = json.loads(one.model_dump_json(by_alias=True))
+        qx = document["accelerometers"]["Qx"]
+        line = {"contribution": 2e-7, "share": 0.9, **budget[0]}
+        qx["budget"] = {"K_II": [line]}
+        qx["coefficients"]["K_II"]["u"] = math.hypot(U, 2e-7)
+        results.append(Result.model_validate(document))
+    (instrument,) = history(results).instruments
+    assert instrument.shared == ["centrifuge.radius"]
+    alone, shared = repeats(twelve()), instrument.repeatability
+    for name, own in alone.components.items():
+        assert shared.components[name].value == pytest.approx(own.value, rel=1e-3, abs=1e-12)
+    assert shared.u == pytest.approx(math.hypot(alone.u, 2e-7), rel=1e-2)
+
+
+def test_the_page_states_each_with_its_interval_and_says_that_few_tell_little(tmp_path):
+    found = history(twelve())
+    blocks = list(history_blocks(found))
+    (table,) = (
+        block
+        for block in blocks
+        if isinstance(block, Table) and block.columns[0].title == "Repeatability with"
+    )
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert list(rows) == ["another day", "another mounting", "another turn-on", "all of them"]
+    own = found.instruments[0].repeatability.components["turn_on"]
+    assert rows["another turn-on"][2:] == ("12 turn-ons", "6")
+    assert float(rows["another turn-on"][0]) == pytest.approx(own.value * 1e6, rel=0.05)
+    assert rows["another day"][1].startswith("0 to ")
+    told = " ".join(getattr(block, "text", "") for block in blocks)
+    assert "Few days and mountings tell little: rely on the intervals." in told
+    path = tmp_path / "history.json"
+    found.write(path)
+    assert History.read(path) == found
+    both = [
+        result(v, str(d), mounting=str(d), turn_on=f"t{i}")
+        for i, (v, d) in enumerate(zip(VALUES, DAYS, strict=True))
+    ]
+    (table, *_) = (
+        block
+        for block in history_blocks(history(both))
+        if isinstance(block, Table) and block.columns[0].title == "Repeatability with"
+    )
+    assert table.rows[0][0] == "another day or mounting"
+
+
+def test_campaigns_name_their_mountings_and_turn_ons():
+    """Tumbles whose bias differs from mounting to mounting by 20 ug, and with each turn-on by 5."""
+    rng = np.random.default_rng(3)
+    angles = np.arange(0.0, 360.0, 30.0)
+    results, moved = [], []
+    for mounting in "abc":
+        of_mounting = 20e-6 * rng.standard_normal()
+        for turn in range(3):
+            bias = 2e-3 + of_mounting + 5e-6 * rng.standard_normal()
+            moved.append(bias)
+            described = {
+                "site": {"gravity": "9.8 m/s^2", "latitude": "45 deg"},
+                "campaign": {
+                    "date": f"2026-03-{10 + turn}",
+                    "mounting": mounting,
+                    "turn_on": f"{mounting}{turn}",
+                },
+                "centrifuge": {"radius": "1 m"},
+                "records": {"time": {"column": "t", "unit": "s"}},
+                "accelerometers": {
+                    "A": {"input_axis": "up", "pendulous_axis": "east", "serial_number": "7"}
+                },
+                "model": {"terms": ["K_F", "K_I"], "assume": "all"},
+                "readings": {"columns": {"attitude": "deg", "reading": "g", "u": "u"}},
+            }
+            frame = {
+                "deg": angles,
+                "g": bias + np.cos(np.deg2rad(angles)) + 1e-6 * rng.standard_normal(12),
+                "u": np.full(12, 1e-6),
+            }
+            results.append(cs.calibrate(cs.make_campaign(described, readings=frame)))
+    (instrument,) = cs.history(results, term="K_F").instruments
+    assert {(p.mounting, p.turn_on) for p in instrument.points} >= {("a", "a0"), ("c", "c2")}
+    found = instrument.repeatability.components
+    assert list(found) == ["day", "mounting", "turn_on"] or list(found) == [
+        "mounting",
+        "day",
+        "turn_on",
+    ]
+    biases = [p.value for p in instrument.points]
+    by_hand = variance_components(
+        np.array(biases),
+        np.diag([p.u**2 for p in instrument.points]),
+        {
+            "day": [p.date for p in instrument.points],
+            "mounting": [p.mounting for p in instrument.points],
+            "turn_on": [p.turn_on for p in instrument.points],
+        },
+        np.ones((9, 1)),
+    )
+    for name, own in by_hand.components.items():
+        assert found[name].value == pytest.approx(own.value, rel=1e-2, abs=1e-9)
+    assert found["mounting"].low < 20e-6 < found["mounting"].high
+    assert found["turn_on"].low < 5e-6 < found["turn_on"].high
