@@ -82,15 +82,28 @@ def test_damage_is_told(tmp_path, old, new, words):
 FROZEN = sorted((Path(__file__).parents[1] / "frozen").glob("schema-*.json"))
 
 
-def test_an_update_whose_matrix_is_of_other_names_is_damage(tmp_path):
+WHOLE = {"weighed": [[1e-12, 0.0], [0.0, 0.0]], "held": {"K_OO": [1e-6, 0.0]}}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"weighed": [[1e-12, 0.0]]},
+        {"held": {"K_OO": [1e-6]}},
+        {"held": {"K_PP": [1e-6, 0.0]}},
+    ],
+)
+def test_an_update_whose_matrix_is_of_other_names_is_damage(wrong, tmp_path):
     path = Path(__file__).parents[1] / "frozen" / "schema-2-joint.json"
     document = json.loads(path.read_text(encoding="utf-8")) | {"seal": None}
     document["accelerometers"]["Qx"]["what_if"] = {
         "names": ["K_II", "K_OO"],
         "units": ["g/g^2", "g/g^2"],
         "known": {"K_OO": 2e-6},
-        "weighed": [[1e-12, 0.0]],
+        **WHOLE,
     }
+    assert Result.read(stored(tmp_path, document)).accelerometers["Qx"].what_if.held
+    document["accelerometers"]["Qx"]["what_if"] |= wrong
     with pytest.raises(RecordError, match="the matrices of what_if of Qx are not those of"):
         Result.read(stored(tmp_path, document))
 

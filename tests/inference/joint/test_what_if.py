@@ -54,9 +54,13 @@ def asked(fit):
     return what_if(fit, places, {k: budget(fit, place, "Qx") for k, place in places.items()}, "Qx")
 
 
-@pytest.mark.parametrize("held", [(), ("K_PP",)])
+BETTER = [{"K_OO": 2e-7}, {"K_OO": 1e-5}, {"K_4": 1e-12}, {"K_OO": 3e-8, "K_4": 5e-9}]
+HELD_BETTER = [{"K_PP": 1e-7}, {"K_PP": 3e-6, "K_OO": 3e-8}]
+
+
 @pytest.mark.parametrize(
-    "known", [{"K_OO": 2e-7}, {"K_OO": 1e-5}, {"K_4": 1e-12}, {"K_OO": 3e-8, "K_4": 5e-9}]
+    ("held", "known"),
+    [*(((), known) for known in BETTER), *((("K_PP",), known) for known in BETTER + HELD_BETTER)],
 )
 def test_an_update_is_the_fit_with_another_prior(known, held):
     found = asked(fit_of(PRIORS, held))

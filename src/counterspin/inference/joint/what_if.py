@@ -4,7 +4,8 @@ Let A be the covariance that the weights minimise, and D the changes of 1/u^2 of
 beforehand of the sources J. The estimates then become M times what they were, with
 M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes M A (the information form of a sequential update,
 Bierman 1977, chapter V). What is beside the weights, of held terms and of noise that does not show,
-goes through the same gain: E becomes M E M^T. The noise stays as it was found.
+goes through the same gain: E becomes M E M^T. A held term weighs nothing: if it were known better,
+only what it adds to E would become less, by the square. The noise stays as it was found.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.unknowns import Considered
 
 #: Sources below this share of any u^2 are not asked about, nor more of them than a page has room
 #: for.
@@ -42,6 +44,8 @@ class WhatIf:
     weighed: list[list[float]]
     #: What held terms and noise that does not show add to it; empty: nothing.
     beside: list[list[float]] = field(default_factory=list)
+    #: By held source: what its standard uncertainty moves each of `names` by.
+    held: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def is_whole(self) -> bool:
@@ -51,9 +55,11 @@ class WhatIf:
         return (
             len(names) == len(self.names) == len(self.units)
             and self.known.keys() <= names
+            and self.held.keys() <= self.known.keys()
             and all(0.0 < u < math.inf for u in self.known.values())
             and all(len(m) == len(names) == len(r) for m in matrices for r in m)
-            and all(math.isfinite(value) for m in matrices for row in m for value in row)
+            and all(len(moved) == len(names) for moved in self.held.values())
+            and all(math.isfinite(v) for m in (*matrices, self.held.values()) for r in m for v in r)
         )
 
     def u(self, name: str, known: Mapping[str, float]) -> float:
@@ -71,19 +77,24 @@ class WhatIf:
             raise ValueError("a standard uncertainty is a number above 0")
         least = np.array(self.weighed)
         beside = np.array(self.beside) if self.beside else np.zeros_like(least)
-        here = [self.names.index(source) for source in known]
-        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in known.items()])
+        weighed = {source: u for source, u in known.items() if source not in self.held}
+        here = [self.names.index(source) for source in weighed]
+        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in weighed.items()])
         inner = np.eye(len(here)) + least[np.ix_(here, here)] @ change
         moved = np.eye(len(least))
         moved[:, here] -= least[:, here] @ change @ np.linalg.inv(inner)
         row = moved[self.names.index(name)]
         covariances = row @ least  # with every name
         variance = float(covariances[self.names.index(name)] + row @ beside @ row)
-        # What a prior contributes is its u times the sensitivity to it, A / u^2.
-        parts = {
-            source: float(covariances[self.names.index(source)] / u) ** 2
-            for source, u in (self.known | dict(known)).items()
-        }
+        parts = {}
+        for source, u in (self.known | dict(known)).items():
+            if source in self.held:
+                moves = float(row @ self.held[source])
+                parts[source] = (moves * u / self.known[source]) ** 2
+                variance += parts[source] - moves**2
+            else:
+                # What a prior contributes is its u times the sensitivity to it, A / u^2.
+                parts[source] = float(covariances[self.names.index(source)] / u) ** 2
         return parts | {"": max(variance - sum(parts.values()), 0.0)}
 
 
@@ -99,35 +110,47 @@ def what_if(
     shares: dict[str, float] = {}
     for line in (line for lines in budget.values() for line in lines):
         shares[line.source] = max(shares.get(line.source, 0.0), line.share)
-    unknowns = fit.model.unknowns
-    named = {u.name.removeprefix(f"{owner}."): place for place, u in enumerate(unknowns)}
+    unknowns, considered = fit.model.unknowns, fit.model.considered
+    terms = {
+        term.name.removeprefix(f"{owner}."): (term, place)
+        for some in (considered, unknowns)
+        for place, term in enumerate(some)
+    }
     sources = [
         source
         for source, share in sorted(shares.items(), key=lambda item: -item[1])
         if share >= _LEAST_SHARE
-        and source in named
+        and source in terms
         # What is exactly known would have to become uncertain first.
-        and 0.0 < unknowns[named[source]].prior[1] < math.inf
+        and 0.0 < terms[source][0].prior[1] < math.inf
     ][:_MOST]
     if not sources:
         return None
     names = list(dict.fromkeys([*(symbol for symbol in places if symbol in budget), *sources]))
-    here = [named[name] for name in names]
-    rows = np.zeros((len(here), len(unknowns)))
-    rows[np.arange(len(here)), here] = 1.0
+    # A held term has a row of zeros: no weights know of it.
+    rows = np.zeros((len(names), len(unknowns)))
+    held = {}
+    for row, name in zip(rows, names, strict=True):
+        term, place = terms[name]
+        if isinstance(term, Considered):
+            held[name] = place
+        else:
+            row[place] = 1.0
     # From the factors: what the weights take the covariance for, whatever the noise turned out.
     root = fit.solution.root_of(rows)
     weighed = root @ root.T
-    beside = fit.solution.covariance[np.ix_(here, here)] - weighed
+    beside = rows @ fit.solution.covariance @ rows.T - weighed
+    moved = rows @ fit.solution.sensitivity_considered
     return WhatIf(
         names=names,
-        units=[unknowns[place].unit for place in here],
-        known={source: unknowns[named[source]].prior[1] for source in sources},
+        units=[terms[name][0].unit for name in names],
+        known={source: terms[source][0].prior[1] for source in sources},
         weighed=weighed.tolist(),
         beside=beside.tolist() if _counts(beside, weighed) else [],
+        held={name: (considered[k].prior[1] * moved[:, k]).tolist() for name, k in held.items()},
     )
 
 
 def _counts(beside: Array, weighed: Array) -> bool:
     size = np.sqrt(np.diag(weighed))
-    return bool(np.max(np.abs(beside) / np.outer(size, size)) > _ROUNDING)
+    return bool(np.any(np.abs(beside) > _ROUNDING * np.outer(size, size)))
