@@ -7,6 +7,7 @@ import json
 import platform
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
@@ -223,12 +224,17 @@ def _not_a_number(word: str) -> None:
 
 def environment() -> dict[str, str]:
     """Return what computes: versions of Python, NumPy and SciPy, and the kind of machine."""
-    # Asked of what is installed: SciPy itself takes long to load.
-    from importlib.metadata import version
-
     return {
         "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
+        "numpy": _installed("numpy"),
+        "scipy": _installed("scipy"),
         "machine": f"{platform.system()} {platform.machine()}",
     }
+
+
+@cache
+def _installed(package: str) -> str:
+    """Return a version, asked of what is installed: SciPy itself takes long to load."""
+    from importlib.metadata import version
+
+    return version(package)

@@ -62,7 +62,7 @@ def resolve_runs(
         if isinstance(raw, dict):
             _once(raw.get("name"), names, (*path, "name"), problems)
             for key, file in _files(raw):
-                if not _is_elsewhere(raw, file, runs, defaults.records):
+                if isinstance(file, str) and not _is_elsewhere(raw, file, runs, defaults.records):
                     _once(file, records, (*path, key), problems)
         if is_reading(raw):
             continue

@@ -190,7 +190,8 @@ def test_positions_that_are_set_by_hand_are_many_and_read_once(written, tmp_path
     """More readings of one position tell its error, and not the misalignment."""
     changes = (
         ("[limits]", '[fixture]\nposition = "0 ± 20 arcsec"\n[limits]'),
-        ("readings = 24", "readings = 400"),
+        ("positions = 24", "positions = 12"),
+        ("readings = 24", "readings = 40"),
         (SOUGHT, 'target = { delta_O = "7 arcsec" }'),
         ('criterion = "determinant"', ""),
     )
