@@ -68,14 +68,16 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
 def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_path):
     of_qy = ('input_axis = "north"', 'input_axis = "north"\ngrade = "consumer"')
     campaign = read_campaign(write(tmp_path, changed(SMALL, of_qy)))
+    model = model_of(campaign)
     for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
-        asked = [u for u in model_of(campaign).unknowns if u.owner == name]
-        perfect = [c for c in assumed_of(campaign, name) if c.symbol in OWN_TERMS]
+        asked = [u for u in model.unknowns if u.owner == name]
+        perfect = [c for c in assumed_of(campaign, model, name) if c.symbol in OWN_TERMS]
         assert {u.symbol for u in asked} >= {"K_F", "K_II", "K_III"}
         assert {c.symbol for c in perfect} >= {"K_OO", "delta_O"}
         for one in (*asked, *perfect):
             assert one.limit == term(one.symbol).sizes(grade).limit
-        request = request_of(campaign, campaign.accelerometers[name], TwoStageOptions(), None)
+        accelerometer = campaign.accelerometers[name]
+        request = request_of(campaign, accelerometer, model, TwoStageOptions(), None)
         assert request.limit_of("K_II") == term("K_II").sizes(grade).limit
 
 

@@ -70,12 +70,13 @@ def model_of(campaign: Campaign) -> Unknowns:
     return Unknowns((*asked, *_squares(campaign, others), *others), tuple(held))
 
 
-def assumed_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
+def assumed_of(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:
     """Return the terms that could reach an accelerometer and that are assumed to be perfect.
 
     Each is taken as a held term without uncertainty; a tilt is one term for each run.
+
+    model: Of the campaign, as `model_of` returns it.
     """
-    model = model_of(campaign)
     there = {
         (other.owner, other.symbol): other.prior[1]
         for other in (*model.unknowns, *model.considered)
@@ -91,8 +92,11 @@ def assumed(campaign: Campaign) -> tuple[str, ...]:
     """Return the symbols of all terms and inputs that act and are assumed to be perfect."""
     if not campaign.model.assume:
         return ()
+    model = model_of(campaign)
     terms = (
-        other.symbol for name in campaign.accelerometers for other in assumed_of(campaign, name)
+        other.symbol
+        for name in campaign.accelerometers
+        for other in assumed_of(campaign, model, name)
     )
     inputs = (symbol for symbol in assumed_inputs(campaign))
     return tuple(dict.fromkeys([*terms, *inputs]))

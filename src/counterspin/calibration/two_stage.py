@@ -158,14 +158,15 @@ def two_stage_view(
         the records has it. Without, it has its typical size.
     """
     name, components = accelerometer.name, found.get(accelerometer.name)
-    request = request_of(campaign, accelerometer, options, components)
+    asked_for = model_of(campaign)
+    request = request_of(campaign, accelerometer, asked_for, options, components)
     records = [r for r in series_of(campaign, observed) if r.accelerometer == name]
     series, strobes = zip(*map(strobed, records), strict=True)
     parabolas = [
         request.first_stage(at, record.trajectory)
         for at, record in zip(strobes, series, strict=True)
     ]
-    model = two_stage_model(_known_model(campaign, name, known or {}), request, series)
+    model = two_stage_model(_known_model(campaign, asked_for, name, known or {}), request, series)
     second = resolve(series, parabolas, model, request)
     own = {} if components is None else {name: components}
     covariance = uncertain({name: noise_of(campaign)[name]}, own).get(name)
@@ -188,14 +189,16 @@ def two_stage_view(
 
 
 def _known_model(
-    campaign: Campaign, name: str, known: Mapping[tuple[str, str], tuple[float, float]]
+    campaign: Campaign,
+    model: Unknowns,
+    name: str,
+    known: Mapping[tuple[str, str], tuple[float, float]],
 ) -> Unknowns:
     """Return the joint model with something known of all that two stages do not estimate.
 
     What is asked for and not stated has its typical size, if nothing is known of it; what is
     assumed to be perfect is held as exactly that, for what it may be like.
     """
-    model = model_of(campaign)
     unknowns = []
     for other in model.unknowns:
         if not math.isfinite(other.prior[1]) and other.symbol not in (*_ESTIMATED, *ROTATION):
@@ -205,7 +208,7 @@ def _known_model(
         else:
             unknowns.append(other)
     there = {(other.owner, other.symbol) for other in (*model.unknowns, *model.considered)}
-    perfect = [o for o in assumed_of(campaign, name) if (o.owner, o.symbol) not in there]
+    perfect = [o for o in assumed_of(campaign, model, name) if (o.owner, o.symbol) not in there]
     return Unknowns(tuple(unknowns), (*model.considered, *perfect))
 
 

@@ -15,6 +15,7 @@ from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
@@ -24,14 +25,15 @@ from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 def request_of(
     campaign: Campaign,
     accelerometer: Accelerometer,
+    model: Unknowns,
     options: TwoStageOptions,
     components: FoundNoise | None = None,
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
-    `components` is noise that was found, where the campaign states none. It raises
-    NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
-    wanders.
+    `model` is the campaign's, of `model.model_of`; `components` is noise that was found, where the
+    campaign states none. It raises NotIdentifiableError if the record is not a displacement along
+    a horizontal axis, or the bias wanders.
     """
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
@@ -46,7 +48,6 @@ def request_of(
         )
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
-    model = model_of(campaign)
     priors = {
         other.symbol: other.prior
         for other in (*model.unknowns, *model.considered)

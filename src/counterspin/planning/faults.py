@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.model import assumed_of
+from counterspin.calibration.model import assumed_of, model_of
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
@@ -47,7 +47,7 @@ def _of_family(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
     """Return what may be wrong for an accelerometer unseen: what is assumed to be perfect."""
     by_symbol: dict[str, list[Considered]] = {}
-    for other in assumed_of(campaign, name):
+    for other in assumed_of(campaign, model_of(campaign), name):
         by_symbol.setdefault(term(other.symbol).family, []).append(other)
     return [
         _of_family(symbol, parts, campaign.typical_of(parts[0].symbol, name))

@@ -54,7 +54,8 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
     analyses = []
     for described in study.analyses:
         name, options, campaign = described.name, described.two_stage, described.campaign
-        joint = JointRequest(model_of(campaign), noise_of(campaign))
+        model = model_of(campaign)
+        joint = JointRequest(model, noise_of(campaign))
         if options is None:
             analyses.append(Analysis(name, "", joint, joint))
             continue
@@ -64,6 +65,6 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
                 "angle); without it study the joint fit alone ([study.analyses])"
             )
         for owner, accelerometer in campaign.accelerometers.items():
-            request = request_of(campaign, accelerometer, options)
+            request = request_of(campaign, accelerometer, model, options)
             analyses.append(Analysis(name, owner, request, joint))
     return tuple(analyses)

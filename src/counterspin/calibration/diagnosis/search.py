@@ -24,7 +24,7 @@ from counterspin.calibration.joint_checks import residual_findings
 from counterspin.calibration.joint_parts import coefficient, knowledge, noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
+from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of, model_of
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
@@ -291,6 +291,7 @@ def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[
 
 def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alternative]:
     campaign, fit = views[0].campaign, now.fit
+    model = model_of(campaign)
     angle = campaign.angle is not None
     yield from of_unstated(fit)
     # Of what acts on readings too, the records alone tell half of it.
@@ -306,7 +307,7 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
     terms = {
         other: campaign.typical_of(other.symbol, other.owner)
         for view in views
-        for other in assumed_of(campaign, view.name)
+        for other in assumed_of(campaign, model, view.name)
         if not (campaign.readings and other.symbol in OWN_TERMS)
     }
     yield from mistakes.of_terms(fit, terms)
