@@ -123,17 +123,25 @@ def _few(model, generator):
 
 
 def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
-    # They cannot tell their noise beside 16 combinations of terms. Of 60 triads whose 9 parameters
-    # are as good as one each; 4 standard deviations of how often a 95 % interval holds.
+    # They cannot tell their noise beside 16 combinations of terms. Of 60 triads, 4 standard
+    # deviations of how often the nine 50 % intervals of one hold.
     generator, trials = np.random.default_rng(5), 60
-    held = 0
-    for _ in range(trials):
+    z, dof = np.empty((trials, 9)), np.empty((trials, 9))
+    for trial in range(trials):
         poses = _few(beside_unstated_terms, generator)
         estimated, _ = with_groups(None, beside_unstated_terms, [poses])
-        solution, dof = estimated.fit.solution, estimated.dof[:9]
-        off = np.abs(solution.estimate[:9] + _nominal() - triads.truth())
-        held += int((off < stats.t.ppf(0.975, dof) * solution.u[:9]).sum())
-    assert held / (9 * trials) > 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / trials)
+        solution, dof[trial] = estimated.fit.solution, estimated.dof[:9]
+        z[trial] = (solution.estimate[:9] + _nominal() - triads.truth()) / solution.u[:9]
+
+    def hold(part, times=1.0):
+        held = np.mean(np.abs(z) < times * stats.t.ppf(0.5 + 0.5 * part, dof), axis=1)
+        return (held.mean() - part) / (held.std() / math.sqrt(trials))
+
+    assert abs(hold(0.5)) < 4.0
+    assert hold(0.95) > -4.0
+    # Enough to see u half or twice as large.
+    assert hold(0.5, 0.5) < -4.0
+    assert hold(0.5, 2.0) > 4.0
 
 
 def test_few_poses_are_weighed_as_a_dense_least_squares_weighs_them(beside_unstated_terms):

@@ -182,10 +182,15 @@ def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
 
 def _remarks(campaign: Campaign) -> list[str]:
     """Return what a user should know of the campaign though it is nothing against the result."""
-    left_out = []
+    left_out = list[str]()
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
         left_out.append(f"Left out on request: {names}.")
+    if campaign.machine.setting is not None and not any(r.position for r in campaign.readings):
+        left_out.append(
+            "[fixture] position states an error of setting positions, and nothing here is set: it "
+            "acts on readings at known attitudes alone, and not on poses whose attitudes are found."
+        )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         left_out.append(

@@ -71,6 +71,8 @@ class MachineModel:
     considered: tuple[str, ...] = ()
     #: Symbol -> what is known of it, less nominal; SI.
     priors: Mapping[str, Quantity] = field(default_factory=dict)
+    #: Error of setting a position at rest, where one is stated.
+    setting: Quantity | None = None
 
     def prior(self, symbol: str) -> tuple[float, float]:
         """Return value and standard uncertainty; infinite where nothing is known."""
@@ -123,7 +125,7 @@ def resolve_machine(
             "priors": {k: v for k, v in flat_keys(settings.priors).items() if not _is_machine(k)},
         }
     )
-    return left, MachineModel(terms, held, priors)
+    return left, MachineModel(terms, held, priors, setting)
 
 
 def _own_terms(

@@ -132,6 +132,7 @@ class Simulation:
     sampling_rate: float  #: Samples a second, Hz.
     seed: int  #: Of the random numbers.
     truth: SimulatedTruth  #: What it makes them from.
+    poses: int = 24  #: In a record of poses.
 
 
 @frozen

@@ -447,6 +447,9 @@ class SimulationSettings(SettingsSection):
         "of the random numbers; each run has a stream of its own", 7, 1
     )
     revolutions: PositiveRatio = described("of each run", 40, 100.0)
+    poses: Annotated[int, Field(ge=1, le=10_000)] = described(
+        "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
+    )
 
 
 class RunSettings(SettingsSection):

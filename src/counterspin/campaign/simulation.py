@@ -28,6 +28,7 @@ from counterspin.campaign.resolved import (
 )
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated.noise_at_rest import true_noise
+from counterspin.campaign.simulated.pose_record import forces_in_record, indicated_forces
 from counterspin.campaign.simulated.reading_simulation import (
     Exact,
     filled_description,
@@ -135,6 +136,7 @@ def simulate(
     frames = chain(
         _run_records(campaign),
         _mean_records(campaign, head_errors),
+        _pose_records(campaign),
         [table[1]] if table else [],
     )
     # The description comes first: by it the records of a simulation that was interrupted are known.
@@ -192,9 +194,16 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
         source = replace(source, document=tomllib.loads(text))
     files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
     files |= dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
-    frames = [*_run_records(campaign), *_mean_records(campaign, head_errors)]
+    posed = campaign.triad.records if campaign.triad else ()
+    files |= dict.fromkeys(record.record for record in posed)
+    frames = [
+        *_run_records(campaign),
+        *_mean_records(campaign, head_errors),
+        *_pose_records(campaign),
+    ]
     names = {run.record: run.name for run in campaign.runs}
     names |= {r.record: r.name for r in campaign.readings if r.record is not None}
+    names |= {record.record: record.name for record in posed}
     tables = {
         file: memory_table(f"{names[file]} in memory", frame)
         for file, frame in zip(files, frames, strict=True)
@@ -237,6 +246,26 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
         yield pl.DataFrame(columns)
 
 
+def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
+    """Yield the records of poses."""
+    assert campaign.simulation is not None
+    noise, rate = true_noise(campaign), campaign.simulation.sampling_rate
+    for index, record in enumerate(campaign.triad.records if campaign.triad else ()):
+        generator = stream(campaign, 0, 3 + index)
+        time, force, _ = forces_in_record(record, campaign.simulation.poses, rate, generator)
+        columns: dict[str, Array] = {}
+        if campaign.time.kind != "rows":
+            stamps = _noisy(generator, time, noise.timing)
+            columns[campaign.time.column] = stamps / campaign.time.factor
+        for name, signal in indicated_forces(campaign, record, time, force).items():
+            accelerometer = campaign.accelerometers[name]
+            channel = accelerometer.force
+            assert channel is not None
+            felt = replace(accelerometer, observable="specific_force", channel=channel)
+            columns[channel.column] = channel.filed(_measured(generator, time, signal, felt, noise))
+        yield pl.DataFrame(columns)
+
+
 def _is_simulated(description: Path) -> bool:
     try:
         return "truth" in load_document(description)
@@ -250,6 +279,8 @@ def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
     of_readings = dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
     names = {r.record: r.name for r in campaign.readings}
     records |= {f'record of the run "{names[path]}"': path for path in of_readings}
+    for record in campaign.triad.records if campaign.triad else ():
+        records[f'record of the run "{record.name}"'] = record.record
     return _inside(campaign, folder, records)
 
 

@@ -220,7 +220,7 @@ def resolve_simulation(
         offsets[name], velocities[name] = table.start_offset, table.start_velocity
     true_noise = _true_noise(raw_truth, noise, problems, gravity)
     truth = SimulatedTruth(coefficients, offsets, velocities, true_noise)
-    return Simulation(settings.sampling_rate, settings.seed, truth)
+    return Simulation(settings.sampling_rate, settings.seed, truth, settings.poses)
 
 
 def _true_noise(

@@ -210,7 +210,8 @@ def indications_along(
     """Return what a triad indicates in poses of given directions, g, shape (n, 3).
 
     coefficients: Of each accelerometer, slopes included; those not named are nominal.
-    direction: Of the specific force in the triad's frame, unit vectors, shape (n, 3).
+    direction: Of the specific force in the triad's frame: unit vectors at rest, in motion the force
+        itself in g; shape (n, 3).
     """
     effective = np.tile([row.nominal for row in TERMS.values()], (poses.size, 3, 1))
     for place, own in enumerate(coefficients):

@@ -165,6 +165,28 @@ def solve_readings(
     return _solved(readings, model, records, together)
 
 
+def _place(
+    estimate: Array, found: Solution, known: Array, limits: Array, turned: Sequence[int]
+) -> Array:
+    """Return where to take derivatives: what is not determined may be anything, and is no place.
+
+    Of a triad that is often a combination, such as a turn about the vertical: to leave out unknown
+    by unknown would leave out the angles between its axes too. What is left of theirs is what the
+    estimates are beside what is known, give or take the limits.
+
+    turned: Places of a triad's unknowns.
+    """
+    u = found.u[: known.size]
+    place = np.where(u < limits, estimate, known)
+    own = [at for at in turned if np.isfinite(u[at])]
+    if (u < limits)[own].all():
+        return place
+    size = limits[own]
+    spread = np.eye(len(own)) + found.covariance[np.ix_(own, own)] / np.outer(size, size)
+    place[own] = known[own] + size * np.linalg.solve(spread, (estimate - known)[own] / size)
+    return place
+
+
 def _without_unasked(readings: Sequence[Readings | TriadPoses], model: Unknowns) -> Unknowns:
     """Return a model in which what is not asked for, and poses without u show, is as assumed."""
     posed = {
@@ -207,6 +229,8 @@ def _solved(
     relaxed, variance = bool(model.considered), None
     alone = not beside and len(readings) == 1
     free = sum(math.isinf(unknown.prior[1]) for unknown in everything) if alone else 0
+    posed = {name for g in readings if isinstance(g, TriadPoses) for name in g.accelerometers}
+    turned = [place for place, u in enumerate(model.unknowns) if u.owner in posed]
     for _ in range(_ROUNDS):
         parts = [group.linearised(model, point, variance) for group in readings]
         # The columns hold while only the noise is another.
@@ -228,8 +252,7 @@ def _solved(
             if max(changes) < _TOLERANCE:
                 break
         estimate, u = found.estimate[: known.size], found.u[: known.size]
-        # What is not determined, and may be anything, is no place to take derivatives at.
-        place = np.where(u < limits, estimate, known)
+        place = _place(estimate, found, known, limits, turned)
         variance = u**2
         moves, point = np.abs(place - point) / np.where(u > 0, u, 1.0), place
         if moves.max(initial=0.0) < _LARGEST_MOVE:

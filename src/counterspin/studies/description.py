@@ -193,6 +193,9 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     else:
         require_room(campaign, campaign.simulation.sampling_rate, "study")
     problems.lines += [*unfit(campaign), *unfit_readings(campaign)]
+    for record in campaign.triad.records if campaign.triad else ():
+        text = f'run "{record.name}": a study takes poses with readings, not a record of them'
+        problems.lines.append(text)
     gravity = campaign.gravity.value
     varying: list[Varying] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):

@@ -141,6 +141,36 @@ def test_result_is_read_back_and_printed(tmp_path):
         assert "attitudes that nobody knows" in report.read_text("utf-8")
 
 
+def test_an_error_of_setting_that_acts_on_nothing_is_told(tmp_path):
+    stated = '\n[fixture]\nposition = "0 ± 0.5 deg"\n'
+    values = _values(20, 3)
+    result = cs.calibrate(triads.table(tmp_path / "poses", values, description=triads.head(stated)))
+    (warning,) = (text for text in result.warnings if "[fixture]" in text)
+    assert "nothing here is set" in warning
+    folder = triads.table(tmp_path / "both", values, u=3e-4, description=triads.head(stated))
+    level = '[[runs]]\nname = "level"\nmotion = "static"\nattitude = "level"\n'
+    level += 'reading = { X = "0.01 ± 3e-4 g", Y = "-0.01 ± 3e-4 g", Z = "1.04 ± 3e-4 g" }\n'
+    description = (folder / "campaign.toml").read_text("utf-8")
+    (folder / "campaign.toml").write_text(description + level, "utf-8")
+    assert not any("[fixture]" in text for text in cs.calibrate(folder).warnings)
+
+
+def test_one_level_reading_leaves_the_turn_about_the_vertical_open(tmp_path):
+    folder = triads.table(tmp_path, _values(20, 3), u=NOISE)
+    x, y, z = triads.indications(np.array([[0.0, 0.0, 1.0]]))[0].tolist()
+    level = '[[runs]]\nname = "level"\nmotion = "static"\nattitude = "level"\nreading = '
+    level += f'{{ X = "{x!r} ± 3e-4 g", Y = "{y!r} ± 3e-4 g", Z = "{z!r} ± 3e-4 g" }}\n'
+    description = (folder / "campaign.toml").read_text("utf-8")
+    (folder / "campaign.toml").write_text(description + level, "utf-8")
+    result = cs.calibrate(folder)
+    assert result.coefficient("X.delta_O").value is None
+    assert result.coefficient("Y.delta_P").value is None
+    for name, expected in _expected().items():
+        c = result.triad.parameters[name]
+        assert abs(c.value - expected) < 4.0 * c.u
+        assert c.u < 5.0 * NOISE
+
+
 def test_a_notebook_shows_the_parameters_and_has_them_as_a_frame(tmp_path):
     triad = cs.calibrate(triads.table(tmp_path, _values(20, 3))).triad
     lines = repr(triad).splitlines()

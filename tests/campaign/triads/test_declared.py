@@ -135,11 +135,10 @@ def test_simulated_poses_are_those_of_the_truth(tmp_path):
     np.testing.assert_allclose(result.triad.bias, bias, atol=1e-9)
 
 
-def test_a_record_of_poses_is_not_simulated(tmp_path):
+def test_a_record_of_poses_is_read(tmp_path):
     columns = '[records]\ntime = { column = "t", unit = "s" }\n'
     text = triads.head(columns) + (
         '[[runs]]\nname = "many"\nmotion = "static"\nattitude = "unknown"\nrecord = "a.csv"\n'
-        '[simulation]\nseed = 1\n[truth.X]\nK_F = "0 g"\n'
     )
     for name in triads.NAMES:
         plain = triads.accelerometer(name)
@@ -149,5 +148,3 @@ def test_a_record_of_poses_is_not_simulated(tmp_path):
     (record,) = campaign.triad.records
     assert (record.rest, record.threshold) == (1.5, None)
     assert campaign.files == (tmp_path / "a.csv",)
-    with pytest.raises(CampaignError, match="poses is not simulated"):
-        cs.simulate(tmp_path, tmp_path / "made")

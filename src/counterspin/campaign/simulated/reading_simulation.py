@@ -161,8 +161,8 @@ def stream(campaign: Campaign, *which: int) -> np.random.Generator:
 
     So a run that is added changes no reading, and the other way round.
 
-    which: 0 of the head, 0 and 1 of positions, 0 and 2 of unknown attitudes, 1 of the readings'
-        noise, from 2 on of records.
+    which: 0 of the head, 0 and 1 of positions, 0 and 2 of unknown attitudes, 0 and from 3 on of
+        records of poses, 1 of the readings' noise, from 2 on of records.
     """
     assert campaign.simulation is not None
     return np.random.default_rng(

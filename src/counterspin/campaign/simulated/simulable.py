@@ -9,7 +9,8 @@ from typing import Final, Literal
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
-from counterspin.campaign.settings import StatedNoise
+from counterspin.campaign.settings import NoiseSettings, StatedNoise
+from counterspin.campaign.simulated.pose_record import record_seconds
 from counterspin.errors import CampaignError
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term
@@ -90,9 +91,10 @@ def unfit_readings(campaign: Campaign) -> list[str]:
         return []
     truth = campaign.simulation.truth
     problems = []
-    for record in campaign.triad.records if campaign.triad else ():
+    if campaign.triad and campaign.triad.records and _is_still(truth.noise):
         problems.append(
-            f'run "{record.name}": a record with poses is not simulated; write poses with readings'
+            "truth.noise.specific_force: missing; a sensor that shows no noise at rest is taken "
+            "for one that has stopped, so that no pose would be found in its record"
         )
     for reading in campaign.all_readings:
         if reading.record is not None:
@@ -114,6 +116,11 @@ def unfit_readings(campaign: Campaign) -> list[str]:
     return problems
 
 
+def _is_still(noise: StatedNoise) -> bool:
+    of_record = isinstance(noise, NoiseSettings) and noise.rest is not None
+    return not (of_record or noise.specific_force or noise.acceleration)
+
+
 def refuse_unwritable(campaign: Campaign) -> None:
     """Raise CampaignError if records are read in a way in which none are simulated."""
     problems = []
@@ -128,8 +135,7 @@ def refuse_unwritable(campaign: Campaign) -> None:
         if accelerometer.channel.column and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
             problems.append(f"{key}: is missing, to simulate records")
-    if campaign.time.kind == "rows" and campaign.runs:
-        problems.append("records.time: simulated records have a column of the time")
+    problems += _unfit_clock(campaign)
     records = [run.record for run in campaign.runs]
     for run in campaign.runs:
         if records.count(run.record) > 1:
@@ -140,6 +146,18 @@ def refuse_unwritable(campaign: Campaign) -> None:
             problems.append(f'run "{run.name}": all simulated records are read alike')
     if problems:
         raise CampaignError(str(campaign.path), problems)
+
+
+def _unfit_clock(campaign: Campaign) -> Iterator[str]:
+    """Yield why records whose rows are counted are not simulated as they are read."""
+    if campaign.time.kind != "rows":
+        return
+    if campaign.runs:
+        yield "records.time: simulated records have a column of the time"
+    elif campaign.simulation is not None and campaign.triad and campaign.triad.records:
+        rate, said = campaign.simulation.sampling_rate, 1.0 / campaign.time.factor
+        if not math.isclose(rate, said, rel_tol=1e-9):
+            yield f"simulation.sampling_rate: is {rate:g} Hz, and records.time says {said:g} Hz"
 
 
 def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
@@ -175,6 +193,11 @@ def require_room(
             (f'run "{reading.name}"', reading.rate, reading.duration, 1)
             for reading in campaign.readings
             if reading.record is not None
+        ]
+        assert campaign.simulation is not None
+        lengths += [
+            (f'run "{record.name}"', 0.0, record_seconds(record, campaign.simulation.poses), 1)
+            for record in (campaign.triad.records if campaign.triad else ())
         ]
     sizes = [
         (

@@ -1,0 +1,119 @@
+"""A simulated record of poses: a triad that rests, is turned by hand, and rests again."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.conditions import origin_of
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.inference.poses import TriadPoses, indications_along
+
+#: How long a hand takes from one pose to the next, s.
+_MOTION: Final = 1.5
+
+#: How it trembles meanwhile: size of each axis, g, and frequencies, Hz.
+_TREMBLING: Final = 0.1
+_HERTZ: Final = (2.0, 6.0)
+
+#: Rows whose products of all terms are in memory at once.
+_ROWS: Final = 50_000
+
+#: Beside so small a sine of the angle between them two directions are opposite, or one.
+_ALONG: Final = 1e-6
+
+
+def pose_seconds(record: PoseRecord) -> float:
+    """Return how long a simulated sensor rests in each pose, s.
+
+    It is twice what is asked for, and a second more, which the search for rests needs about it.
+    """
+    return 2.0 * record.rest + 1.0
+
+
+def record_seconds(record: PoseRecord, poses: int) -> float:
+    """Return how long a simulated record with so many poses is, s."""
+    return poses * (pose_seconds(record) + _MOTION) - _MOTION
+
+
+def forces_in_record(
+    record: PoseRecord, poses: int, rate: float, generator: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Return times, s, the specific force in the triad's frame, g, and the directions at rest.
+
+    The directions are drawn all over the sphere. From one to the next the triad is turned along the
+    great circle, slowly at both ends, by a hand that trembles.
+
+    rate: Samples a second, Hz.
+
+    Returns: shapes (n,), (n, 3) and (poses, 3).
+    """
+    along = generator.standard_normal((poses, 3))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    time = np.arange(sample_count(record_seconds(record, poses), rate)) / rate
+    each = pose_seconds(record) + _MOTION
+    place = np.minimum((time / each).astype(int), poses - 1)
+    moved = np.clip((time - place * each - pose_seconds(record)) / _MOTION, 0.0, 1.0)
+    part = 0.5 * (1.0 - np.cos(np.pi * moved))
+    first, last = along[place], along[np.minimum(place + 1, poses - 1)]
+    aside = _aside(first, last)
+    angle = part * np.arctan2(np.sum(aside * last, axis=1), np.sum(first * last, axis=1))
+    force = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * aside
+    hertz = generator.uniform(*_HERTZ, 3)
+    phase = generator.uniform(0.0, 2.0 * math.pi, 3)
+    swing = _TREMBLING * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
+    force += np.where((moved > 0.0) & (moved < 1.0), 1.0, 0.0)[:, None] * swing
+    return time, force, along
+
+
+def _aside(first: Array, last: Array) -> Array:
+    """Return unit vectors at right angles to the first ones, towards the last ones, (n, 3)."""
+    aside = last - np.sum(first * last, axis=1)[:, None] * first
+    size = np.linalg.norm(aside, axis=1)
+    other = np.cross(first, np.eye(3)[np.argmin(np.abs(first), axis=1)])
+    other /= np.linalg.norm(other, axis=1)[:, None]
+    near = size < _ALONG
+    found: Array = np.where(near[:, None], other, aside / np.where(near, 1.0, size)[:, None])
+    return found
+
+
+def indicated_forces(
+    campaign: Campaign, record: PoseRecord, time: Array, force: Array
+) -> dict[str, Array]:
+    """Return what each accelerometer of the triad indicates without noise, m/s^2, shape (n,).
+
+    time, force: As of `forces_in_record`.
+    """
+    assert campaign.triad is not None
+    assert campaign.simulation is not None
+    names, truth = campaign.triad.accelerometers, campaign.simulation.truth.coefficients
+    coefficients = [truth.get(name, {}) for name in names]
+    axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
+    origin = origin_of(campaign)
+    warmer = 0.0 if record.temperature is None else record.temperature - origin.temperature
+    begun = None if record.time is None else record.time - origin.time
+    values = []
+    for first in range(0, len(time), _ROWS):
+        own = time[first : first + _ROWS]
+        n = len(own)
+        rows = TriadPoses(
+            accelerometers=names,
+            names=("",) * n,
+            axes=axes,
+            gravity=campaign.site.gravity,
+            value=np.zeros((n, 3)),
+            u=None,
+            temperature=np.full(n, warmer),
+            time=np.zeros(n) if begun is None else begun + own,
+            repeats=np.ones(n),
+            scatter=np.zeros(n),
+            in_si=np.zeros((n, 3)),
+        )
+        values.append(indications_along(rows, coefficients, force[first : first + n]))
+    whole = campaign.site.gravity * np.concatenate(values)
+    return dict(zip(names, whole.T, strict=True))

@@ -1,0 +1,109 @@
+"""A simulated record of poses: its truth, and what a calibration makes of it."""
+
+import numpy as np
+import pytest
+import triads
+
+import counterspin as cs
+from counterspin.campaign.simulated.pose_record import forces_in_record, record_seconds
+from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.cli import main
+from counterspin.errors import CampaignError
+
+NOISE = 5e-4  # g, of each row
+
+
+def described(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise]"):
+    """Return a description with the truth of `triads`, and a record of poses."""
+    text = triads.head(f"records = {{ time = {clock} }}\n")
+    for name in triads.NAMES:
+        column = f'specific_force = {{ column = "{name}", unit = "m/s^2" }}\n'
+        text = text.replace(triads.accelerometer(name), triads.accelerometer(name, column))
+    text += '[[runs]]\nname = "all"\nmotion = "static"\nattitude = "unknown"\nrecord = "all.csv"\n'
+    truth = dict(zip(triads.PARAMETERS, triads.truth(), strict=True))
+    text += '[simulation]\nsampling_rate = "100 Hz"\nseed = 5\n' + more
+    for name in triads.NAMES:
+        own = {symbol: value for (owner, symbol), value in truth.items() if owner == name}
+        units = {"K_F": "g", "K_I": "g/g", "delta_O": "rad", "delta_P": "rad"}
+        text += f"[truth.{name}]\n"
+        text += "".join(f'{s} = "{value!r} {units[s]}"\n' for s, value in own.items())
+    return (
+        text.replace("np.float64(", "").replace(")", "")
+        + f"{noise}\n"
+        + (f'specific_force = "{NOISE} g"\n' if noise else "")
+    )
+
+
+def test_a_sensor_rests_and_is_turned(tmp_path):
+    record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, None, None)
+    time, force, along = forces_in_record(record, 40, 100.0, np.random.default_rng(2))
+    assert time[-1] == pytest.approx(record_seconds(record, 40)) == pytest.approx(40 * 5.5 - 1.5)
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
+    for k in range(40):
+        at_rest = force[(time > 5.5 * k - 1e-6) & (time < 5.5 * k + 4.0 - 1e-6)]
+        assert len(at_rest) == 400
+        np.testing.assert_allclose(at_rest, np.tile(along[k], (400, 1)), rtol=0, atol=1e-12)
+    # All over the sphere: each moment within 4.5 standard deviations of a third.
+    assert np.abs(along.mean(axis=0)).max() < 4.5 * np.sqrt(1.0 / 3.0 / 40.0)
+    moving = np.linalg.norm(force, axis=1)
+    assert 0.05 < np.abs(moving - 1.0).max() < 0.2
+
+
+def test_what_was_simulated_comes_back(tmp_path):
+    (tmp_path / "campaign.toml").write_text(described("poses = 30\n"), "utf-8")
+    files = cs.simulate(tmp_path, tmp_path / "made")
+    assert [file.name for file in files] == ["all.csv"]
+    result = cs.calibrate(tmp_path / "made")
+    assert len(result.triad.poses) == 30
+    assert result.state == "good"
+    (noise,) = result.accelerometers["X"].noise.values()
+    # Of the mean of at least 2.5 s of rows; known to 21 degrees of freedom, 4.5 of its u.
+    rows = min(pose.samples for pose in result.triad.poses)
+    assert rows >= 250
+    assert noise.value == pytest.approx(NOISE / np.sqrt(350), rel=0.15 + 4.5 / np.sqrt(42.0))
+    found = [result.coefficient(f"{owner}.{symbol}") for owner, symbol in triads.PARAMETERS]
+    off = np.array([c.value for c in found]) - triads.truth()
+    z = off / [c.u for c in found]
+    assert np.abs(z).max() < 5.0  # Student's t of 21 degrees of freedom, nine of them: p = 5e-4
+    assert max(c.u for c in found) < 1e-4
+    record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, None, None)
+    campaign = cs.read_campaign(tmp_path)
+    from counterspin.campaign.simulated.reading_simulation import stream
+
+    _, _, along = forces_in_record(record, 30, 100.0, stream(campaign, 0, 3))
+    directions = np.array([pose.direction for pose in result.triad.poses])
+    np.testing.assert_allclose(directions, along, rtol=0, atol=10.0 * NOISE / np.sqrt(250))
+
+
+def test_in_memory_it_is_the_same_as_in_files(tmp_path):
+    clock = '{ column = "t", unit = "s" }'
+    (tmp_path / "campaign.toml").write_text(described(clock=clock), "utf-8")
+    cs.simulate(tmp_path, tmp_path / "made")
+    by_file, in_memory = cs.calibrate(tmp_path / "made"), cs.calibrate(cs.simulate(tmp_path))
+    assert len(by_file.triad.poses) == 24
+    for name, c in by_file.triad.parameters.items():
+        assert in_memory.triad.parameters[name].value == pytest.approx(c.value, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (described(noise=""), "truth.noise.specific_force: missing"),
+        (described().replace('e = "100 Hz"\ns', 'e = "50 Hz"\ns'), "records.time says 100 Hz"),
+        (described("poses = 0\n"), "simulation.poses"),
+        (described().replace("all.csv", "all.log"), "write .csv or .parquet"),
+    ],
+)
+def test_what_cannot_be_simulated_is_named(tmp_path, text, words):
+    (tmp_path / "campaign.toml").write_text(text, "utf-8")
+    with pytest.raises(CampaignError, match=words):
+        cs.simulate(tmp_path, tmp_path / "made")
+
+
+def test_the_command_and_a_study(tmp_path, capsys):
+    (tmp_path / "campaign.toml").write_text(described(), "utf-8")
+    made = str(tmp_path / "made")
+    assert main(["simulate", str(tmp_path / "campaign.toml"), "-o", made]) == 0
+    assert main(["check", f"{made}/all.csv", "--campaign", made]) == 0
+    assert main(["study", made, "--trials", "2"]) == 2
+    assert "a study takes poses with readings" in capsys.readouterr().err
