@@ -42,7 +42,6 @@ class Optimum:
     design: Design  #: The runs, longest last within each kind.
     value: float  #: Its criterion, a logarithm.
     bound: float  #: What no plan within the limits can be below.
-    relaxed: Relaxed  #: The relaxation that says so.
 
     @property
     def efficiency(self) -> float:
@@ -85,9 +84,8 @@ def optimise(
         if best is None or exchanged[0] < best[0] - _GAIN:
             best = exchanged
     assert best is not None  # the choices hold one attitude alone, into which a run fits
-    relaxed = choices[0][0]
     value, design = _in_order(predictor, criterion, *best)
-    return Optimum(design, value, min(relaxed.bound, value), relaxed)
+    return Optimum(design, value, min(choices[0][0].bound, value))
 
 
 def _subsets(limits: Limits) -> Iterator[Limits]:
@@ -295,8 +293,7 @@ def least_time(
         covariance = predictor.covariance(design.types, design.rate, design.revolutions)
         return max(float(single.value(covariance)) for single in singles)
 
-    longest = optimise(predictor, limits, targets, relaxing=relaxing)
-    design = longest.design
+    design = optimise(predictor, limits, targets, relaxing=relaxing).design
     if misses(design) > 0.0 and len(singles) > 1:
         # The mean hides the worst: give it more weight until all are below their targets.
         for _ in range(8):
@@ -323,7 +320,7 @@ def least_time(
             best = shorter
         time = 0.5 * (time + limits.time(best))
     _, best = _in_order(predictor, targets, predictor.value(targets, best), best)
-    return Optimum(best, math.log(limits.time(best)), math.log(bound), longest.relaxed)
+    return Optimum(best, math.log(limits.time(best)), math.log(bound))
 
 
 def _relaxed_time(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:

@@ -21,13 +21,13 @@ from counterspin.planning.figures import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.optimisation import Optimum
 from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
-from counterspin.planning.predicted import result_of
-from counterspin.planning.readings.reading_plan import plan_readings
+from counterspin.planning.predicted import other_plan, result_of
+from counterspin.planning.readings.reading_plan import ReadingSearch
 from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.recorded.from_records import from_records, lacks
 from counterspin.planning.recorded.told_poses import with_told_poses
 from counterspin.planning.requirements import requirements_of
-from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
+from counterspin.planning.result import LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
 from counterspin.toml_text import write_document
 from counterspin.workers import one_blas_thread
@@ -161,12 +161,7 @@ def plan(
     )
     result = result.model_copy(
         update={
-            "goal": GoalResult(
-                kind=described.goal.kind,
-                criterion=described.goal.criterion,
-                sizes=dict(described.goal.sizes),
-                efficiency=optimum.efficiency if search.bounded else None,
-            ),
+            "goal": described.goal.met(optimum.efficiency if search.bounded else None),
             "others": _others(search, design, prediction, total),
             "limits": _limits(search, optimum),
             "requirements": requirements,
@@ -185,7 +180,7 @@ def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Pl
         raise CampaignError(
             str(plan_name(where)), ["curves are of plans with records, not of readings"]
         )
-    result, readings = plan_readings(described)
+    result, readings = ReadingSearch(described).best()
     document = write_document(described.campaign_document(readings), _COMMENTS)
     return Planned(result, document, load_plan(where))
 
@@ -334,8 +329,6 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
 
     Half of the time is for plans that minimise: what takes least time has none to spare.
     """
-    names = list(search.plan.goal.sizes)
-    here = prediction.u
     half = replace(search.limits, total_time=0.5 * total)
     shorter = None
     if search.plan.goal.kind == "minimise" and half.possible:
@@ -353,14 +346,8 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
         if other is None:
             continue
         there = forecast(search.campaign(other)).u
-        others.append(
-            OtherPlan(
-                words=f"{words} ({len(other.types)} runs)",
-                total_time=search.limits.time(other),
-                u={name: there[name] for name in names},
-                ratio={name: here[name] / there[name] for name in names},
-            )
-        )
+        called, time = f"{words} ({len(other.types)} runs)", search.limits.time(other)
+        others.append(other_plan(called, time, prediction.u, there, search.plan.goal.sizes))
     return others
 
 

@@ -26,8 +26,9 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
 from counterspin.physics.terms import CONDITION_TERMS, term
-from counterspin.planning.design import Limits, RunType
+from counterspin.planning.design import Criterion, Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
+from counterspin.planning.result import GoalResult
 
 #: Lowest rate where none is given, as a part of the highest.
 _LOWEST_RATE_PART: Final = 0.125
@@ -55,6 +56,20 @@ class Goal:
     #: Unknown (such as ``Qx.K_II``) -> the size of u that counts as 1, or the target.
     sizes: Mapping[str, float]
     criterion: Literal["sum", "determinant"]  #: ``sum`` or ``determinant``.
+
+    def criterion_of(self, names: Sequence[str]) -> Criterion:
+        """Return what is to be small, among unknowns of these names."""
+        places = tuple(names.index(name) for name in self.sizes)
+        return Criterion(places, tuple(self.sizes.values()), self.criterion)
+
+    def met(self, efficiency: float | None) -> GoalResult:
+        """Return what a result says of it; the efficiency as of `GoalResult`."""
+        return GoalResult(
+            kind=self.kind,
+            criterion=self.criterion,
+            sizes=dict(self.sizes),
+            efficiency=efficiency,
+        )
 
 
 @frozen(eq=False)
@@ -117,11 +132,11 @@ def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
         raw = {key: value for key, value in raw.items() if key != "runs"}
         problems.add(("runs",), "a plan makes the runs; say what they may be in [limits]")
     problems.check(PlanDocument, raw, ())
-    settings = problems.check(LimitsSettings, _table(raw, "limits"), ("limits",), gravity=None)
-    goal = problems.check(GoalSettings, _table(raw, "goal"), ("goal",))
+    settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
+    goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
     attitudes = _named(settings.attitudes if settings else ["level"], problems)
     document = _campaign_document(raw, settings)
-    document["noise"] = _sizes(_table(document, "noise"), problems)
+    document["noise"] = _sizes(table_of(document, "noise"), problems)
     if _refuse_dated(document, problems):
         raise CampaignError(str(file), problems.lines)
     stand_ins = [
@@ -157,7 +172,7 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
 
     Returns whether there are any.
     """
-    model, before = _table(document, "model"), len(problems.lines)
+    model, before = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
         listed = model.get(key)
         for index, name in enumerate(listed if isinstance(listed, list) else ()):
@@ -173,7 +188,8 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
     return len(problems.lines) > before
 
 
-def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def table_of(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return a table of a document; an empty one where there is none."""
     value = raw.get(key)
     return value if isinstance(value, dict) else {}
 
@@ -212,14 +228,14 @@ def _named(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
 
 def _expected(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
     """Return [truth] with what is known beforehand as the truth of what it does not name."""
-    truth = dict(_table(document, "truth"))
+    truth = dict(table_of(document, "truth"))
     for name, accelerometer in campaign.accelerometers.items():
         known = {
             symbol: f"{prior.value!r} {prior.unit}"
             for symbol, prior in accelerometer.priors.items()
             if prior.value != term(symbol).nominal
         }
-        truth[name] = {**known, **_table(truth, name)}
+        truth[name] = {**known, **table_of(truth, name)}
     return truth
 
 
@@ -442,10 +458,19 @@ def _run_names(campaign: Campaign) -> set[str]:
     return {run.name for run in campaign.runs}
 
 
+def resolved_campaign(document: Mapping[str, Any], path: Path) -> Campaign:
+    """Return the campaign of a document that a plan has made."""
+    problems = Problems(document)
+    campaign = resolve_campaign(document, path, problems)
+    if campaign is None:
+        raise CampaignError(str(path), problems.lines)
+    return campaign
+
+
 def campaign_of(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str) -> dict[str, Any]:
     """Return the document of the campaign with given runs."""
     document = dict(plan.document)
-    about = {"title": title, **_table(document, "campaign")}
+    about = {"title": title, **table_of(document, "campaign")}
     rest = {key: value for key, value in document.items() if key not in ("schema", "campaign")}
     # The sections in the order of the example that `counterspin init` writes.
     order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")

@@ -23,6 +23,7 @@ Cook and Fedorov, Constrained optimization of experimental design, Statistics 26
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -37,6 +38,8 @@ Places = npt.NDArray[np.intp]
 #: Added to the scaled information, so that observations that do not determine all unknowns have a
 #: large uncertainty and no infinite one.
 _RIDGE: Final = 1e-12
+#: Scaled variance of an unknown above which an update of the covariance would cost digits.
+_ILL_CONDITIONED: Final = 1e6
 #: Steps of the multiplicative algorithm before the first gradient step, and the least part of the
 #: largest weight that is kept of them.
 _FIRST_STEPS: Final = 20
@@ -84,22 +87,50 @@ class Possibilities:
 
     def covariance(self, counts: npt.ArrayLike) -> Array:
         """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
-        n = np.asarray(counts, dtype=np.float64)
-        turned = np.swapaxes(self.design, 1, 2)
-        information = np.tensordot(n, turned @ self.design, axes=1) + self.known.T @ self.known
-        diagonal = np.arange(self.known.shape[1])
-        # Scaled, or columns of very different size would cost digits.
-        scale = 1.0 / np.sqrt(information[..., diagonal, diagonal])
-        outer = scale[..., :, None] * scale[..., None, :]
-        ridge = _RIDGE * np.eye(diagonal.size)
-        inner = np.linalg.inv(information * outer + ridge) * outer
-        moved = np.tensordot(n, turned @ self.fixed, axes=1) + self.known.T @ self.known_fixed
+        _, inner, moved = self._parts(np.asarray(counts, dtype=np.float64))
         spread = inner @ moved
         return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
 
     def value(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
         """Return a criterion, see `Criterion.value`."""
         return criterion.value(self.covariance(counts))
+
+    def with_one_more(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
+        """Return a criterion for numbers (n,) with one more of each observation, shape (n,).
+
+        Each adds rows D to the information, so that P becomes P - P D' (1 + D P D')^-1 D P.
+        """
+        n = np.asarray(counts, dtype=np.float64)
+        scale, inner, moved = self._parts(n)
+        if np.max(np.diag(inner) / scale**2) > _ILL_CONDITIONED:
+            return self.value(criterion, n + np.eye(n.size))
+        here, turned = list(criterion.places), np.swapaxes(self.design, 1, 2)
+        seen = self.design @ inner
+        gain = np.linalg.solve(np.eye(seen.shape[1]) + seen @ turned, seen)
+        rows = inner[here] - np.swapaxes(seen[..., here], 1, 2) @ gain
+        spread = rows @ moved + rows @ turned @ self.fixed
+        inside = rows[..., here] + spread @ np.swapaxes(spread, 1, 2)
+        return replace(criterion, places=tuple(range(len(here)))).value(inside)
+
+    def _parts(self, n: Array) -> tuple[Array, Array, Array]:
+        """Return what unknowns are scaled by, their covariance alone, and the considered moments.
+
+        Shapes (..., p), (..., p, p) and (..., p, q).
+        """
+        both = np.concatenate([self.design, self.fixed], axis=2)
+        p = self.design.shape[2]
+        if n.ndim == 1:  # of the rows themselves, without their products one by one
+            rows = (np.sqrt(n)[:, None, None] * both).reshape(-1, both.shape[2])
+            moments = rows[:, :p].T @ rows
+        else:
+            moments = np.tensordot(n, np.swapaxes(self.design, 1, 2) @ both, axes=1)
+        moments = moments + self.known.T @ np.hstack([self.known, self.known_fixed])
+        diagonal = np.arange(p)
+        # Scaled, or columns of very different size would cost digits.
+        scale = 1.0 / np.sqrt(moments[..., diagonal, diagonal])
+        outer = scale[..., :, None] * scale[..., None, :]
+        inner = np.linalg.inv(moments[..., :p] * outer + _RIDGE * np.eye(p)) * outer
+        return scale, inner, moments[..., p:]
 
     def relaxed(
         self, criterion: Criterion, number: float, total: float, start: Array | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -26,6 +26,7 @@ from counterspin.planning.faults import faults_of, mean_square, square
 from counterspin.planning.forecast import Forecast
 from counterspin.planning.result import (
     FaultEffect,
+    OtherPlan,
     PlannedAccelerometer,
     PlannedReading,
     PlannedRun,
@@ -65,6 +66,22 @@ def result_of(
         warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
         provenance=Provenance(version=__version__, inputs={}),
     )
+
+
+def other_plan(
+    words: str,
+    total_time: float,
+    here: Mapping[str, float],
+    there: Mapping[str, float],
+    names: Iterable[str],
+) -> OtherPlan:
+    """Return another plan beside this one.
+
+    here, there: u of this plan and of the other, by name.
+    """
+    u = {name: there[name] for name in names}
+    ratio = {name: here[name] / size for name, size in u.items()}
+    return OtherPlan(words=words, total_time=total_time, u=u, ratio=ratio)
 
 
 def _one_rate(campaign: Campaign) -> list[str]:

@@ -11,13 +11,11 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import Problems
-from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.errors import CampaignError
+from counterspin.campaign.description import Campaign
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType, order_of
 from counterspin.planning.forecast import setup_of
 from counterspin.planning.optimisation import Optimum, least_time, optimise
-from counterspin.planning.plan_file import Plan, campaign_of
+from counterspin.planning.plan_file import Plan, campaign_of, resolved_campaign
 from counterspin.planning.polishing import fitted_into, polish, shortened
 from counterspin.planning.runs.run_information import RunInformation
 
@@ -44,12 +42,7 @@ class Search:
             (1, -1),
         )
         self.predictor = Predictor(information)
-        names = list(self.predictor.names)
-        self.criterion = Criterion(
-            tuple(names.index(name) for name in plan.goal.sizes),
-            tuple(plan.goal.sizes.values()),
-            plan.goal.criterion,
-        )
+        self.criterion = plan.goal.criterion_of(self.predictor.names)
 
     @cached_property
     def relaxing(self) -> Predictor | None:
@@ -270,12 +263,7 @@ class Search:
 
     def campaign(self, design: Design) -> Campaign:
         """Return the campaign with these runs."""
-        document = self.document(design)
-        problems = Problems(document)
-        campaign = resolve_campaign(document, self.plan.path, problems)
-        if campaign is None:
-            raise CampaignError(str(self.plan.path), problems.lines)
-        return campaign
+        return resolved_campaign(self.document(design), self.plan.path)
 
     # Other plans in the same time
 

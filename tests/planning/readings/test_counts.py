@@ -51,6 +51,18 @@ def test_covariance_is_that_of_least_squares():
     assert possible.covariance(counts) == pytest.approx(inner + moved @ moved.T, rel=1e-9)
 
 
+@pytest.mark.parametrize("considered", [False, True], ids=["estimated", "considered"])
+@pytest.mark.parametrize("criterion", CRITERIA.values(), ids=CRITERIA)
+def test_one_more_is_an_update(criterion, considered, monkeypatch):
+    possible, counts = possibilities(considered), np.array([2, 1, 0, 3, 1, 2])
+    each = [float(possible.value(criterion, counts + one)) for one in np.eye(6)]
+    alike = np.array([0, 0, 0, 0, 0, 9])  # which leave two of three to the prior: anew
+    anew = [float(possible.value(criterion, alike + one)) for one in np.eye(6)]
+    assert possible.with_one_more(criterion, alike).tolist() == anew
+    monkeypatch.setattr(Possibilities, "value", None)
+    assert possible.with_one_more(criterion, counts) == pytest.approx(each, rel=1e-9)
+
+
 def test_time_is_kept_and_the_least_is_least():
     possible, criterion = possibilities(time=2.0), CRITERIA["one"]
     chosen = best_counts(possible, criterion, math.inf, 15.0)

@@ -7,7 +7,7 @@ rounded, and one reading after another is exchanged for a better one for as long
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -67,18 +67,13 @@ def _starts(possible: Possibilities, weight: Array, number: float, time: float) 
     weight: The numbers that need not be whole, shape (n,).
     """
     whole = np.floor(weight + 1e-6).astype(np.int64)
-    rng = np.random.default_rng(_SEED)
+    rng, drawn = np.random.default_rng(_SEED), _DRAWN if weight.size <= _FEW else 0
     # Rounded; nothing, to which the best is added one by one; and drawn about the first.
-    starts = [whole.copy(), np.zeros_like(whole)]
-    starts += [whole.copy() for _ in range(_DRAWN if weight.size <= _FEW else 0)]
-    for place, counts in enumerate(starts):
-        if place == 1:
-            continue
-        lacks = weight - whole
-        first = lacks if place == 0 else lacks + rng.uniform(size=weight.size)
+    starts = [whole.copy(), np.zeros_like(whole), *(whole.copy() for _ in range(drawn))]
+    for counts in (starts[0], *starts[2:]):
+        first = weight - whole + (0.0 if counts is starts[0] else rng.uniform(size=weight.size))
         for index in np.argsort(-first, kind="stable"):
-            if _within(possible, counts, index, number, time):
-                counts[index] += 1
+            counts[index] += _within(possible, counts, number, time)[index]
     return starts
 
 
@@ -88,45 +83,32 @@ def _exchanged(
     """Return the criterion and the numbers where no exchange of one reading gains any more."""
     value = float(possible.value(criterion, counts))
     for _ in range(_EXCHANGES):
-        found: tuple[float, Counts] | None = None
-        for candidates in _neighbours(possible, counts, number, time):
-            values = possible.value(criterion, np.array(candidates))
+        found, better = math.inf, counts
+        for gone in (None, *np.flatnonzero(counts)):
+            left = counts.copy()
+            fits = np.ones(counts.size, dtype=np.bool_)
+            if gone is not None:
+                left[gone] -= 1
+                fits[gone] = False
+            fits &= _within(possible, left, number, time)
+            values = np.where(fits, possible.with_one_more(criterion, left), math.inf)
             best = int(np.argmin(values))
-            if found is None or values[best] < found[0]:
-                found = float(values[best]), candidates[best]
-        if found is None or not found[0] < value - _GAIN:
+            if values[best] < found:
+                found, better = float(values[best]), left
+                better[best] += 1
+        after = float(possible.value(criterion, better))
+        if not after < value - _GAIN:
             break
-        value, counts = found
+        value, counts = after, better
     return value, counts
 
 
 def _within(
-    possible: Possibilities, counts: Counts, index: np.intp, number: float, time: float
-) -> bool:
-    """Return whether one more of a reading is within the limits."""
-    took = float(possible.cost @ counts) + float(possible.cost[index])
-    return float(counts.sum()) + 1.0 <= number and took <= time * (1.0 + 1e-12)
-
-
-def _neighbours(
     possible: Possibilities, counts: Counts, number: float, time: float
-) -> Iterator[list[Counts]]:
-    """Yield the numbers with one reading more, and those with others in place of one.
-
-    Reading by reading: all of them together would take much memory.
-    """
-    for gone in (None, *np.flatnonzero(counts)):
-        left = counts.copy()
-        if gone is not None:
-            left[gone] -= 1
-        found = []
-        for index in np.arange(counts.size):
-            if index != gone and _within(possible, left, index, number, time):
-                more = left.copy()
-                more[index] += 1
-                found.append(more)
-        if found:
-            yield found
+) -> npt.NDArray[np.bool_]:
+    """Return of which observations there may be one more within the limits, shape (n,)."""
+    took = float(possible.cost @ counts) + possible.cost
+    return np.asarray((float(counts.sum()) + 1.0 <= number) & (took <= time * (1.0 + 1e-12)))
 
 
 def least_counts(

@@ -23,7 +23,14 @@ from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.poses import TriadPoses, indications_along
-from counterspin.planning.plan_file import Goal, load_plan, plan_name, resolve_goal
+from counterspin.planning.plan_file import (
+    Goal,
+    load_plan,
+    plan_name,
+    resolve_goal,
+    resolved_campaign,
+    table_of,
+)
 from counterspin.planning.plan_sections import (
     GoalSettings,
     ReadingLimitsSettings,
@@ -92,11 +99,7 @@ class ReadingPlan:
 
     def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
         """Return the campaign with readings in this order, their values zero."""
-        document = self.campaign_document(chosen, value="0")
-        problems = Problems(document)
-        campaign = resolve_campaign(document, self.path, problems)
-        if campaign is None:
-            raise CampaignError(str(self.path), problems.lines)
+        campaign = resolved_campaign(self.campaign_document(chosen, value="0"), self.path)
         if campaign.triad is None:
             return campaign
         planned = _pointed(campaign, dict(zip(_numbered(chosen), chosen, strict=True)))
@@ -168,13 +171,13 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     file, raw = plan_name(path), load_plan(path)
     problems = Problems(raw)
     problems.check(ReadingPlanDocument, raw, ())
-    limits = problems.check(ReadingLimitsSettings, _table(raw, "limits"), ("limits",))
-    goal = problems.check(GoalSettings, _table(raw, "goal"), ("goal",))
+    limits = problems.check(ReadingLimitsSettings, table_of(raw, "limits"), ("limits",))
+    goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
     apart = ("limits", "goal", "stations", "runs")
     document = {k: v for k, v in raw.items() if k not in apart}
     taken = raw.get("runs")
     taken = taken if isinstance(taken, list) else []
-    names = list(_table(raw, "accelerometers"))
+    names = list(table_of(raw, "accelerometers"))
     possible: list[PossibleReading] = []
     listed = raw.get("stations")
     stations = listed if isinstance(listed, list) else []
@@ -205,7 +208,7 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     if campaign is not None and campaign.triad is not None:
         campaign, poses = _with_poses(campaign, possible)
         # How many poses there are decides what is asked for; here the fewest count as enough.
-        model = {"terms": list(campaign.model.terms), **_table(raw, "model")}
+        model = {"terms": list(campaign.model.terms), **table_of(raw, "model")}
         document = {**document, "model": model}
     sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
@@ -253,11 +256,6 @@ def _at_stations(line: str, taken: int) -> str:
     return f"stations{line[match.end() :]}"
 
 
-def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    value = raw.get(key)
-    return value if isinstance(value, dict) else {}
-
-
 def _possible(
     settings: StationsSettings,
     entry: Mapping[str, Any],
@@ -268,7 +266,7 @@ def _possible(
 ) -> list[PossibleReading]:
     """Return the readings that an entry of [[stations]] stands for."""
     if settings.attitude is not None:
-        names = _table(raw, "triad").get("accelerometers") or names
+        names = table_of(raw, "triad").get("accelerometers") or names
     sizes = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
     values = {name: f"{BLANK} ± {u}" for name, u in sizes.items()}
     shared: dict[str, Any] = {"motion": settings.motion}
@@ -315,7 +313,7 @@ def _poses(
     problems: Problems,
 ) -> list[PossibleReading]:
     """Return the poses that an entry of [[stations]] stands for."""
-    names = _table(raw, "triad").get("accelerometers")
+    names = table_of(raw, "triad").get("accelerometers")
     if not isinstance(names, list):
         problems.add((*path, "attitude"), 'is "unknown", which takes [triad]')
         return []
