@@ -8,7 +8,8 @@
 - `design`: plans, what they may be and how good they are
 - `possibilities`: what may be observed, and the best numbers of it that need not be whole
 - `relaxation`, `polishing`, `optimisation`: the best plan of records, and what no plan can better
-- `search`, `feasibility`: the plan's problem, solved; whether its goal can be had
+- `search`, `feasibility`, `limiting`: the plan's problem, solved; whether its goal can be had, and
+  what limits it
 - `readings`: the same for readings: what may be read, how often to read it, and in which order
 - `faults`, `sensitivities`: what may be wrong, what it would shift and leave in the residuals
 - `predicted`, `requirements`: the expected uncertainties, and requirements for the centrifuge

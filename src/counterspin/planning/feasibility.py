@@ -19,6 +19,7 @@ from counterspin.inference.joint.budget import budget
 from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Predictor, RunType
 from counterspin.planning.forecast import Forecast, forecast, setup_of
+from counterspin.planning.limiting import both_senses
 from counterspin.planning.relaxation import relax
 from counterspin.planning.runs.run_information import RunInformation
 from counterspin.planning.search import Search
@@ -182,7 +183,7 @@ def unreachable(search: Search) -> CounterspinError:
         if floor > size:
             text += f". With any amount of time it would be {format_apart(floor, size)} {unit}"
     if all(kind.sense == 1 for kind in search.limits.types):
-        both = search.smallest(search.relaxed("senses"), best.design)
+        both = search.smallest(both_senses(search.limits), best.design)
         there = search.predictor.u(both.design)[search.predictor.names.index(name)]
         text += f", with both senses of the spin {format_apart(there, size)} {unit}"
     return CounterspinError(text + ".")

@@ -19,7 +19,7 @@ from counterspin.planning.design import Design, Limits
 from counterspin.planning.feasibility import require_determined, unreachable
 from counterspin.planning.figures import curves_of
 from counterspin.planning.forecast import Forecast, forecast
-from counterspin.planning.optimisation import Optimum
+from counterspin.planning.limiting import limits_of
 from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
 from counterspin.planning.predicted import other_plan, result_of
 from counterspin.planning.readings.reading_plan import ReadingSearch
@@ -27,19 +27,13 @@ from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.recorded.from_records import from_records, lacks
 from counterspin.planning.recorded.told_poses import with_told_poses
 from counterspin.planning.requirements import requirements_of
-from counterspin.planning.result import LimitResult, OtherPlan, PlanResult, Requirement
+from counterspin.planning.result import OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
 from counterspin.toml_text import write_document
 from counterspin.workers import one_blas_thread
 
-#: Smallest relative gain of u that is reported.
-_GAIN: Final = 5e-4
-
 #: How often a plan for a target is changed after its forecast has missed it.
 _MAX_CHANGES: Final = 5
-
-#: Relative distance from a limit at which a plan touches it.
-_TOUCHING_DISTANCE: Final = 2e-3
 
 
 @frozen(eq=False)
@@ -163,7 +157,7 @@ def plan(
         update={
             "goal": described.goal.met(optimum.efficiency if search.bounded else None),
             "others": _others(search, design, prediction, total),
-            "limits": _limits(search, optimum),
+            "limits": limits_of(search, optimum.design),
             "requirements": requirements,
             "requirements_for": words,
             "curves": curves_of(described, design, progress) if curves else None,
@@ -349,52 +343,3 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
         called, time = f"{words} ({len(other.types)} runs)", search.limits.time(other)
         others.append(other_plan(called, time, prediction.u, there, search.plan.goal.sizes))
     return others
-
-
-def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
-    """Return which limits bind and what a tenth more would gain, the largest gain first."""
-    limits, design = search.limits, optimum.design
-    low, high = limits.rate
-    target = search.plan.goal.kind == "target"
-    time = limits.time(design)
-    touched = {
-        "total_time": (
-            not target and time > limits.total_time * (1.0 - _TOUCHING_DISTANCE),
-            f"total time {limits.total_time:.6g} s",
-        ),
-        "rate": (
-            bool((design.rate > high * (1.0 - _TOUCHING_DISTANCE)).any()),
-            f"highest rate {high:.6g} rad/s",
-        ),
-        "lowest_rate": (
-            not limits.settings and bool((design.rate < low * (1.0 + _TOUCHING_DISTANCE)).any()),
-            f"lowest rate {low:.6g} rad/s",
-        ),
-        "fewest_rates": (limits.fewest_rates > 1, f"{limits.fewest_rates} rates at least"),
-        "runs": (len(design.types) >= limits.runs, f"{limits.runs} runs at most"),
-        "settling": (limits.settling > 0.0, f"settling {limits.settling:.4g} s a run"),
-        "spin_up": (limits.spin_up > 0.0, "time of spin-up and spin-down"),
-        "attitude_change": (
-            limits.attitude_change > 0.0 and len({k.attitude for k in design.types}) > 1,
-            f"changing the attitude, {limits.attitude_change:.4g} s",
-        ),
-        "revolutions": (
-            bool((design.revolutions < limits.revolutions * (1.0 + _TOUCHING_DISTANCE)).any()),
-            f"{limits.revolutions:g} revolutions at least",
-        ),
-        "longest_run": (
-            limits.longest_run < limits.total_time
-            and bool((design.duration > limits.longest_run * (1.0 - _TOUCHING_DISTANCE)).any()),
-            f"longest run {limits.longest_run:.6g} s",
-        ),
-        "sampling_rate": (True, f"sampling rate {search.plan.sampling_rate:.6g} Hz"),
-        "senses": (all(kind.sense == 1 for kind in limits.types), "one sense of the spin"),
-    }
-    lines = []
-    for key, (binds, words) in touched.items():
-        if not binds:
-            continue
-        gain = search.gain(key, design)
-        if gain > _GAIN or key == "senses":
-            lines.append(LimitResult(key=key, words=words, binds=gain > _GAIN, gain=gain))
-    return sorted(lines, key=lambda line: -line.gain)

@@ -1,4 +1,4 @@
-"""The search for a plan, and what would change it: limits that bind, other plans."""
+"""The search for a plan: its problem, its designs as campaigns, and other plans."""
 
 from __future__ import annotations
 
@@ -12,15 +12,11 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
-from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType, order_of
+from counterspin.planning.design import Design, Limits, Predictor, RunType, order_of
 from counterspin.planning.forecast import setup_of
 from counterspin.planning.optimisation import Optimum, least_time, optimise
 from counterspin.planning.plan_file import Plan, campaign_of, resolved_campaign
-from counterspin.planning.polishing import fitted_into, polish, shortened
 from counterspin.planning.runs.run_information import RunInformation
-
-#: Part of a limit by which it is relaxed, to see what it costs.
-_RELAXATION: Final = 0.1
 
 #: Durations are written in multiples of this, s; those at the fewest revolutions exactly.
 _DURATION_STEP: Final = 0.1
@@ -81,95 +77,6 @@ class Search:
             relaxing=self.relaxing,
             start=start,
         )
-
-    def gain(self, key: str, design: Design) -> float:
-        """Return the relative decrease of u (or of time) if one limit is relaxed by a tenth."""
-        limits = self.relaxed(key)
-        predictor = self._faster_sampling() if key == "sampling_rate" else self.predictor
-        before = self._value(self.predictor, design)
-        starts = self._starts(key, limits, design)
-        after = min(before, *(self._improved(predictor, limits, start) for start in starts))
-        return 1.0 - math.exp(after - before)
-
-    def _starts(self, key: str, limits: Limits, design: Design) -> list[Design]:
-        """Return designs that make use of a relaxed limit, where better lengths alone do not."""
-        if key == "senses":
-            turned = tuple(
-                kind._replace(sense=-kind.sense) if index % 2 else kind
-                for index, kind in enumerate(design.types)
-            )
-            return [design, replace(design, types=turned)]
-        if key == "runs":
-            more = limits.runs - len(design.types)
-            # More of each kind's shortest run: those are the ones there are many of.
-            longest_first = np.argsort(-design.duration, kind="stable")
-            kinds = {design.types[index]: index for index in longest_first}
-            others = [
-                Design(
-                    (kind,) * more,
-                    np.repeat(design.rate[index], more),
-                    np.repeat(design.revolutions[index], more),
-                )
-                for kind, index in kinds.items()
-            ]
-            return [design, *(design.joined(other) for other in others)]
-        if key == "fewest_rates" and len(design.types) > 1:
-            slower = self.limits.runs_apart(design.rate)[1:]
-            return [design, *(design.without(index) for index in slower)]
-        if key == "rate" and limits.settings:
-            rate = np.where(design.rate == max(limits.settings[:-1]), limits.rate[1], design.rate)
-            return [design, Design(design.types, rate, design.duration * rate / (2.0 * math.pi))]
-        return [design]
-
-    def _value(self, predictor: Predictor, design: Design) -> float:
-        if self.plan.goal.kind == "target":
-            return math.log(self.limits.time(design))
-        return predictor.value(self.criterion, design)
-
-    def _improved(self, predictor: Predictor, limits: Limits, design: Design) -> float:
-        if self.plan.goal.kind == "target":
-            singles = [
-                Criterion((place,), (scale,))
-                for place, scale in zip(self.criterion.places, self.criterion.scales, strict=True)
-            ]
-            shorter = shortened(predictor, limits, singles, design)
-            met = all(predictor.value(single, shorter) < 1e-5 for single in singles)
-            return math.log(limits.time(shorter)) if met else math.inf
-        start = fitted_into(design, limits) or design
-        return polish(predictor, limits, self.criterion, start)[0]
-
-    def _faster_sampling(self) -> Predictor:
-        faster = self.plan.sampling_rate * (1.0 + _RELAXATION)
-        return Predictor(self.predictor.information.sampled_at(faster))
-
-    def relaxed(self, key: str) -> Limits:
-        """Return the limits with one relaxed by a tenth."""
-        limits, more, less = self.limits, 1.0 + _RELAXATION, 1.0 - _RELAXATION
-        low, high = limits.rate
-        changes: dict[str, dict[str, Any]] = {
-            "total_time": {"total_time": limits.total_time * more},
-            "rate": {
-                "rate": (low, high * more),
-                "settings": (*limits.settings, high * more) if limits.settings else (),
-            },
-            "lowest_rate": {"rate": (low * less, high)},
-            "runs": {"runs": math.ceil(limits.runs * more)},
-            "fewest_rates": {"fewest_rates": limits.fewest_rates - 1},
-            "settling": {"settling": limits.settling * less},
-            "spin_up": {"spin_up": limits.spin_up * less},
-            "attitude_change": {"attitude_change": limits.attitude_change * less},
-            "revolutions": {"revolutions": limits.revolutions * less},
-            "longest_run": {"longest_run": limits.longest_run * more},
-            "sampling_rate": {},
-            "senses": {
-                "types": tuple(
-                    RunType(attitude, sense)
-                    for attitude in dict.fromkeys(kind.attitude for kind in limits.types)
-                    for sense in (1, -1)
-                )
-            },
-        }
-        return replace(limits, **changes[key])
 
     # From designs to campaigns
 

@@ -58,7 +58,7 @@ def test_one_more_is_an_update(criterion, considered, monkeypatch):
     each = [float(possible.value(criterion, counts + one)) for one in np.eye(6)]
     alike = np.array([0, 0, 0, 0, 0, 9])  # which leave two of three to the prior: anew
     anew = [float(possible.value(criterion, alike + one)) for one in np.eye(6)]
-    assert possible.with_one_more(criterion, alike).tolist() == anew
+    assert possible.with_one_more(criterion, alike) == pytest.approx(anew, rel=1e-8)
     monkeypatch.setattr(Possibilities, "value", None)
     assert possible.with_one_more(criterion, counts) == pytest.approx(each, rel=1e-9)
 

@@ -22,6 +22,7 @@ from counterspin.inference.linear_readings import Readings, rows_at
 from counterspin.inference.poses import TriadPoses
 from counterspin.planning.feasibility import missed, not_determined
 from counterspin.planning.forecast import Forecast, expected_values, forecast
+from counterspin.planning.limiting import GAIN, RELAXATION
 from counterspin.planning.possibilities import Possibilities
 from counterspin.planning.predicted import other_plan, planned_readings, result_of
 from counterspin.planning.readings.counts import Chosen, Counts, best_counts, least_counts
@@ -30,10 +31,6 @@ from counterspin.planning.result import LimitResult, OtherPlan, PlanResult
 
 #: Seed of the random order; the campaign's file has the order itself.
 _SEED: Final = 1
-
-#: Part by which a limit is relaxed, and the smallest gain of u that is reported.
-_RELAXATION: Final = 0.1
-_GAIN: Final = 5e-4
 
 
 class ReadingSearch:
@@ -138,7 +135,7 @@ class ReadingSearch:
         if self.plan.goal.kind == "target":
             return []
         number, time = self.limits
-        more = 1.0 + _RELAXATION
+        more = 1.0 + RELAXATION
         relaxed = {
             "readings": (f"{number:.0f} readings at most", number, (np.ceil(number * more), time)),
             "total_time": (f"total time {time:.6g} s", time, (number, time * more)),
@@ -148,7 +145,7 @@ class ReadingSearch:
             if math.isfinite(limit):
                 after = best_counts(self.possible, self.criterion, *limits).value
                 gain = 1.0 - math.exp(after - chosen.value)
-                lines.append(LimitResult(key=key, words=words, binds=gain > _GAIN, gain=gain))
+                lines.append(LimitResult(key=key, words=words, binds=gain > GAIN, gain=gain))
         return [line for line in lines if line.binds]
 
 
