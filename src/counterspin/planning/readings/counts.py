@@ -91,6 +91,8 @@ def _exchanged(
                 left[gone] -= 1
                 fits[gone] = False
             fits &= _within(possible, left, number, time)
+            if not fits.any():
+                continue
             values = np.where(fits, possible.with_one_more(criterion, left), math.inf)
             best = int(np.argmin(values))
             if values[best] < found:
