@@ -224,7 +224,7 @@ def test_check_says_what_plan_says(plan_of, tmp_path):
     assert cli.main(["plan", "--check", str(tmp_path / "planned")]) == 0
 
 
-@pytest.mark.parametrize("size", ["2.2537", "2.6", "4"])
+@pytest.mark.parametrize("size", ["2.2537", "4"])
 def test_a_target_is_met_by_the_forecast(size, plan_of):
     result = plan_of((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
@@ -387,8 +387,9 @@ def test_a_plan_is_changed_and_swept(starter):
         text.replace('senses = "one"', 'senses = "both"').replace('"0.01 m"', '"0.02 m"'),
         encoding="utf-8",
     )
-    assert more.document == plan(described).document
-    assert more.u == plan(described).u
+    anew = plan(described)
+    assert more.document == anew.document
+    assert more.u == anew.u
     assert first.change().document == first.document
     swept = first.sweep("total_time", [first.source["limits"]["total_time"], "600 s"])
     assert swept[0].document == first.document

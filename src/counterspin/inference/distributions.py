@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from statistics import NormalDist
 from typing import Final
 
@@ -33,6 +34,9 @@ _TAIL: Final = 0.025
 _MANY_DOF: Final = 50.0
 _LEAST_SHARE: Final = 1e-6
 _NODES: Final = 80
+
+#: Difference of tails, and of logarithms of what they are tails of, that no digit shows.
+_LEAST_EXCESS: Final = 1e-13
 
 
 def normal_cdf(x: float) -> float:
@@ -115,14 +119,23 @@ def tail_beside(share: float, dof: float, q: float) -> float:
     """
     if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
         return student_cdf(dof / share**2 if share > 0.0 else math.inf, -q)
-    # The true variance is dof / chi-square times the estimated one: over u, the logarithm of
-    # chi-square / dof, whose density is exp(-dof/2 (e^u - 1 - u)) but for a factor.
+    return math.fsum(
+        weight * normal_cdf(-q / math.sqrt(1.0 - share + share * variance))
+        for weight, variance in _mixture(dof)
+    )
+
+
+@lru_cache(maxsize=16)
+def _mixture(dof: float) -> list[tuple[float, float]]:
+    """Return weights, of sum 1, and values of the true variance over the estimated one."""
+    # It is dof / chi-square: over u, the logarithm of chi-square / dof, whose density is
+    # exp(-dof/2 (e^u - 1 - u)) but for a factor.
     reach = 40.0 / dof
     low, high = -reach - 1.0, math.log1p(reach + math.sqrt(2.0 * reach))
     nodes = [low + (high - low) * k / _NODES for k in range(_NODES + 1)]
     weights = [math.exp(-0.5 * dof * (math.expm1(u) - u)) for u in nodes]
-    tails = (normal_cdf(-q / math.sqrt(1.0 - share + share * math.exp(-u))) for u in nodes)
-    return sum(w * tail for w, tail in zip(weights, tails, strict=True)) / sum(weights)
+    total = sum(weights)
+    return [(weight / total, math.exp(-u)) for weight, u in zip(weights, nodes, strict=True)]
 
 
 def dof_beside(share: float, dof: float) -> float:
@@ -133,24 +146,46 @@ def dof_beside(share: float, dof: float) -> float:
     # Between the normal quantile and Student's own, both over the logarithm.
     low, high = -normal_quantile(_TAIL), -student_quantile(dof, _TAIL)
     q = math.exp(
-        _where(
-            lambda log_q: tail_beside(share, dof, math.exp(log_q)) > _TAIL,
+        _where_none_is_left(
+            lambda log_q: tail_beside(share, dof, math.exp(log_q)) - _TAIL,
             math.log(low),
             math.log(high),
         )
     )
     matched = math.exp(
-        _where(lambda log_dof: _student_tail(math.exp(log_dof), q) > _TAIL, math.log(dof), 30.0)
+        _where_none_is_left(
+            lambda log_dof: _student_tail(math.exp(log_dof), q) - _TAIL,
+            math.log(dof),
+            30.0,
+        )
     )
     return min(matched, satterthwaite)
 
 
-def _where(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return up to where something holds, by halving."""
-    for _ in range(32):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
+def _where_none_is_left(excess: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a falling function is zero, or the end that is nearest to it.
+
+    False position; an end that stays has its value halved (the Illinois algorithm).
+    """
+    above, below = excess(low), excess(high)
+    if above <= 0.0:
+        return low
+    if below >= 0.0:
+        return high
+    middle = before = 0.0
+    for _ in range(60):
+        middle = (low * below - high * above) / (below - above)
+        value = excess(middle)
+        if abs(value) < _LEAST_EXCESS or high - low < _LEAST_EXCESS:
+            break
+        if value > 0.0:
+            low, above = middle, value
+            below *= 0.5 if before > 0.0 else 1.0
+        else:
+            high, below = middle, value
+            above *= 0.5 if before < 0.0 else 1.0
+        before = value
+    return middle
 
 
 def log_binomial(n: float, k: float) -> float:
