@@ -75,6 +75,13 @@ WARMING: Final = {
 }
 
 
+#: The same in one in which it becomes warmer and then colder.
+UP_AND_DOWN: Final = {
+    f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{celsius} degC"'
+    for run, celsius in ((1, 20.0), (2, 23.0), (3, 20.0))
+}
+
+
 FULL: Final = Size(50.0, 100)
 
 
@@ -223,6 +230,9 @@ def of_table() -> list[Violation]:
             if ".temperature" in symbol:
                 size += ", 1 K not recorded"
                 world |= WARMING
+            elif symbol == "K_F.hysteresis":
+                size += ", 3 K up and down not recorded"
+                world |= UP_AND_DOWN
             rows.append(Violation(symbol, size, symbol, world))
         else:
             table, _, key = symbol.partition(".")

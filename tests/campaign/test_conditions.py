@@ -1,9 +1,14 @@
 """RunConditions of runs in a campaign: what is read, and what the model's slopes need."""
 
+import math
+
+import numpy as np
 import pytest
 from campaigns import SMALL, campaign_of, changed, without
 
-from counterspin.campaign.conditions import conditions_of, origin_of
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.conditions import conditions_of, directions_of, origin_of
+from counterspin.campaign.memory.making import make_campaign
 from counterspin.errors import CampaignError
 from counterspin.physics.effects import RunConditions
 
@@ -138,3 +143,95 @@ def test_a_prior_of_one_accelerometer_s_slope(tmp_path):
 def test_slips(line, message, tmp_path):
     text = changed(SMALL, ('record = "fast.csv"\n', f'record = "fast.csv"\n{line}\n'))
     assert any(message in problem for problem in problems(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("temperatures", "ways"),
+    [
+        ([20, 30, 40, 30, 20], [1, 1, 1, -1, -1]),
+        ([40, 20, 20, 35], [-1, -1, -1, 1]),
+        # A turning point counts from 2 K on; what lies between it and there was on the way back.
+        ([20, 25, 24, 23.5, 26, 22], [1, 1, 1, 1, 1, -1]),
+        ([20, 25, 24, 23, 22, 24.5], [1, 1, -1, -1, -1, 1]),
+        ([20, 25, 23.5, 30, 31.5], [0, 0, 0, 0, 0]),
+        ([20.0, 21.5, 20.2, 21.9], [0, 0, 0, 0]),
+        ([23], [0]),
+    ],
+)
+def test_the_way_of_the_temperature_is_told_by_its_turning_points(temperatures, ways, tmp_path):
+    described = {
+        "site": {"gravity": "9.8 m/s^2", "latitude": "45 deg"},
+        "centrifuge": {"radius": "1 m"},
+        "records": {"time": {"column": "t", "unit": "s"}},
+        "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
+        "model": {"assume": "all", "terms": ["K_F"]},
+        "runs": [
+            {
+                "name": f"{place}",
+                "motion": "static",
+                "attitude": f"{30 * place} deg about north",
+                "reading": "1 ± 1e-6 g",
+                "temperature": f"{temperature} degC",
+            }
+            for place, temperature in enumerate(temperatures)
+        ],
+    }
+    found = directions_of(make_campaign(described))
+    assert [2 * found.get(str(place), 0) for place in range(len(ways))] == ways
+    # In the order of their times, where all state them.
+    for place, run in enumerate(described["runs"]):
+        run["time"] = f"{-place} min"
+    back = directions_of(make_campaign(described))
+    mirrored = _mirrored(temperatures)
+    assert [2 * back.get(str(place), 0) for place in range(len(ways))] == mirrored
+    del described["runs"][0]["time"]
+    assert directions_of(make_campaign(described)) == found
+
+
+def _mirrored(temperatures):
+    """Return the ways of the same temperatures from the last to the first."""
+    known = {
+        (20, 30, 40, 30, 20): [-1, -1, 1, 1, 1],
+        (40, 20, 20, 35): [1, -1, -1, -1],
+        (20, 25, 24, 23.5, 26, 22): [-1, -1, -1, -1, 1, 1],
+        (20, 25, 24, 23, 22, 24.5): [-1, 1, 1, 1, -1, -1],
+    }
+    return known.get(tuple(temperatures), [0] * len(temperatures))
+
+
+def test_hysteresis_acts_where_the_temperature_came_back(tmp_path):
+    """The bias of two tumbles at 20 degC, with one at 30 between them, differs by it."""
+    rng = np.random.default_rng(6)
+    angles = np.arange(0.0, 360.0, 30.0)
+    warm = np.repeat([20.0, 30.0, 20.0], angles.size)
+    bias = 1e-3 + 2e-6 * (warm - 70.0 / 3.0) + 5e-5 * np.repeat([0.5, 0.5, -0.5], angles.size)
+    frame = {
+        "deg": np.tile(angles, 3),
+        "g": bias + np.cos(np.deg2rad(np.tile(angles, 3))) + 1e-6 * rng.standard_normal(36),
+        "u": np.full(36, 1e-6),
+        "degC": warm,
+    }
+    described = {
+        "site": {"gravity": "9.8 m/s^2", "latitude": "45 deg"},
+        "centrifuge": {"radius": "1 m"},
+        "records": {"time": {"column": "t", "unit": "s"}},
+        "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
+        "model": {"assume": "all", "terms": ["K_F", "K_I", "K_F.temperature", "K_F.hysteresis"]},
+        "readings": {
+            "columns": {"attitude": "deg", "reading": "g", "u": "u", "temperature": "degC"}
+        },
+    }
+    found = calibrate(make_campaign(described, readings=frame)).accelerometers["A"].coefficients
+    for symbol, truth in (("K_F", 1e-3), ("K_F.temperature", 2e-6), ("K_F.hysteresis", 5e-5)):
+        assert abs(found[symbol].value - truth) < 4 * found[symbol].u, symbol
+    # The means of the first and third twelve readings differ by it alone.
+    assert found["K_F.hysteresis"].u == pytest.approx(1e-6 * math.sqrt(2 / 12), rel=1e-3)
+    del described["model"]["assume"]
+    described["model"]["terms"] = ["K_F", "K_I"]
+    unstated = calibrate(make_campaign(described, readings=frame))
+    known = {one.name: one for one in unstated.rests_on}
+    assert known["A.K_F.hysteresis"].u == 2e-5
+    assert abs(known["A.K_F.hysteresis"].found - 5e-5) < 3e-6
+    frame["degC"] = np.repeat([20.0, 21.0, 20.0], angles.size)
+    steady = calibrate(make_campaign(described, readings=frame))
+    assert "A.K_F.hysteresis" not in {one.name for one in steady.rests_on}

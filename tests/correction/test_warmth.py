@@ -191,6 +191,20 @@ def test_slopes_that_nothing_states_are_in_u_where_the_temperature_is_known():
     assert "nothing states K_F.temperature, K_I.temperature, and the temperature is not" in said
 
 
+def test_half_of_hysteresis_is_in_u_as_its_sign_is_not_known():
+    """Of h ± u with a sign that nobody knows: (h^2 + u^2)/4, beside K_F's own."""
+    values, u = {"K_F": 1e-3, "K_I": 1.0, "K_F.hysteresis": 3e-5}, {"K_F": 2e-6}
+    found = result(values, u | {"K_F.hysteresis": 4e-6})
+    expected = math.sqrt(4e-12 + (9e-10 + 1.6e-11) / 4.0)
+    done = apply(found, "A", [0.5])
+    assert (done.corrected[0], done.u[0]) == pytest.approx((0.499, expected), rel=1e-9)
+    assert not done.warnings
+    row = {"kind": "unstated", "unit": "g", "value": 0.0, "u": 2e-5}
+    unstated = [Knowledge(name="A.K_F.hysteresis", **row)]
+    found = result({"K_F": 1e-3, "K_I": 1.0}, u, rests_on=unstated)
+    assert apply(found, "A", [0.5]).u[0] == pytest.approx(math.hypot(2e-6, 1e-5), rel=1e-9)
+
+
 def test_what_lies_beyond_the_calibration_is_said():
     found = result(MODEL | SLOPES, temperatures=(283.15, 303.15))
     inside = apply(found, "A", [1.0], ApplyOptions(temperature=30.9))

@@ -16,7 +16,8 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS, term
 
 SITE = Site(9.8066, 0.7985)
 SPINDLE = Spindle(-2.4, 3e-4, (Ripple(1, 4e-3, 0.8),), start_angle=0.5)
-TRAJECTORY = Trajectory(SPINDLE, 2.5, SITE, conditions=RunConditions(start=750.0, warmth=-1.7))
+CONDITIONS = RunConditions(start=750.0, warmth=-1.7, direction=-0.5)
+TRAJECTORY = Trajectory(SPINDLE, 2.5, SITE, conditions=CONDITIONS)
 TIMES = np.linspace(0.0, 9.0, 181)
 
 
@@ -46,6 +47,11 @@ def test_a_trend_goes_on_within_the_run():
     for observable, expected in by_hand.items():
         (shown,) = columns(TRAJECTORY, QX, ["K_F.trend"], TIMES, observable).T
         np.testing.assert_allclose(shown, expected, rtol=1e-14)
+
+
+def test_on_the_way_down_hysteresis_is_half_of_it_less():
+    (shown,) = columns(TRAJECTORY, QX, ["K_F.hysteresis"], TIMES).T
+    np.testing.assert_allclose(shown, -0.5 * SITE.gravity * TIMES**2 / 2, rtol=1e-14)
 
 
 def test_heating_is_the_mean_of_k_ii_and_nothing_of_its_harmonic():

@@ -99,6 +99,7 @@ class Run:
     turn: tuple = (0.0, "east")  #: of the platform: angle, and about what
     begins: float = 0.0  #: s, after the first run
     warmth: float = 0.0  #: K, above the reference temperature
+    way: float = 0.0  #: 1/2 where that was reached from below, -1/2 from above
 
     def angle(self, t):
         """Recorded angle, its rate and its acceleration at times of the record."""
@@ -123,6 +124,7 @@ class Reading:
     u_head: float = 0.0
     head_angle: float = 0.0  #: what the head shows, rad
     warmth: float = 0.0
+    way: float = 0.0
     begins: float = 0.0
     value: float = 0.0
     u: float = 1.0
@@ -166,8 +168,8 @@ def indicated(own, a_ipo, more):
     return total
 
 
-def conditions(own, warmth, begins, force):
-    """What temperature, time and the size of the force add to coefficients."""
+def conditions(own, warmth, way, begins, force):
+    """What temperature, its way, time and the size of the force add to coefficients."""
 
     def warmed(symbol):
         powers = ((1, ""), (2, ".2"), (3, ".3"))
@@ -175,6 +177,7 @@ def conditions(own, warmth, begins, force):
 
     return {
         "K_F": warmed("K_F")
+        + own.get("K_F.hysteresis", 0.0) * way
         + own.get("K_F.trend", 0.0) * begins
         + own.get("K_F.heating", 0.0) * force**2,
         "K_I": warmed("K_I"),
@@ -283,7 +286,7 @@ def record(place, run, instrument, x):
         """Along the input axis in g, of a platform that is turned by psi and leans besides."""
         psi = psi + (force @ body.T / g) @ soft.T @ body
         sensed = np.moveaxis((force - np.cross(psi, force)) @ axes.T, -1, 0) / g
-        return indicated(own, sensed, conditions(own, run.warmth, run.begins + t, lever))
+        return indicated(own, sensed, conditions(own, run.warmth, run.way, run.begins + t, lever))
 
     force = force_at(t)
     psi, psi_at_edges = _attitude(run, x, force @ body.T / g, half, body)
@@ -355,7 +358,7 @@ def reading(place, one, name, x):
     axes = rotated(one.axes, size, turn / size) if size else one.axes
     own = of(x, name)
     a_ipo = axes @ force.T / g
-    return np.mean(indicated(own, a_ipo, conditions(own, one.warmth, one.begins, lever)))
+    return np.mean(indicated(own, a_ipo, conditions(own, one.warmth, one.way, one.begins, lever)))
 
 
 # Least squares.

@@ -337,6 +337,7 @@ def readings(folder):
     truth = {
         **{"A.K_F": 2.1e-3, "A.K_I": 1.0008, "A.K_II": 1.6e-5, "A.K_III": 2e-6, "A.delta_O": 3e-4},
         **{"A.K_PP": -7e-7, "A.K_IP": 1.2e-6, "A.K_F.temperature": 2.4e-6, "head.zero": 1.5e-5},
+        "A.K_F.hysteresis": -8e-6,
         **{"head.harmonic.1.sin": -3e-6, "head.harmonic.2.cos": 9e-6},
         **{"centrifuge.radius.in": 1.2e-4, "centrifuge.stretch": 4e-9, "centrifuge.droop": 1.1e-7},
         "fixture.misalignment.out.forward": 4e-5,
@@ -345,12 +346,14 @@ def readings(folder):
     for k in range(15):
         axes = rotated(instrument.axes(), math.radians(24.0 * k), np.array(AXES["north"]))
         head = {"head": AXES["north"], "u_head": 3.0 * ARCSEC, "head_angle": math.radians(24.0 * k)}
-        when = {"warmth": (-0.4, 0.2, 0.5)[k % 3], "begins": 120.0 * k}
+        # Up by half a kelvin each to the eighth, and down again.
+        when = {"warmth": 0.5 * min(k, 14 - k) - 1.5, "begins": 120.0 * k}
+        when["way"] = 0.5 if k < 8 else -0.5
         at_rest.append(Reading(f"{24 * k} deg", "static", axes, **head, **when, u=2.5e-6))
     for k, rate in enumerate((5.0, 5.0, -9.0, -9.0, 13.0, 13.0, -16.0, 16.0)):
         mounting, ahead = (("in", "inward"), ("out", "outward"))[k % 2]
         axes = Instrument("A", ahead, "up").axes(ON_THE_ARM)
-        when = {"warmth": round(0.1 * k - 0.3, 1), "begins": 60.0 * (40 + 3 * k)}
+        when = {"warmth": round(0.1 * k - 0.3, 1), "way": -0.5, "begins": 60.0 * (40 + 3 * k)}
         on_arm.append(Reading(f"arm {k}", "arm", axes, rate, mounting, **when, u=2e-6))
     normals = Normals(5)
     at_rest = read(place, "A", at_rest, truth, per_g, normals, 7)
@@ -369,7 +372,7 @@ def readings(folder):
     }
     sides = [(m, e) for m in ("in", "out") for e in ("outward", "forward", "up")]
     unstated = {f"A.{s}": v for s, v in (OWN | WARM).items()} | AXIS_TILT | LATITUDE
-    unstated |= {"centrifuge.stretch": 4.6e-9}
+    unstated |= {"centrifuge.stretch": 4.6e-9, "A.K_F.hysteresis": 2e-5}
     unstated |= {f"head.harmonic.{n}": 1e-5 for n in ("1.cos", "2.cos", "2.sin")}
     unstated |= {f"fixture.misalignment.{m}.{e}": 5e-5 for m, e in sides}
     asked = ["A.K_F", "A.K_I", "A.K_II", "A.K_III", "A.delta_O"]

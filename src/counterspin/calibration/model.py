@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.campaign.conditions import conditions_of, origin_of
+from counterspin.campaign.conditions import conditions_of, directions_of, origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
@@ -180,6 +180,8 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     if row.effect.condition == "time":
         times = {reading.time for reading in campaign.all_readings} - {None}
         return bool(campaign.runs) or any(time != origin.time for time in times)
+    if row.effect.condition == "direction":
+        return bool(directions_of(campaign))
     warm = {reading.temperature for reading in campaign.all_readings} - {None}
     recorded = any(run.temperature is not None for run in campaign.runs)
     # Where nobody took temperatures, what a change of 1 K may have done is a slope.

@@ -20,6 +20,10 @@ from counterspin.physics.station import Station
 UNKNOWN_WARMING: Final = 1.0
 
 
+#: A change of temperature back by less than this is none, K.
+REVERSAL: Final = 2.0
+
+
 @frozen
 class Origin:
     """From where the campaign's temperatures (K) and times (s) count."""
@@ -45,6 +49,39 @@ def origin_of(campaign: Campaign) -> Origin:
     return Origin(temperature, time)
 
 
+def directions_of(campaign: Campaign) -> dict[str, float]:
+    """Return 1/2 for runs and readings on the way up in temperature, -1/2 on the way down.
+
+    They are in the order of their times where all state theirs, else in that of the description.
+    Where the temperature never came back by `REVERSAL`, there is nothing to tell: none is returned.
+    """
+    dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
+    warm = [one for one in dated if one.temperature is not None]
+    if all(one.time is not None for one in warm):
+        warm.sort(key=lambda one: one.time or 0.0)
+    ways = _ways([one.temperature or 0.0 for one in warm])
+    if len({way for way in ways if way}) < 2:
+        return {}
+    return {one.name: 0.5 * way for one, way in zip(warm, ways, strict=True)}
+
+
+def _ways(temperatures: Sequence[float]) -> list[int]:
+    """Return whether each was reached on the way up (1) or down (-1); the first as the second."""
+    ways, way, begin, extreme = [0] * len(temperatures), 0, 0, 0
+    for place, temperature in enumerate(temperatures):
+        change = temperature - temperatures[extreme]
+        if way == 0 and abs(change) >= REVERSAL:
+            way, extreme = (1 if change > 0.0 else -1), place
+        elif way and change * way >= 0.0:
+            extreme = place
+        elif way and abs(change) >= REVERSAL:
+            # What came after the turning point was on the way back already.
+            ways[begin : extreme + 1] = [way] * (extreme + 1 - begin)
+            begin, way, extreme = extreme + 1, -way, place
+    ways[begin:] = [way] * (len(ways) - begin)
+    return ways
+
+
 def conditions_of(
     campaign: Campaign, lengths: Mapping[str, float] | None = None
 ) -> dict[str, RunConditions]:
@@ -58,12 +95,12 @@ def conditions_of(
     lengths: Run -> length of its record, s; those that are not there are taken from the
         description.
     """
-    origin = origin_of(campaign)
+    origin, ways = origin_of(campaign), directions_of(campaign)
     conditions, elapsed = {}, 0.0
     for run in campaign.runs:
         start = elapsed if run.time is None else run.time - origin.time
         warmth = 0.0 if run.temperature is None else run.temperature - origin.temperature
-        conditions[run.name] = RunConditions(start, warmth)
+        conditions[run.name] = RunConditions(start, warmth, ways.get(run.name, 0.0))
         elapsed += (lengths or {}).get(run.name, run.duration or 0.0)
     if all(run.temperature is None for run in campaign.runs):
         return _warming(conditions)
@@ -98,7 +135,7 @@ def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]
 
 def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
     first = readings[0]
-    origin = origin_of(campaign)
+    origin, ways = origin_of(campaign), directions_of(campaign)
     reference, start = origin.temperature, origin.time
     return Readings(
         accelerometer=first.accelerometer,
@@ -119,6 +156,7 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
             [(reference if r.temperature is None else r.temperature) - reference for r in readings]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in readings]),
+        direction=np.array([ways.get(r.name, 0.0) for r in readings]),
         repeats=np.array([float(r.repeats) for r in readings]),
         scatter=np.array([r.scatter for r in readings]),
         resolution=min(r.resolution for r in readings),

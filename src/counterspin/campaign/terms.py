@@ -377,7 +377,8 @@ def check_conditions(
     used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
     used += [row for s, row in CONDITION_TERMS.items() if s in set(also)]
     for key in ("temperature", "time"):
-        asking = next((row.symbol for row in used if row.effect.condition == key), None)
+        conditions = (key, "direction") if key == "temperature" else (key,)
+        asking = next((row.symbol for row in used if row.effect.condition in conditions), None)
         stated = [getattr(run, key) is not None for _, run in runs]
         if asking is None and (key == "temperature" or not any(stated)):
             continue

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.notebook.instrument import (
+    HYSTERESIS,
     acts,
     covariance_of,
     determined,
@@ -299,7 +300,7 @@ def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
     others = [
         symbol
         for symbol, c in known.items()
-        if symbol in CONDITION_TERMS and not acts(symbol) and (c.value or c.u)
+        if symbol in {*CONDITION_TERMS} - {HYSTERESIS} and not acts(symbol) and (c.value or c.u)
     ]
     if not others:
         return []

@@ -83,6 +83,7 @@ class Readings:
     in_si: Array | float = 0.0
     #: What the dividing head shows, rad, shape (n,).
     head_angle: Array | float = 0.0
+    direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
@@ -173,7 +174,9 @@ class Readings:
     def lever(self, symbol: str) -> Array:
         """Return what a slope of a coefficient is multiplied with, shape (n,)."""
         forces = np.array([one.radius * one.rate**2 for one in self.stations]) / self.site.gravity
-        return CONDITION_TERMS[symbol].effect.levers(self.time, self.temperature, forces)
+        return CONDITION_TERMS[symbol].effect.levers(
+            self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
+        )
 
 
 class Measured(Protocol):

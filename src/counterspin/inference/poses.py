@@ -68,6 +68,7 @@ class TriadPoses:
     in_si: Array
     within: float = 0.0  #: What is known of the noise from within the poses, g.
     resolution: float = 0.0  #: One of the last digit that was written, g.
+    direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
     motion: str = "poses"
 
     @property
@@ -229,7 +230,12 @@ def _lever(poses: TriadPoses, symbol: str) -> tuple[int, Array] | None:
     slope = CONDITION_TERMS[symbol].effect
     if slope.condition == "force":
         return None
-    lever = slope.levers(poses.time, poses.temperature, np.zeros(poses.size))
+    lever = slope.levers(
+        poses.time,
+        poses.temperature,
+        np.broadcast_to(poses.direction, poses.size),
+        np.zeros(poses.size),
+    )
     return _SYMBOLS.index(slope.coefficient), lever
 
 

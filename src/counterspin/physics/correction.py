@@ -76,7 +76,7 @@ def product_of(symbol: str) -> Product:
 def _lever(slope: Slope, warmth: Array | float) -> Array:
     """Return what a slope is multiplied with; with time and heating it is at the beginning."""
     zero = np.zeros_like(warmth)
-    return slope.levers(zero, np.asarray(warmth, dtype=np.float64), zero)
+    return slope.levers(zero, np.asarray(warmth, dtype=np.float64), zero, zero)
 
 
 @frozen(eq=False)

@@ -17,6 +17,8 @@ class RunConditions:
 
     start: float = 0.0  #: When it began, s from the beginning of the campaign.
     warmth: float = 0.0  #: Its temperature less the reference temperature, K.
+    #: 1/2 where that was reached on the way up, -1/2 on the way down, 0 where neither is known.
+    direction: float = 0.0
 
 
 #: At the beginning of a campaign, at the reference temperature.
@@ -91,7 +93,8 @@ class Slope:
 
     coefficient: str  #: Symbol of the term that changes.
     #: ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
-    #: campaign) or ``force`` (the square of the centripetal one at the run's rate, g^2).
+    #: campaign), ``direction`` (in which the temperature went) or ``force`` (the square of the
+    #: centripetal one at the run's rate, g^2).
     condition: str
     power: int = 1  #: With which power of the condition it grows.
 
@@ -100,11 +103,12 @@ class Slope:
 
         force: Centripetal force at the run's rate, g.
         """
-        return float(self.levers(*map(np.asarray, (conditions.start, conditions.warmth, force))))
+        given = (conditions.start, conditions.warmth, conditions.direction, force)
+        return float(self.levers(*map(np.asarray, given)))
 
-    def levers(self, start: Array, warmth: Array, force: Array) -> Array:
+    def levers(self, start: Array, warmth: Array, direction: Array, force: Array) -> Array:
         """Return the same for several, given as in `RunConditions`, of one shape."""
-        levers = {"temperature": warmth, "time": start, "force": force**2}
+        levers = {"temperature": warmth, "time": start, "direction": direction, "force": force**2}
         return np.asarray(levers[self.condition] ** self.power)
 
 

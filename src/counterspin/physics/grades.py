@@ -122,6 +122,10 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         for n in (2, 3)
     },
     "K_II.temperature": ((1e-5, 1e-8, _NONE), (1e-4, 3e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_F.hysteresis": tuple(
+        (limit, typical, "order of magnitude, no source: what 4 K do to K_F")
+        for limit, typical in ((1e-2, 2e-5), (1e-2, 4e-4), (5e-2, 8e-4))
+    ),
     "K_F.trend": (
         (1e-3, 1.7e-9, "order of magnitude, no source: 0.1 µg/min"),
         (1e-3, 1.7e-8, "order of magnitude, no source: 1 µg/min"),

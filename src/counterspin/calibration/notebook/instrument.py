@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 #: Axes of an accelerometer on its own, whose place on the platform then does not matter.
 _ALONE: Final = Mounting.from_axes("east", "north")
 
+#: Bias up in temperature less down, of which nobody who applies a result knows the sign.
+HYSTERESIS: Final = "K_F.hysteresis"
+
 #: Relative growth of a variance by which a covariance may miss being one: rounding.
 _ROUNDING: Final = 1e-6
 
@@ -39,9 +42,12 @@ def with_unstated(
     accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
     for row in result.rests_on:
         name, _, symbol = row.name.partition(".")
-        if row.kind != "unstated" or name not in accelerometers or not acts(symbol):
+        if row.kind != "unstated" or name not in accelerometers:
             continue
-        needed = {*product_of(symbol).factors, *(["temperature"] if symbol not in TERMS else [])}
+        if not (acts(symbol) or symbol == HYSTERESIS):
+            continue
+        needed = {*product_of(symbol).factors}
+        needed |= {"temperature"} if symbol in CONDITION_TERMS and acts(symbol) else set()
         if needed <= set(given):
             own = accelerometers[name]
             c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
@@ -96,6 +102,11 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
     if not values:
         raise CampaignError("apply", [f"the result has no coefficient of {name} with a value"])
     covariance = covariance_of(accelerometer, terms)
+    way = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS)
+    if way is not None and "K_F" in values:
+        # Half of it is there with either sign: on which way it was is not known.
+        place = list(values).index("K_F")
+        covariance[place, place] += ((way.value or 0.0) ** 2 + (way.u or 0.0) ** 2) / 4.0
     if not is_possible(covariance):
         # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
         covariance = len(terms) * np.diag(np.diag(covariance))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from counterspin.campaign.conditions import groups_of, origin_of
+from counterspin.campaign.conditions import directions_of, groups_of, origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.inference.linear_readings import Readings
@@ -40,7 +40,7 @@ def one_group(
     campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float = 0.0
 ) -> TriadPoses:
     """Return poses as one group, whose noise is stated if that of all is."""
-    origin = origin_of(campaign)
+    origin, ways = origin_of(campaign), directions_of(campaign)
     warmth, start = origin.temperature, origin.time
     firsts = [pose[0] for pose in poses]
     stated = all(reading.u is not None for pose in poses for reading in pose)
@@ -55,6 +55,7 @@ def one_group(
             [(warmth if r.temperature is None else r.temperature) - warmth for r in firsts]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in firsts]),
+        direction=np.array([ways.get(first.name, 0.0) for first in firsts]),
         repeats=np.array([float(min(reading.repeats for reading in pose)) for pose in poses]),
         scatter=np.array([sum(reading.scatter for reading in pose) for pose in poses]),
         in_si=np.array([[float(reading.in_si) for reading in pose] for pose in poses]),
