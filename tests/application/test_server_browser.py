@@ -105,7 +105,9 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     key, cert = write(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"vy secret")
     tab = opened("/certificate/three%2Fresult.json")
     # What is left of the example is seen before anything is signed.
-    tab.get_by_text("Still the example's: customer.name. What is issued now is a draft").wait_for()
+    tab.get_by_text(
+        "Still the example's: customer (name). What is issued now is a draft"
+    ).wait_for()
     assert tab.get_by_label("Password of the key").is_hidden()
     tab.get_by_label("Signature").select_option("With a key in a file")
     tab.get_by_text("Replace that below before you sign.").wait_for()

@@ -3,8 +3,8 @@ import { beforeEach, mock, test } from "node:test";
 import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
-import { commandLine, make, oneAtATime, say, stateMark, symbols, warning } from "./dom.js";
-import { answersTo, asTable, tipOf } from "./exports.js";
+import { commandLine, inSections, make, oneAtATime, say, stateMark, symbols, warning } from "./dom.js";
+import { answersTo, asTable, lookUntilSettled, tipOf } from "./exports.js";
 import { knownTo, named, percent, size } from "./improving.js";
 import { follow } from "./job.js";
 import { columnsOf, withPoint } from "./live.js";
@@ -19,6 +19,35 @@ beforeEach(() => {
   server.answer = () => json({});
 });
 
+// A recorder's files
+
+/**
+ * Look at files where each answer leads to the next question, and all are answered already.
+ * @param {number} questions
+ * @param {(look: number) => boolean} overtaken whether somebody else asks during a look
+ */
+async function looksAt(questions, overtaken = () => false) {
+  let known = 0;
+  /** @type {number[]} how many answers each look sent */
+  const sent = [];
+  const answered = () => Array.from({ length: known }, (_, place) => `question ${place}`);
+  const told = await lookUntilSettled(async () => {
+    sent.push(known);
+    if (overtaken(sent.length)) return null;
+    known = Math.min(known + 1, questions);
+    return sent.length;
+  }, answered);
+  return { sent, told };
+}
+
+test("files are looked at until what was answered before is sent, and no more than four times", async () => {
+  assert.deepEqual(await looksAt(0), { sent: [0], told: 1 });
+  assert.deepEqual(await looksAt(1), { sent: [0, 1], told: 2 });
+  assert.deepEqual(await looksAt(3), { sent: [0, 1, 2, 3], told: 4 });
+  assert.deepEqual(await looksAt(9), { sent: [0, 1, 2, 3], told: 4 });
+  assert.deepEqual(await looksAt(9, (look) => look === 2), { sent: [0, 1], told: null });
+});
+
 // Addresses
 
 test("a name is in an address as it is, whatever stands in it", () => {
@@ -29,6 +58,14 @@ test("a name is in an address as it is, whatever stands in it", () => {
       assert.equal(decodeURIComponent(parts[2]), name);
     }
   }
+});
+
+// Certificates
+
+test("what still is an example's is said by section", () => {
+  const keys = ["laboratory.name", "laboratory.post_code", "persons[0].name", "persons[1].name"];
+  assert.equal(inSections(keys), "laboratory (name, post code), persons (name)");
+  assert.equal(inSections([]), "");
 });
 
 // Elements

@@ -3,7 +3,7 @@
 
 import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, say, warning } from "./dom.js";
+import { commandLine, inSections, labelled, make, say, warning } from "./dom.js";
 import { editorOf } from "./editor.js";
 import { saving } from "./result.js";
 import { Signing } from "./signing.js";
@@ -33,7 +33,7 @@ export async function certificateView(result) {
     if (refused) button.setAttribute("aria-describedby", draft.id);
     else button.removeAttribute("aria-describedby");
     draft.hidden = example.length === 0;
-    draft.textContent = `Still the example's: ${example.join(", ")}. ${
+    draft.textContent = `Still the example's: ${inSections(example)}. ${
       refused ? "Replace that below before you sign." : "What is issued now is a draft, and says so on every page."}`;
   };
   const signing = new Signing(told.signer, () => judge());

@@ -39,6 +39,20 @@ export const symbols = (text) =>
     place % 2 ? make("span", {}, piece[0], make("sub", {}, piece.slice(2))) : piece);
 
 /**
+ * Keys of the laboratory's data in words, by section.
+ * @param {string[]} keys such as "persons[0].name"
+ */
+export function inSections(keys) {
+  /** @type {Map<string, string[]>} */
+  const sections = new Map();
+  for (const key of keys) {
+    const [section, ...rest] = key.replace(/\[\d+\]/g, "").split(".");
+    sections.set(section, [...sections.get(section) ?? [], rest.join(" ").replaceAll("_", " ")]);
+  }
+  return [...sections].map(([section, some]) => `${section} (${[...new Set(some)].join(", ")})`).join(", ");
+}
+
+/**
  * What a click does, as a command.
  * @param {string} command
  * @returns {HTMLElement}

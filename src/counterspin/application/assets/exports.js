@@ -126,6 +126,21 @@ export const answersTo = (questions, answers) => Object.fromEntries(questions
   .filter(({ key, choices }) => key in answers && (!choices.length || choices.includes(answers[key])))
   .map(({ key }) => [key, answers[key]]));
 
+/**
+ * Look until no answer is left unsent, or often enough: an answer may lead to a question that is answered already.
+ * @template T
+ * @param {() => Promise<T|null>} look sends the answers; null: somebody else has asked meanwhile
+ * @param {() => string[]} answered the questions known so far that are answered
+ * @returns {Promise<T|null>} what the last look told
+ */
+export async function lookUntilSettled(look, answered) {
+  for (let count = 1; ; count++) {
+    const sent = answered();
+    const told = await look();
+    if (told === null || count === MOST_LOOKS || answered().every((key) => sent.includes(key))) return told;
+  }
+}
+
 /** What is in the files, with a field for all that may be answered. */
 class Preview {
   /**
@@ -172,17 +187,15 @@ class Preview {
   /** Ask what the files show with the answers so far, and show it. */
   async update() {
     const asked = ++this.asked;
-    /** @type {any} */
-    let told;
-    // An answer may lead to a question that is answered already.
-    for (let look = 0; look < MOST_LOOKS; look++) {
-      told = await send("POST", "draft", this.said());
-      if (asked !== this.asked) return;
-      this.test = told.test;
-      this.questions = told.questions;
-      const sent = this.sent;
-      if (Object.keys(this.said().answers).every((key) => key in sent)) break;
-    }
+    const told = await lookUntilSettled(async () => {
+      const found = await send("POST", "draft", this.said());
+      if (asked !== this.asked) return null;
+      this.test = found.test;
+      this.questions = found.questions;
+      return found;
+    }, () => Object.keys(answersTo(this.questions, this.answers)));
+    if (told === null) return;
+    this.said();
     if (!this.drawing.length) this.drawing = [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)];
     this.show(told, told.problems);
   }
