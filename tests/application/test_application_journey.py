@@ -1,10 +1,12 @@
 """From a recorder's files to a signed certificate by mouse, and what it costs a person.
 
-Clicks, fields and letters are counted by the hand that makes them. Of time what a person needs is
-counted, at 60 words a minute; what the program needs is the benchmarks' subject.
+Clicks, fields and letters are counted by the hand that makes them, and the words that have to be
+read. Time is what a person needs for them, and what the program took beside. The laboratory's data
+are a form that is filled in once, for the first certificate: it is counted apart, and in the time.
 """
 
 import re
+import time
 
 import numpy as np
 import polars as pl
@@ -28,6 +30,31 @@ MOST_CLICKS, MOST_FIELDS, MOST_SECONDS = 12, 9, 300.0
 #: 60 words a minute, five letters each; to point and press, and to think before a field: Card,
 #: Moran and Newell, The keystroke-level model, Comm. ACM 23 (1980) 396.
 SECONDS_A_LETTER, SECONDS_A_CLICK, SECONDS_A_FIELD = 0.2, 1.3, 2.7
+
+#: Silent reading: Brysbaert, How many words do we read per minute?, J. Mem. Lang. 109 (2019).
+WORDS_A_MINUTE = 238.0
+
+#: Fields of the laboratory's form that a first certificate needs.
+LABORATORY = {
+    "certificate.begin": "2026-01-12",
+    "certificate.end": "2026-01-14",
+    "certificate.traceability": "Radius by interferometer (certificate 17), time by standard 18.",
+    "laboratory.name": "Bench Calibration",
+    "laboratory.street": "Long Street",
+    "laboratory.number": "7",
+    "laboratory.post_code": "10135",
+    "laboratory.city": "Turin",
+    "laboratory.country": "IT",
+    "customer.name": "Inertial Works",
+    "customer.city": "Lyon",
+    "customer.country": "FR",
+    "item.name": "accelerometer",
+    "item.manufacturer": "Inertial Works",
+    "item.model": "Q2",
+    "item.serial_number": "1017",
+    "persons[0].name": "A. Person",
+    "persons[0].role": "Head of calibration",
+}
 
 #: What a person knows that no file says: how a question begins -> the answer.
 KNOWN = {
@@ -66,13 +93,16 @@ def labview(frames, folder):
 
 
 def excel(frames, folder):
-    """Write one book with a sheet for each run, title and units above the numbers."""
+    """Write one book with a sheet for each run, title and units above the numbers.
+
+    Its axis has the wrong name, as after a change of cables, and is guessed by it.
+    """
     write_workbook(
         folder / "book.xlsx",
         {
             name: [
                 ["Run", name, None],
-                [*frame.columns],
+                [*frame.columns[:-1], "north_m"],
                 ["s", "rad", "m"],
                 *map(list, frame.rows()),
             ]
@@ -113,11 +143,20 @@ def blanks(frames, folder):
         (folder / f"{name}.dat").write_text("\n".join(rows) + "\n")
 
 
+#: What is guessed wrong, and changed.
+WRONG = {excel: {"Along which axis": "east"}}
+#: Whose is the laboratory's first certificate.
+FIRST = matlab
+
+
 class Hand:
-    """A hand that counts what it does."""
+    """A hand that counts what it does, and the eye that goes with it."""
 
     def __init__(self, tab):
-        self.tab, self.clicks, self.fields, self.letters = tab, 0, 0, 0
+        self.tab, self.clicks, self.fields, self.letters, self.words = tab, 0, 0, 0, 0
+
+    def read(self, *found):
+        self.words += sum(len(re.findall(r"\w+", one.inner_text())) for one in found)
 
     def click(self, found):
         found.click()
@@ -139,7 +178,18 @@ class Hand:
     @property
     def seconds(self):
         typed = SECONDS_A_LETTER * self.letters
-        return typed + SECONDS_A_CLICK * self.clicks + SECONDS_A_FIELD * self.fields
+        read = 60.0 / WORDS_A_MINUTE * self.words
+        return typed + read + SECONDS_A_CLICK * self.clicks + SECONDS_A_FIELD * self.fields
+
+
+def fill_in_the_laboratory(tab):
+    """Fill in the laboratory's form, as before the first certificate; return the hand."""
+    hand = Hand(tab)
+    hand.read(tab.locator("#draft"))
+    for key, text in LABORATORY.items():
+        hand.fill(tab.locator(f'[id="f-{key}"]'), text)
+        hand.words += len(re.findall("[a-z]+", key))  # its section, its label
+    return hand
 
 
 @pytest.fixture(scope="module")
@@ -153,25 +203,38 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
     files = tmp_path / "files"
     files.mkdir()
     write(frames, files)
-    write_own(folder / "LAB.toml")
+    if write is not FIRST:
+        write_own(folder / "LAB.toml")
     key, cert = write_pkcs12(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"secret")
     tab = opened()
-    hand = Hand(tab)
+    hand, begun = Hand(tab), time.monotonic()
+    hand.read(tab.locator(".drop"))
     hand.fill(tab.get_by_label("Folder of the new campaign"), "mine")
     hand.bring(tab.get_by_label("The recorder's files"), sorted(files.iterdir()))
     tab.get_by_label("What is gravity").wait_for()
+    hand.read(tab.locator(".preview"), tab.locator(".drop form"))
     for question, answer in KNOWN.items():
         for field in tab.get_by_label(question).all():
             if field.input_value() == "":
                 hand.fill(field, answer)
+    for question, answer in WRONG.get(write, {}).items():
+        wrong = tab.get_by_label(question)
+        assert wrong.input_value() == "north"
+        hand.fill(wrong, answer)
     hand.click(tab.get_by_role("button", name="Write the campaign"))
     hand.click(tab.get_by_role("button", name="Calibrate"))
-    hand.click(tab.get_by_role("link", name="Certificate of this result"))
+    certificate = tab.get_by_role("link", name="Certificate of this result")
+    certificate.wait_for()
+    hand.read(*tab.locator(".answers, .warning").all())
+    hand.click(certificate)
+    tab.get_by_label("Signature").wait_for()
+    office = fill_in_the_laboratory(tab) if write is FIRST else Hand(tab)
     hand.fill(tab.get_by_label("Signature"), "With a key in a file")
     hand.bring(tab.get_by_label("Key, PEM or PKCS #12"), key)
     hand.fill(tab.get_by_label("Password of the key"), "secret")
     hand.click(tab.get_by_role("button", name="Sign and issue"))
     tab.get_by_text(re.compile("^Certificate .* signed: ")).wait_for()
+    program = time.monotonic() - begun
     for name in ("certificate.xml", "certificate.pdf"):
         assert check_certificate(folder / "mine" / name, cert=cert).signature == "valid"
     (found,) = read_result(folder / "mine" / "result.json").accelerometers.values()
@@ -179,4 +242,5 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
     assert abs(k_ii.value - 2.7e-5) < 4.0 * k_ii.u
     assert hand.clicks <= MOST_CLICKS
     assert hand.fields <= MOST_FIELDS
-    assert hand.seconds <= MOST_SECONDS
+    assert office.fields == (len(LABORATORY) if write is FIRST else 0)
+    assert hand.seconds + office.seconds + program <= MOST_SECONDS
