@@ -86,14 +86,14 @@ def plan_of(engine: StudyEngine) -> peers.Plan:
     for run, motion in enumerate(two_stage.motions):
         spindle = engine.truth.spindles[run]
         strobes = spindle.time_at(motion.angles)
-        path = Trajectory(spindle, two_stage.radius, motion.site)
+        path = Trajectory(spindle, motion.radius, motion.site)
         symbols = [symbol for _, symbol in two_stage.true]
         true = np.array([float(draws.values[key][0, 0]) for key in two_stage.true])
         true[symbols.index("K_I")] -= 1.0
         made = columns(path, motion.mounting, symbols, strobes, attitude=motion.attitude)
         times.append(strobes)
         readings.append(made @ true)
-        _, assumed, _ = two_stage._effects(draws, run)
+        assumed, _ = two_stage._effects(draws, run)
         effects.append(dict(zip(two_stage.symbols, assumed[:, 0], strict=True)))
     return peers.Plan(
         times=times,
@@ -177,7 +177,7 @@ def _ode(engine: TwoStageEngine, draws: Draws) -> list[float]:
             drift=spindle.drift,
             ratio=ripple.amplitude / spindle.rate,
             phase=ripple.phase,
-            radius=float(one.radius[0]),
+            radius=motion.radius + float(one.off("centrifuge.radius")[0]),
             gravity=motion.site.gravity,
             earth_up=float(motion.site.earth_rotation[2]),
             earth_north=float(motion.site.earth_rotation[1]),

@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 from counterspin import schemas
 from counterspin.calibration.result import Result
 from counterspin.campaign.kinds import known
+from counterspin.campaign.truth import TRUE_TABLES
 from counterspin.comparisons.result import Compared, Repeated
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, WatchState
@@ -139,15 +140,21 @@ def table(name: str) -> str:
 def keys(name: str) -> dict[str, FieldInfo]:
     """Return key -> field, without terms and without those of a class that has a table itself."""
     model = model_of(name)
-    bases = [b for b in model.__bases__ if hasattr(schemas, b.__name__) and b is not model]
+    bases = [b for b in model.__bases__ if b.__name__ in _shown()]
     told = {key for base in bases for key in base.model_fields} | set(OWN_TERMS)
     named = {field.alias or name: field for name, field in model.model_fields.items()}
     return {key: field for key, field in named.items() if key not in told}
 
 
+def _shown() -> dict[str, type]:
+    """Return name -> class of the tables that a schema names."""
+    tables = (*vars(schemas).values(), *TRUE_TABLES.values())
+    return {one.__name__: one for one in tables if isinstance(one, type)}
+
+
 def model_of(name: str) -> type[BaseModel]:
     """Return the class of a table, wherever a schema has it from."""
-    found = {one.__name__: one for one in vars(schemas).values() if isinstance(one, type)}
+    found = _shown()
     waiting = [one for one in found.values() if issubclass(one, BaseModel)]
     while name not in found:
         inner = {m for f in waiting.pop().model_fields.values() for m in _models(f.annotation)}

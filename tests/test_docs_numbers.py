@@ -33,7 +33,7 @@ from counterspin.physics import gravity, motion, terms
 from counterspin.planning import design, plan_file, requirements, search
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.reproduction import plan as paper
-from counterspin.studies import description, result, study, surrogate, tally
+from counterspin.studies import description, draws, result, study, surrogate, tally, validity
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
@@ -95,17 +95,15 @@ ROWS = {
         ("u would grow by {}; where", math.hypot(1.0, requirements._TOLERABLE_PART_OF_U) - 1.0),
     ],
     "study": [
-        ("only the noise varies, and {} analyses compete", len(description._DEFAULT)),
+        ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT)),
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in tally.LEVELS)),
         ("contain the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
         ("must not exceed {} of what it claims", result._LARGEST_BIAS),
         ("a polynomial of the {} degree", surrogate.DEGREE),
         ("inside a box of {} rad of drift a run", surrogate._DRIFT_ANGLE),
-        (
-            "a ripple ratio of {} and {} of the radius",
-            surrogate._RIPPLE_RATIO,
-            surrogate._RADIUS_ERROR,
-        ),
+        ("and a ripple ratio of {}, checked", surrogate._RIPPLE_RATIO),
+        ("as linear: to {} of itself", validity._LARGEST_PART),
+        ("at {} standard deviations. Inputs", draws._VALID_SDS),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
         ("A study that will take {} an hour or more", study._LONG_HOURS),
         ("at most {} for each processor core", workers._PROCESSES_PER_CORE),

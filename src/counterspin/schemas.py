@@ -31,17 +31,13 @@ from counterspin.campaign.settings import (
     RunSettings,
     SimulationSettings,
     SiteSettings,
-    StatedNoise,
 )
 from counterspin.campaign.specification import SpecificationSettings
 from counterspin.campaign.triads.declared import TriadSettings
 from counterspin.campaign.truth import (
+    TRUE_TABLES,
     AccelerometerTruthSettings,
-    CentrifugeTruthSettings,
-    EncoderTruthSettings,
-    PlatformTruthSettings,
     RunTruthSettings,
-    SpindleTruthSettings,
 )
 from counterspin.certificates.lab import Lab
 from counterspin.planning.plan_sections import (
@@ -90,15 +86,6 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "simulation": SimulationSettings,
     "truth": AccelerometerTruthSettings,
     "study": StudySettings,
-}
-
-#: Tables of [truth] that are no accelerometer's -> their classes.
-TRUE_TABLES: Final[Mapping[str, type[BaseModel]]] = {
-    "spindle": SpindleTruthSettings,
-    "platform": PlatformTruthSettings,
-    "centrifuge": CentrifugeTruthSettings,
-    "encoder": EncoderTruthSettings,
-    "noise": StatedNoise,
 }
 
 

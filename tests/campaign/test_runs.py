@@ -130,7 +130,7 @@ def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
             "records.time: simulated records have n",
         ),
         (ANGLE, "angle = { column = 'a' }", "records.angle.unit: is missing"),
-        ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', "are read alike"),
+        ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', r'"slow", records.decimal'),
     ],
 )
 def test_what_cannot_be_simulated_is_said(tmp_path, old, new, words):

@@ -27,6 +27,19 @@ def test_too_few_trials_are_not_judged(tmp_path, trials):
     assert styles.count("warning") == 1
 
 
+def test_a_study_that_was_stopped_is_judged_by_the_trials_done(tmp_path):
+    def stop(done, _):
+        if done:
+            raise KeyboardInterrupt
+
+    folder = write(tmp_path, f'{SMALL}\n[study.analyses.joint]\nmethod = "joint"\n')
+    result = study(folder, trials=FEWEST_TRIALS, engine="full", progress=stop)
+    assert not result.complete
+    assert result.trials < FEWEST_TRIALS == result.trials_asked
+    assert {one.trustworthy for one in result.analyses.values()} == {None}
+    assert result.verdict[0].startswith(f"{result.trials} trials are too few")
+
+
 def test_enough_trials_are_judged(tmp_path):
     result = study(write(tmp_path, SMALL), trials=FEWEST_TRIALS)
     assert None not in {one.trustworthy for one in result.analyses.values()}

@@ -135,7 +135,7 @@ def test_outside_its_box_a_surrogate_hands_over_to_quadrature(tmp_path):
     assert (
         not made[0][0]
         .surrogates[0]
-        .holds([draws.drift[0], draws.ripple_cos[0], draws.ripple_sin[0], draws.radius])
+        .holds([draws.drift[0], draws.ripple_cos[0], draws.ripple_sin[0]])
         .all()
     )
     for fast, slow in zip(*made, strict=True):
@@ -189,6 +189,7 @@ def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, e
     analysis = '[study.analyses.exact]\nmethod = "two-stage"\n'
     # A prior of K_F would hold it against what another gravity makes of b2.
     sure = SHORT.replace('bias = "0.004 ± 2e-6 g"', "")
+    sure += '[truth.site]\ngravity = "9.80 m/s^2"\n[truth.centrifuge]\nradius = "2.50 m"\n'
     said = []
     for name, text in (("sure", sure), ("unsure", with_uncertain_inputs(sure))):
         truth, ((made,),) = engines(write(tmp_path / name, text + analysis), engine)
@@ -354,7 +355,7 @@ def test_what_nobody_states_is_covered(tmp_path):
     assert whole.sd / whole.u == pytest.approx(1.0, abs=0.45)
 
 
-def test_what_is_stated_or_true_is_not_drawn(tmp_path):
+def test_what_is_known_is_drawn_and_what_is_true_or_asked_for_is_not(tmp_path):
     def drawn(name, text):
         return {(v.owner, v.symbol): v for v in read_study(write(tmp_path / name, text)).varying}
 
@@ -366,21 +367,25 @@ def test_what_is_stated_or_true_is_not_drawn(tmp_path):
     radius = varying["", "centrifuge.radius"]
     assert (radius.first, radius.second) == (2.5, term("centrifuge.radius").typical)
     assert varying["", "platform.tilt.north"].per_run
-    # Asked for, stated, or of inputs that records are simulated with.
-    assert not {"K_F", "K_I", "K_II", "K_III", "K_IP", "site.gravity", "site.latitude"} & {
-        symbol for _, symbol in varying
-    }
-    stated = UNSTATED.replace('K_IP = "6e-6 g/g^2"', 'K_IP = "6e-6 g/g^2"\nK_OO = "1e-6 g/g^2"')
-    stated = stated.replace(
-        "[[runs]]",
-        '[model.priors]\nK_PP = "0 ± 1e-6 g/g^2"\n[model.typical]\nK_IO = "1e-7 g/g^2"\n[[runs]]',
-        1,
-    )
+    gravity = varying["", "site.gravity"]
+    assert (gravity.first, gravity.second) == (9.8, term("site.gravity").typical)
+    delay, clock = varying["", "records.timing_offset"], varying["", "records.clock"]
+    assert (delay.first, delay.second, clock.first, clock.second) == (0.0, 1e-5, 0.0, 2e-5)
+    # Asked for, or of a value that is true.
+    assert not {"K_F", "K_I", "K_II", "K_III", "K_IP"} & {symbol for _, symbol in varying}
+    stated = UNSTATED.replace('K_IP = "6e-6 g/g^2"', 'K_IP = "6e-6 g/g^2"\nK_OO = "0 g/g^2"')
+    known = '[model.priors]\nK_PP = "3e-6 ± 1e-6 g/g^2"\n[model.typical]\nK_IO = "1e-7 g/g^2"\n'
+    stated = stated.replace("[[runs]]", f"{known}[[runs]]", 1)
+    stated = stated.replace('"2.5 m"', '"2.5 ± 2e-6 m"')
+    stated += '[truth.site]\nlatitude = "45 deg"\n[truth.platform]\ntilt.north = "0 arcsec"\n'
     stated += '[study.vary]\nK_PO = { uniform = ["0 g/g^2", "1e-6 g/g^2"] }\n'
     changed = drawn("stated", stated)
-    assert {symbol for _, symbol in set(varying) - set(changed)} == {"K_OO", "K_PP"}
+    true = {"K_OO", "site.latitude", "platform.tilt.north"}
+    assert {symbol for _, symbol in set(varying) - set(changed)} == true
     assert changed["Qx", "K_PO"].kind == "uniform"
     assert changed["Qx", "K_IO"].second == 1e-7
+    k_pp, radius = changed["Qx", "K_PP"], changed["", "centrifuge.radius"]
+    assert (k_pp.first, k_pp.second, radius.second) == (3e-6, 1e-6, 2e-6)
 
 
 def test_an_analysis_may_assume_and_hold_something_else(tmp_path):

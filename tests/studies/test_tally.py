@@ -70,7 +70,7 @@ def test_binomial_interval_is_clopper_and_pearson_s(hits, trials):
 
 def truth(*varying):
     fixed = {("Qx", "K_II"): np.array([2e-5])}
-    return StudyTruth(fixed, (Spindle(1.0), Spindle(2.0)), 2.5, 0.01, varying)
+    return StudyTruth(fixed, (Spindle(1.0), Spindle(2.0)), {}, {}, 0.01, varying)
 
 
 def test_distributions_are_what_they_say():

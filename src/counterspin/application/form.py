@@ -23,9 +23,10 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.terms import BARE_NAMES
+from counterspin.campaign.truth import TRUE_TABLES
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
-from counterspin.schemas import SECTIONS, TRUE_TABLES, unlinked
+from counterspin.schemas import SECTIONS, unlinked
 from counterspin.units import advice, check_unit
 
 #: Sections that hold a table for each name, and those that are a list of tables.

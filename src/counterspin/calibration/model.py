@@ -58,7 +58,7 @@ def model_of(campaign: Campaign) -> Unknowns:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    for (owner, symbol), known in _inputs(campaign).items():
+    for (owner, symbol), known in inputs_by_owner(campaign).items():
         # Of an input the unknown is its deviation from what is stated.
         (_, u), unstated = prior_of(campaign, "", symbol, known)
         if u > 0.0:
@@ -106,7 +106,7 @@ def assumed_inputs(campaign: Campaign) -> list[str]:
     """Return the inputs that are taken as exact."""
     exact = (
         symbol
-        for (_, symbol), known in _inputs(campaign).items()
+        for (_, symbol), known in inputs_by_owner(campaign).items()
         if known.u == 0.0 and campaign.model.assumes(symbol)
     )
     return list(dict.fromkeys(exact))
@@ -135,11 +135,11 @@ def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
     """Return by name the inputs that act, as they are stated; without u where none is."""
     return {
         f"{owner}.{symbol}" if owner else symbol: known
-        for (owner, symbol), known in _inputs(campaign).items()
+        for (owner, symbol), known in inputs_by_owner(campaign).items()
     }
 
 
-def _inputs(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
+def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
     """Return the same by owner, the recorder of a clock, and symbol."""
     inputs = {("", "site.gravity"): campaign.gravity, ("", "site.latitude"): campaign.latitude}
     if campaign.runs or any(reading.rate for reading in campaign.readings):

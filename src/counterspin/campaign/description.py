@@ -37,6 +37,7 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SiteSettings,
 )
+from counterspin.campaign.simulated.truth_of_inputs import recorders_of
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import (
     check_conditions,
@@ -449,7 +450,7 @@ class _DescriptionReader:
             check_conditions(model, also, self._placed(runs), reference, problems)
         simulation = None
         if self.simulated:
-            simulation = self._simulation(noise, readings, outputs, centrifuge)
+            simulation = self._simulation(noise, readings, outputs, centrifuge, runs)
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(tables, mountings, observables, priors)
         if records is not None:
@@ -569,22 +570,20 @@ class _DescriptionReader:
         readings: Sequence[Reading],
         outputs: Mapping[str, Output | None],
         centrifuge: CentrifugeSettings | None,
+        runs: Sequence[Run],
     ) -> Simulation:
+        problems, gravity, truths = self.problems, self.gravity, self._table("truth")
         simulation = resolve_simulation(
             self._sampling(),
-            of_records(self._table("truth"), self.problems),
+            of_records(truths, problems),
             outputs,
             noise,
-            problems=self.problems,
-            gravity=self.gravity,
+            recorders=recorders_of(self._table("records"), runs),
+            problems=problems,
+            gravity=gravity,
         )
         machine, spread = resolve_reading_truth(
-            self._table("truth"),
-            readings,
-            outputs,
-            centrifuge,
-            problems=self.problems,
-            gravity=self.gravity,
+            truths, readings, outputs, centrifuge, problems=problems, gravity=gravity
         )
         truth = replace(simulation.truth, machine=machine, reading_noise=spread)
         return replace(simulation, truth=truth)

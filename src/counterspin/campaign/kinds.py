@@ -156,9 +156,10 @@ def of_earth(value: Any) -> Any:
     return value
 
 
-def a_latitude(value: Quantity) -> Quantity:
-    """Return an angle that is a latitude."""
-    if abs(value.value) > math.pi / 2.0 * (1.0 + 1e-12):
+def a_latitude(value: Any) -> Any:
+    """Return an angle, or a quantity that is one, that is a latitude."""
+    size = value.value if isinstance(value, Quantity) else value
+    if abs(size) > math.pi / 2.0 * (1.0 + 1e-12):
         raise ValueError("a latitude lies between -90 deg and 90 deg")
     return value
 

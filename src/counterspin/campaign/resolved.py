@@ -73,7 +73,7 @@ class RunTruth:
     """True spindle motion and platform errors of one simulated run."""
 
     spindle: Spindle  #: The true motion of the spindle.
-    #: Symbol of a shared term -> true value, SI; those that are zero are left out.
+    #: Symbol of a shared term -> true value, SI; those that are not there are zero.
     shared: Mapping[str, float]
 
 
@@ -118,6 +118,9 @@ class SimulatedTruth:
     start_offset: Mapping[str, float]
     start_velocity: Mapping[str, float]
     noise: StatedNoise  #: True noise of records; every component a number.
+    #: Recorder (of its clock; else empty) and input -> true value, SI; those that are not there are
+    #: what the description states.
+    inputs: Mapping[tuple[str, str], float] = field(default_factory=dict)
     #: Term of the machine -> true value less nominal, SI.
     machine: Mapping[str, float] = field(default_factory=dict)
     #: Accelerometer -> true noise of its readings, g; of one that is not named, each reading has

@@ -44,6 +44,11 @@ from counterspin.campaign.simulated.simulable import (
     unfit,
     unfit_readings,
 )
+from counterspin.campaign.simulated.true_inputs import (
+    stamped_over_true,
+    stated_over_true,
+    with_true_inputs,
+)
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
@@ -242,7 +247,8 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
                     angle = _noisy(generator, angle, noise.angle)
                     columns[campaign.angle.column] = campaign.angle.filed(angle)
             signal = _measured(generator, time, signal, accelerometer, noise)
-            columns[accelerometer.channel.column] = accelerometer.channel.filed(signal)
+            channel = accelerometer.channel
+            columns[channel.column] = channel.filed(signal * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -257,12 +263,14 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
         if campaign.time.kind != "rows":
             stamps = _noisy(generator, time, noise.timing)
             columns[campaign.time.column] = stamps / campaign.time.factor
-        for name, signal in indicated_forces(campaign, record, time, force).items():
+        indicated = indicated_forces(with_true_inputs(campaign), record, time, force)
+        for name, signal in indicated.items():
             accelerometer = campaign.accelerometers[name]
             channel = accelerometer.force
             assert channel is not None
             felt = replace(accelerometer, observable="specific_force", channel=channel)
-            columns[channel.column] = channel.filed(_measured(generator, time, signal, felt, noise))
+            noisy = _measured(generator, time, signal, felt, noise)
+            columns[channel.column] = channel.filed(noisy * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -326,21 +334,23 @@ def simulate_run(
     if campaign.simulation is None or run.truth is None or run.duration is None:
         raise ValueError("this campaign says nothing of what to simulate")
     rate = campaign.simulation.sampling_rate
+    true, recording = with_true_inputs(campaign), campaign.recording_of(run)
     trajectory = Trajectory(
         run.truth.spindle,
-        campaign.radius.value,
-        campaign.site,
+        true.radius.value,
+        true.site,
         conditions=conditions_of(campaign)[run.name],
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = true_noise(campaign)
-    columns = {campaign.time.column: _noisy(generator, times, noise.timing) / campaign.time.factor}
-    if campaign.angle is not None:
-        late = campaign.timing_offset.value if campaign.timing_offset else 0.0
+    stamps = _noisy(generator, times * stamped_over_true(campaign, run), noise.timing)
+    columns = {recording.time.column: stamps / recording.time.factor}
+    if recording.angle is not None:
+        late = true.timing_offset.value if true.timing_offset else 0.0
         angle = run.truth.spindle.angle(times + late)
         angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
-        columns[campaign.angle.column] = campaign.angle.filed(angle)
-    indicated = _indicated(campaign, run, trajectory, times)
+        columns[recording.angle.column] = recording.angle.filed(angle)
+    indicated = _indicated(true, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
         signal = indicated[name]
         order = observation.ORDERS[accelerometer.observable]
@@ -354,7 +364,8 @@ def simulate_run(
                 trajectory.conditions.start,
             )
         signal = _measured(generator, times, signal, accelerometer, noise)
-        columns[accelerometer.channel.column] = accelerometer.channel.filed(signal)
+        channel = accelerometer.channel
+        columns[channel.column] = channel.filed(signal * stated_over_true(campaign, channel))
     return columns
 
 

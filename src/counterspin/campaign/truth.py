@@ -33,6 +33,12 @@ from counterspin.campaign.settings import (
     StatedNoise,
     term_keys,
 )
+from counterspin.campaign.simulated.truth_of_inputs import (
+    RecordsTruthSettings,
+    SiteTruthSettings,
+    TrueRadius,
+    true_inputs,
+)
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import (
@@ -43,7 +49,16 @@ from counterspin.physics.terms import (
 )
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
-TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise", "machine")
+TRUTH_TABLES: Final = (
+    "spindle",
+    "platform",
+    "centrifuge",
+    "encoder",
+    "noise",
+    "machine",
+    "site",
+    "records",
+)
 
 #: The machine's table of [truth], and the key of [truth.noise] that readings have.
 _MACHINE: Final = "machine"
@@ -114,7 +129,9 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
 }
 
 
-def _truth_table(name: str, family: str) -> type[SettingsSection]:
+def _truth_table(
+    name: str, family: str, base: type[SettingsSection] = SettingsSection
+) -> type[SettingsSection]:
     """Return a table with a key for each term of a family; of a name with dots, tables in it."""
     within = {
         symbol.removeprefix(f"{family}."): row
@@ -127,13 +144,13 @@ def _truth_table(name: str, family: str) -> type[SettingsSection]:
         table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
         fields[inner] = (table | None, described(words, example, None))
     words = f"[truth.{family}]: what is true of it."
-    return create_model(name, __base__=SettingsSection, __doc__=words, **fields)
+    return create_model(name, __base__=base, __doc__=words, **fields)
 
 
 #: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
 PlatformTruthSettings = _truth_table("PlatformTruthSettings", "platform")
-#: [truth.centrifuge]: ``stretch``, ``imbalance.1.cos`` and so on.
-CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge")
+#: [truth.centrifuge]: ``radius``, ``stretch``, ``imbalance.1.cos`` and so on.
+CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge", TrueRadius)
 #: [truth.encoder]: ``harmonic.1.cos`` and so on.
 EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
 
@@ -175,6 +192,15 @@ _SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
     "encoder": EncoderTruthSettings,
 }
 
+#: Tables of [truth] that are no accelerometer's -> their classes.
+TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
+    "spindle": SpindleTruthSettings,
+    **_SHARED_TABLES,
+    "site": SiteTruthSettings,
+    "records": RecordsTruthSettings,
+    "noise": StatedNoise,
+}
+
 
 def resolve_simulation(
     settings: SimulationSettings,
@@ -182,13 +208,15 @@ def resolve_simulation(
     outputs: Mapping[str, Output | None],
     noise: StatedNoise | None,
     *,
+    recorders: Mapping[str, str],
     problems: Problems,
     gravity: float | None,
 ) -> Simulation:
-    """Resolve [simulation] and the accelerometers' tables of [truth].
+    """Resolve [simulation], and in [truth] the accelerometers' tables and the inputs.
 
     outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
         ``mA/g``.
+    recorders: Name of a recorder -> what the runs call it: nothing where it is that of them all.
     gravity: The site's gravity, m/s^2.
     """
     names = list(outputs)
@@ -219,7 +247,8 @@ def resolve_simulation(
         coefficients[name] = {s: value for s, value in values.items() if value is not None}
         offsets[name], velocities[name] = table.start_offset, table.start_velocity
     true_noise = _true_noise(raw_truth, noise, problems, gravity)
-    truth = SimulatedTruth(coefficients, offsets, velocities, true_noise)
+    inputs = true_inputs(raw_truth, recorders, problems)
+    truth = SimulatedTruth(coefficients, offsets, velocities, true_noise, inputs)
     return Simulation(settings.sampling_rate, settings.seed, truth, settings.poses)
 
 
@@ -276,7 +305,7 @@ def resolve_run_truth(
         # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
         own_value = _stated(own, keys) if row.per_run else None
         value = _stated(shared[family], keys) if own_value is None else own_value
-        if value:
+        if value is not None:
             values[symbol] = value
     return RunTruth(spindle, values)
 

@@ -7,7 +7,7 @@ estimate they are rows of square-root information, as records are.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, Protocol
 
@@ -28,7 +28,7 @@ from counterspin.physics.terms import CONDITION_TERMS, TABLE, TERMS, is_term, mo
 _STEP: Final = 1e-2
 
 #: Uncertain inputs that readings feel, and the step of each derivative: m, m/s^2, rad.
-_INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
+INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
 
 #: Step of the derivative by the dividing head's angle, rad.
 _HEAD_STEP: Final = 1e-5
@@ -281,9 +281,9 @@ class LinearReadings(Observation):
         perfect = indicated - columns @ at
         # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
         for index, symbol in own.items():
-            if symbol in _INPUT_STEPS:
-                step = _INPUT_STEPS[symbol]
-                ahead, behind = (_with_input(group, symbol, s, machine) for s in (step, -step))
+            if symbol in INPUT_STEPS:
+                step = INPUT_STEPS[symbol]
+                ahead, behind = (with_input(group, symbol, s, machine) for s in (step, -step))
                 both = ahead.products(machine), behind.products(machine)
                 columns[:, index] = here.slope(*both, step)
             if symbol == "site.gravity":
@@ -484,7 +484,7 @@ class _Here:
         return np.square(self.slope(more, less, _HEAD_STEP) * group.u_head)
 
 
-def _with_input(group: Readings, name: str, by: float, machine: Mapping[str, float]) -> Readings:
+def with_input(group: Readings, name: str, by: float, machine: Collection[str]) -> Readings:
     """Return readings with an input changed; a mounting whose radius is a term keeps its own."""
     if name == "site.gravity":
         return replace(group, site=replace(group.site, gravity=group.site.gravity + by))

@@ -22,7 +22,7 @@ from counterspin.studies.joint_engine import JointEngine
 from counterspin.studies.readings_engine import readings_engine
 from counterspin.studies.surrogate import Surrogate, box_of
 from counterspin.studies.tally import Driver, Tally
-from counterspin.studies.two_stage_engine import TwoStageEngine
+from counterspin.studies.two_stage_engine import TwoStageEngine, changes_by_inputs
 from counterspin.studies.validity import against_joint, against_strobes
 from counterspin.studies.world import World, world_of
 
@@ -149,8 +149,7 @@ def _two_stage(
     if engine != "exact":
         boxes = [box_of(motion, truth.small_bounds(run)) for run, motion in enumerate(motions)]
         fitted = tuple(
-            Surrogate.fit(motion, symbols, box, world.radius)
-            for motion, box in zip(motions, boxes, strict=True)
+            Surrogate.fit(motion, symbols, box) for motion, box in zip(motions, boxes, strict=True)
         )
         outside = _share_outside(truth, fitted)
         if engine == "surrogate" or outside < _LARGEST_SHARE_OUTSIDE:
@@ -166,7 +165,8 @@ def _two_stage(
             if outside:
                 kind = "exact" if outside > 0.05 else kind
                 words += f", exact quadrature for the {100.0 * outside:.2g} % outside its box"
-    made = TwoStageEngine(request, analysis.owner, motions, symbols, true, surrogates, world.radius)
+    inputs = changes_by_inputs(world, truth, analysis.owner, symbols)
+    made = TwoStageEngine(request, analysis.owner, motions, symbols, true, surrogates, inputs)
     rows, reported = _of_two_stage(world, truth, analysis, request)
     return EnginePart(made, kind, _stream(world, analysis), words, rows, reported)
 

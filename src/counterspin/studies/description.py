@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import inputs_by_owner, model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
@@ -26,6 +26,7 @@ from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.simulated.simulable import require_room, unfit, unfit_readings
+from counterspin.campaign.simulated.truth_of_inputs import recorders_of
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -35,9 +36,10 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
-from counterspin.studies.draws import OTHERS, RADIUS, Varying
+from counterspin.studies.draws import OTHERS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 #: Kinds of distribution, as they are written.
@@ -196,10 +198,10 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     for record in campaign.triad.records if campaign.triad else ():
         text = f'run "{record.name}": a study takes poses with readings, not a record of them'
         problems.lines.append(text)
-    gravity = campaign.gravity.value
+    recorders = recorders_of(document.get("records", {}), campaign.runs)
     varying: list[Varying] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):
-        varying += _varying(key, path_, entry, campaign, problems, gravity)
+        varying += _varying(key, path_, entry, campaign, recorders, problems)
     for index, quantity in enumerate(varying):
         if any(_same(quantity, earlier) for earlier in varying[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is there twice")
@@ -219,33 +221,32 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
             analyses.append(analysis)
     if problems.lines:
         raise CampaignError(str(file), problems.lines)
-    varying += _unstated(campaign, varying)
+    varying += _known(campaign, varying)
     return StudyDescription(
         campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
     )
 
 
-def _unstated(campaign: Campaign, varying: Sequence[Varying]) -> Iterator[Varying]:
-    """Yield what acts and nobody states, each about its prior with its typical size.
+def _known(campaign: Campaign, varying: Sequence[Varying]) -> Iterator[Varying]:
+    """Yield what acts beside what is asked for, each as it is known: stated, or of typical size.
 
-    What [truth] gives a value has that one, and the inputs but the radius are what the description
-    says: records are simulated with them.
+    What [truth] gives a value has that one.
     """
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
     there = {(quantity.owner, quantity.symbol) for quantity in varying}
     there |= {(name, symbol) for name, own in truth.coefficients.items() for symbol in own}
-    there |= {("", symbol) for symbol in truth.machine}
+    there |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
     there |= {("", symbol) for run in campaign.runs if run.truth for symbol in run.truth.shared}
-    there |= {("", symbol) for symbol in INPUTS if symbol != RADIUS}
+    stated = inputs_by_owner(campaign)
     model = model_of(campaign)
     for other in (*model.unknowns, *model.considered):
-        owner = other.owner if other.symbol in OWN_TERMS else ""
-        if other.asked or not other.unstated or (owner, other.symbol) in there:
+        owner = other.owner if other.symbol in {**OWN_TERMS, **INPUTS} else ""
+        if other.asked or other.prior[1] == 0.0 or (owner, other.symbol) in there:
             continue
         there.add((owner, other.symbol))
         value, u = other.prior
-        middle = value + campaign.radius.value if other.symbol == RADIUS else value
+        middle = stated[owner, other.symbol].value if other.symbol in INPUTS else value
         yield Varying(owner, other.symbol, "normal", middle, u, term(other.symbol).per_run)
 
 
@@ -300,11 +301,11 @@ def _varying(
     path: KeyPath,
     entry: Any,
     campaign: Campaign,
+    recorders: Mapping[str, str],
     problems: Problems,
-    gravity: float,
 ) -> list[Varying]:
     settings = problems.check(DistributionSettings, entry, path)
-    names = _names(key, path, campaign, problems)
+    names = _names(key, path, campaign, recorders, problems)
     if settings is None or not names:
         return []
     given = [kind for kind in _KINDS if getattr(settings, kind) is not None]
@@ -314,15 +315,23 @@ def _varying(
     (kind,) = given
     symbol = names[0][1]
     unit = OTHERS.get(symbol) or unit_of(symbol)
-    read = problems.attempt(path, _read, kind, getattr(settings, kind), unit, gravity)
+    read = problems.attempt(
+        path, _read, kind, getattr(settings, kind), unit, campaign.gravity.value
+    )
     per_run = settings.per == "run"
-    if per_run and (symbol in (RADIUS, *NOISE_LEVELS) or not campaign.runs):
+    if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
         problems.add(path, "is common to the runs of a campaign, and to its readings")
     if read is None:
         return []
     first, second = read
-    if symbol in (RADIUS, WHITE) and first <= 0.0:
+    if symbol == WHITE and first <= 0.0:
         problems.add(path, "must be greater than zero")
+    if symbol in INPUTS:
+        low, high = term(symbol).effect.between
+        if not all(
+            low <= value <= high for value in (first, second if kind == "uniform" else first)
+        ):
+            problems.add(path, f"must be between {low:.4g} and {high:.4g} {unit}")
     if symbol in NOISE_LEVELS and first < 0.0:
         problems.add(path, "must not be less than zero")
     return [
@@ -332,7 +341,11 @@ def _varying(
 
 
 def _names(
-    key: str, path: KeyPath, campaign: Campaign, problems: Problems
+    key: str,
+    path: KeyPath,
+    campaign: Campaign,
+    recorders: Mapping[str, str],
+    problems: Problems,
 ) -> list[tuple[str, str]]:
     """Return owner and symbol of everything that a name stands for."""
     owner, _, last = key.partition(".")
@@ -341,11 +354,12 @@ def _names(
     if key in OWN_TERMS:
         return [(name, key) for name in campaign.accelerometers]
     shown = symbols_shown(campaign.readings)
-    if key in OTHERS and key != RADIUS and not campaign.runs:
+    if key in INPUTS or last == CLOCK:
+        return _inputs(key, path, campaign, recorders, problems)
+    if key in OTHERS and not campaign.runs:
         problems.add(path, "acts on records of a double turntable, of which there are none here")
-    if key in SHARED_TERMS or key in OTHERS:
-        return [("", key)]
-    if symbols := expand(key, shown):
+    own = (key,) if key in SHARED_TERMS or key in OTHERS else ()
+    if symbols := own or expand(key, shown):
         return [("", symbol) for symbol in symbols]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
@@ -357,6 +371,22 @@ def _names(
         hint = f"; known: {', '.join([*OTHERS, *OWN_TERMS, *BARE_NAMES])}"
     problems.add(path, "is nothing that a study can vary" + hint)
     return []
+
+
+def _inputs(
+    key: str, path: KeyPath, campaign: Campaign, recorders: Mapping[str, str], problems: Problems
+) -> list[tuple[str, str]]:
+    """Return recorder and symbol of an input; of a clock without a recorder's name those of all."""
+    owner, _, last = key.partition(".")
+    symbol = last if last == CLOCK else key
+    named = [
+        (recorder, other)
+        for recorder, other in inputs_by_owner(campaign)
+        if other == symbol and (last != CLOCK or recorder == recorders.get(owner))
+    ]
+    if not named:
+        problems.add(path, "is of nothing that is recorded or read here")
+    return named
 
 
 def _read(kind: str, value: Any, unit: str, gravity: float) -> tuple[float, float]:

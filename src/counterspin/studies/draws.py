@@ -14,26 +14,26 @@ from typing import Final, Literal
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.model import inputs_by_owner
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.simulated.noise_at_rest import true_noise
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import OWN_TERMS
+from counterspin.physics.terms import INPUTS, OWN_TERMS
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 DRIFT: Final = "spindle.drift"  #: C, 1/s
 RIPPLE_RATIO: Final = "spindle.ripple.ratio"  #: w_1/w0 of the first harmonic
 RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: or its w_1, rad/s
 RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
-RADIUS: Final = "centrifuge.radius"  #: m
 
-#: What may vary beside the terms of the tables, with the unit.
+#: What may vary beside the terms of accelerometers, platform and machine, with the unit.
 OTHERS: Final[Mapping[str, str]] = {
     DRIFT: "1/s",
     RIPPLE_RATIO: "1",
     RIPPLE_AMPLITUDE: "rad/s",
     RIPPLE_PHASE: "rad",
-    RADIUS: "m",
+    **{symbol: row.unit for symbol, row in INPUTS.items()},
     **{symbol: unit for symbol, (unit, _) in NOISE_LEVELS.items()},
 }
 
@@ -45,7 +45,7 @@ _VALID_SDS: Final = 4.5
 class Varying:
     """One quantity that varies from trial to trial."""
 
-    owner: str  #: The accelerometer's name for a term of its own; else empty.
+    owner: str  #: The accelerometer of a term of its own, the recorder of a clock; else empty.
     symbol: str  #: A term of the tables or a key of `OTHERS`.
     kind: Literal["normal", "uniform", "fixed"]  #: ``normal``, ``uniform`` or ``fixed``.
     #: Mean and standard deviation; least and greatest value; value and 0.
@@ -93,9 +93,10 @@ class Draws:
     drift: Array
     ripple_cos: Array
     ripple_sin: Array
-    #: m, shape (n,) or (1,).
-    radius: Array
-    white: Array
+    #: (recorder of a clock, else empty; symbol) -> input, SI, less what is stated of it, shape (n,)
+    #: or (1,).
+    inputs: Mapping[tuple[str, str], Array]
+    white: Array  #: m, shape (n,) or (1,).
     noise: Mapping[str, Array]  #: Other noise levels that vary, shape (n,) or (1,).
 
     def take(self, trial: int) -> Draws:
@@ -114,15 +115,18 @@ class Draws:
             some(self.drift),
             some(self.ripple_cos),
             some(self.ripple_sin),
-            some(self.radius),
+            {key: some(value) for key, value in self.inputs.items()},
             some(self.white),
             {key: some(value) for key, value in self.noise.items()},
         )
 
     def small(self, run: int) -> list[Array]:
-        """Return drift, ripple's cosine and sine parts and radius of a run, (n,) or (1,) each."""
-        parts = (self.drift, self.ripple_cos, self.ripple_sin)
-        return [*(of_run(part, run) for part in parts), self.radius]
+        """Return drift and ripple's cosine and sine parts of a run, (n,) or (1,) each."""
+        return [of_run(part, run) for part in (self.drift, self.ripple_cos, self.ripple_sin)]
+
+    def off(self, symbol: str, recorder: str = "") -> Array:
+        """Return by how much an input is not what is stated of it, shape (n,) or (1,)."""
+        return self.inputs.get((recorder, symbol), np.zeros(1))
 
     def mean(self, owner: str, symbol: str) -> Array:
         """Return a coefficient's mean over the runs in each trial, shape (n,)."""
@@ -147,9 +151,10 @@ class StudyTruth:
     #: (owner, symbol) -> value of each run, shape (r,) or (1,).
     fixed: Mapping[tuple[str, str], Array]
     spindles: tuple[Spindle, ...]  #: Of each run, with what does not vary.
-    #: m; where they do not vary.
-    radius: float
-    white: float
+    #: (recorder of a clock, else empty; symbol) -> what is stated of an input that acts, SI.
+    stated: Mapping[tuple[str, str], float]
+    inputs: Mapping[tuple[str, str], float]  #: What is true of those that do not vary.
+    white: float  #: m; where it does not vary.
     varying: tuple[Varying, ...]  #: What does.
 
     @classmethod
@@ -167,12 +172,17 @@ class StudyTruth:
         platforms = [run.truth.shared for run in campaign.runs if run.truth]
         for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
             fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
+        stated = {key: known.value for key, known in inputs_by_owner(campaign).items()}
+        true = campaign.simulation.truth.inputs
+        inputs = {key: true.get(key, value) for key, value in stated.items()}
         for quantity in varying:
             fixed.pop((quantity.owner, quantity.symbol), None)
+            inputs.pop((quantity.owner, quantity.symbol), None)
         return cls(
             fixed=fixed,
             spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
-            radius=campaign.radius.value,
+            stated=stated,
+            inputs=inputs,
             white=float(true_noise(campaign).displacement),
             varying=varying,
         )
@@ -183,7 +193,8 @@ class StudyTruth:
         values = {key: value[:, None] for key, value in self.fixed.items()}
         drift = np.array([[s.drift] for s in self.spindles])
         ratio, phase = (np.array(part)[:, None] for part in self._first())
-        radius, white = np.array([self.radius]), np.array([self.white])
+        white = np.array([self.white])
+        inputs = {key: np.array([value - self.stated[key]]) for key, value in self.inputs.items()}
         noise: dict[str, Array] = {}
         for quantity in self.varying:
             drawn = quantity.draw(generator, runs, trials)
@@ -195,8 +206,8 @@ class StudyTruth:
                 ratio = drawn / np.array([[spindle.rate] for spindle in self.spindles])
             elif quantity.symbol == RIPPLE_PHASE:
                 phase = drawn
-            elif quantity.symbol == RADIUS:
-                radius = drawn[0]
+            elif (key := (quantity.owner, quantity.symbol)) in self.stated:
+                inputs[key] = drawn[0] - self.stated[key]
             elif quantity.symbol == WHITE:
                 white = np.abs(drawn[0])
             elif quantity.symbol in NOISE_LEVELS:
@@ -204,24 +215,43 @@ class StudyTruth:
             else:
                 values[quantity.owner, quantity.symbol] = drawn
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
-        return Draws(trials, values, drift, cos, sin, radius, white, noise)
+        return Draws(trials, values, drift, cos, sin, inputs, white, noise)
+
+    @property
+    def moving_inputs(self) -> list[tuple[str, str]]:
+        """Inputs that are not what is stated of them, in every trial or in some."""
+        return [key for key in self.stated if self.reach_of_input(key) > 0.0]
+
+    def reach_of_input(self, key: tuple[str, str]) -> float:
+        """Return how far an input is from what is stated of it at most, SI."""
+        reach: list[float] = [self.inputs.get(key, self.stated[key])]
+        for quantity in self.varying:
+            if (quantity.owner, quantity.symbol) == key:
+                reach = list(quantity.reach)
+        return max(abs(value - self.stated[key]) for value in reach)
 
     def small_bounds(self, run: int) -> Array:
-        """Return least and greatest drift, ripple's cosine and sine parts and radius, (4, 2)."""
+        """Return least and greatest drift and ripple's cosine and sine parts, (3, 2)."""
         ratio, phase = self.bounds(RIPPLE_RATIO, run), self.bounds(RIPPLE_PHASE, run)[0]
         if self.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
             largest = max(map(abs, ratio))
             cos, sin = (-largest, largest), (-largest, largest)
         else:
             cos, sin = ((ratio[0] * part(phase),) * 2 for part in (np.cos, np.sin))
-        return np.array([self.bounds(DRIFT, run), cos, sin, self.bounds(RADIUS, run)])
+        return np.array([self.bounds(DRIFT, run), cos, sin])
 
     def mean(self, owner: str, symbol: str) -> float:
-        """Return what is true of a coefficient on average; a run's own has the platform's truth."""
-        owner = owner if symbol in OWN_TERMS else ""
+        """Return what is true of a coefficient on average; a run's own has the platform's truth.
+
+        Of an input it is that less what is stated of it.
+        """
+        owner = owner if symbol in OWN_TERMS or symbol in INPUTS else ""
+        stated = self.stated.get((owner, symbol), 0.0)
         for quantity in self.varying:
             if (quantity.owner, quantity.symbol) == (owner, symbol):
-                return 0.5 * sum(quantity.reach)
+                return 0.5 * sum(quantity.reach) - stated
+        if (owner, symbol) in self.inputs:
+            return self.inputs[owner, symbol] - stated
         value = self.fixed.get((owner, symbol))
         return nominal(owner, symbol) if value is None else float(value.mean())
 
@@ -252,7 +282,7 @@ class StudyTruth:
         }
 
     def bounds(self, symbol: str, run: int) -> tuple[float, float]:
-        """Return the least and greatest value of a spindle quantity or the radius in a run."""
+        """Return the least and greatest value of a spindle quantity in a run."""
         for quantity in self.varying:
             if symbol == RIPPLE_RATIO and quantity.symbol == RIPPLE_AMPLITUDE:
                 low, high = sorted(bound / self.spindles[run].rate for bound in quantity.reach)
@@ -265,7 +295,6 @@ class StudyTruth:
             DRIFT: spindle.drift,
             RIPPLE_RATIO: ratios[run],
             RIPPLE_PHASE: phases[run],
-            RADIUS: self.radius,
         }[symbol]
         return value, value
 

@@ -6,7 +6,6 @@ rotation that the joint fit has to find, and for terms with a kink.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.series import Series
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import TwoStageRequest
@@ -58,17 +58,16 @@ class FullEngine:
         for run in range(len(world.runs)):
             spindle = draws.spindle(world.spindles[run], run)
             times = world.times(run)
-            stamped = world.noise.stamps(generator, times)
-            identified = self._identified(
-                generator, run, spindle, _shared(draws, run), stamped, times
-            )
+            shown = times * self._clock(draws, run)
+            stamped = world.noise.stamps(generator, shown)
+            identified = self._identified(generator, run, spindle, draws, stamped, times)
             for name in world.mountings:
                 signal = self._recorded(draws, generator, run, name, spindle, times)
                 assumed = world.trajectory(run, identified)
                 error = signal - observation.reference(
                     assumed, world.mountings[name], stamped, attitude=world.attitudes[run]
                 )
-                series.append(world.series(run, name, identified, error))
+                series.append(world.series(run, name, identified, shown, error))
         return series
 
     def _joint(
@@ -109,11 +108,12 @@ class FullEngine:
         world, name = self.world, self.owner
         spindle = draws.spindle(world.spindles[run], run)
         strobed = world.strobed(run, name)
-        times = spindle.time_at(strobed.angles)
-        identified = self._identified(
-            generator, run, spindle, _shared(draws, run), world.times(run)
-        )
-        taken = world.noise.stamps(generator, times) if world.noise.timing > 0.0 else times
+        # The row in which the angle passes a strobe began earlier by the angle's delay.
+        passed = spindle.time_at(strobed.angles) - float(draws.off(TIMING)[0])
+        sampled, clock = world.times(run), self._clock(draws, run)
+        identified = self._identified(generator, run, spindle, draws, sampled * clock, sampled)
+        times, noise = passed * clock, world.noise
+        taken = noise.stamps(generator, passed) if noise.timing > 0.0 else passed
         signal = self._recorded(draws, generator, run, name, spindle, taken)
         assumed = world.trajectory(run, identified)
         error = signal - observation.reference(
@@ -131,22 +131,30 @@ class FullEngine:
         parabola = request.first_stage(strobes, record.trajectory)
         return StrobedRun(record.run, record.trajectory, parabola, record.attitude)
 
+    def _clock(self, draws: Draws, run: int) -> float:
+        """Return what the recorder of a run shows of a time, in parts of it."""
+        return 1.0 + float(draws.off(CLOCK, self.world.recorders[run])[0])
+
     def _identified(
         self,
         generator: np.random.Generator,
         run: int,
         true: Spindle,
-        shared: Mapping[str, float],
+        draws: Draws,
         stamped: Array,
-        times: Array | None = None,
+        times: Array,
     ) -> Spindle:
-        """Return the rotation that a run's recorded angle shows."""
-        world = self.world
+        """Return the rotation that a run's recorded angle shows.
+
+        stamped: Times of the rows as they are recorded, s.
+        times: The same as they were.
+        """
+        world, late = self.world, float(draws.off(TIMING)[0])
         if not world.angle_recorded:
             return Spindle(world.spindles[run].rate)
-        angle = true.angle(stamped if times is None else times)
-        misread = encoder_error(shared, angle)
-        if world.noise.angle == 0.0 and world.noise.timing == 0.0 and not misread.any():
+        angle = true.angle(times + late)
+        misread = encoder_error(_shared(draws, run), angle)
+        if world.noise.angle == 0.0 and not misread.any() and np.array_equal(stamped, times + late):
             return true
         recorded = world.noise.angles(generator, angle + misread)
         return fit_spindle(stamped, recorded, world.spindles[run].rate).spindle
@@ -167,7 +175,7 @@ class FullEngine:
             if owner == name
         }
         signal = simulation.recorded(
-            self.world.trajectory(run, spindle, float(draws.radius[0])),
+            self.world.true_trajectory(run, spindle, draws),
             self.world.mountings[name],
             coefficients,
             _shared(draws, run),

@@ -3,8 +3,8 @@
 Given the rotation, the joint fit is linear, so that with Gaussian noise of known size its estimate
 is normal about a linear function of what is true. Each series is whitened and reduced once, the
 columns of what is true carried along as considered terms; a trial then costs as many normals as
-there are unknowns. A radius that varies enters every column as a polynomial of the third degree,
-exactly, because no term has more than three factors.
+there are unknowns. An input that is not what is stated of it counts by the column that the fit
+itself has of it, taken where the coefficients are what is true on average.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -21,18 +20,20 @@ from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.inputs import concerns, input_column
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
+from counterspin.physics.terms import INPUTS
 from counterspin.studies.analyses import JointRequest
-from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal, of_run
+from counterspin.studies.draws import Draws, StudyTruth, nominal, of_run
 from counterspin.studies.noise import estimate_noise
 from counterspin.studies.trials import Trials
 
-#: Nodes in the radius: no product of the table has more than three factors.
-_RADIUS_POWERS: Final = 4
+#: (owner, symbol, run) of a term or an input that is true; run is None where the runs share one.
+Key = tuple[str, str, int | None]
 
 
 @frozen
@@ -42,15 +43,9 @@ class JointEngine:
     rows: tuple[int, ...]  #: Places in the model of the unknowns that are reported.
     #: Estimate, nominal value added, where all that is true is nominal, shape (c,).
     constant: Array
-    #: (owner, symbol, run, power of the radius) -> d(estimate)/d(value), shape (c,); run is None
-    #: where the runs share one value.
-    response: Mapping[tuple[str, str, int | None, int], Array]
-    radius_response: Array  #: d(estimate)/d(radius) through the reference displacement, shape (c,).
+    response: Mapping[Key, Array]  #: d(estimate)/d(value) of what is true, shape (c,).
     spread: Array  #: What independent normals are multiplied with, shape (c, c).
     u: Array  #: Combined standard uncertainty, shape (c,).
-    #: The radius assumed, and what its deviation is divided by before powers are taken.
-    radius: float
-    scale: float
     white: float  #: The white noise assumed, m.
 
     @classmethod
@@ -59,18 +54,14 @@ class JointEngine:
     ) -> tuple[JointEngine, tuple[str, ...]]:
         """Reduce all series and solve once."""
         noise = request.noise
-        radius = series[0].trajectory.radius
-        # The range of the study conditions the powers of the radius well.
-        low, high = truth.bounds(RADIUS, 0)
-        scale = max(abs(low - radius), abs(high - radius), 1e-6 * radius)
         model = request.model
         names = list(dict.fromkeys(record.run for record in series))
-        keys = _truth_keys(series, truth, names, varies=truth.varies(RADIUS) or low != radius)
+        keys = _truth_keys(series, truth, names)
         blocks = []
         for record in series:
             given = noise[record.accelerometer]
-            blocks.append(_block(record, model, given, keys, names, scale, truth))
-        solution = _solve(blocks, model, len(keys) + 1)
+            blocks.append(_block(record, model, given, keys, names, truth))
+        solution = _solve(blocks, model, len(keys))
         assessment = assess(solution, [u.name for u in model.unknowns])
         rows = [i for i in request.reported if assessment.determined[model.unknowns[i].name]]
         lost = tuple(model.unknowns[i].name for i in request.reported if i not in rows)
@@ -85,11 +76,8 @@ class JointEngine:
             rows=tuple(rows),
             constant=solution.estimate[rows] + np.array([model.unknowns[i].nominal for i in rows]),
             response={key: moved[:, index] for index, key in enumerate(keys)},
-            radius_response=moved[:, -1],
             spread=vectors * np.sqrt(np.maximum(values, 0.0)),
             u=np.sqrt(np.diag(covariance)[rows]),
-            radius=radius,
-            scale=scale,
             white=math.sqrt(first.sample_variance),
         )
         return engine, lost
@@ -100,12 +88,11 @@ class JointEngine:
         scale = draws.white / self.white if self.white > 0.0 else 1.0
         estimate = estimate_noise(generator, self.spread, scale, n)
         estimate += self.constant[:, None]
-        away = draws.radius - self.radius
-        estimate += np.outer(self.radius_response, away)
-        for (owner, symbol, run, power), response in self.response.items():
+        for (owner, symbol, run), response in self.response.items():
+            if symbol in INPUTS:
+                estimate += np.outer(response, draws.off(symbol, owner))
+                continue
             size = of_run(draws.values[owner, symbol], run or 0) - nominal(owner, symbol)
-            if power:
-                size = size * (away / self.scale) ** power
             estimate += np.outer(response, size)
         u = np.broadcast_to(self.u[:, None], estimate.shape)
         return Trials(estimate, u, np.full((1, 1), math.inf) * np.ones((len(self.u), 1)))
@@ -123,12 +110,10 @@ def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) 
     return factors
 
 
-def _truth_keys(
-    series: Sequence[Series], truth: StudyTruth, runs: Sequence[str], *, varies: bool
-) -> list[tuple[str, str, int | None, int]]:
-    """Return a key for each column of what is true."""
+def _truth_keys(series: Sequence[Series], truth: StudyTruth, runs: Sequence[str]) -> list[Key]:
+    """Return a key for each column of what is true, terms before inputs."""
     accelerometers = {record.accelerometer for record in series}
-    keys: list[tuple[str, str, int | None, int]] = []
+    keys: list[Key] = []
     for owner, symbols in truth.symbols.items():
         if owner and owner not in accelerometers:
             continue
@@ -140,39 +125,23 @@ def _truth_keys(
                 for varying in truth.varying
             )
             places: list[int | None] = list(range(len(runs))) if several else [None]
-            powers = range(_RADIUS_POWERS if varies else 1)
-            keys += [(owner, symbol, place, power) for place in places for power in powers]
-    return keys
+            keys += [(owner, symbol, place) for place in places]
+    return [*keys, *((recorder, symbol, None) for recorder, symbol in truth.moving_inputs)]
 
 
 def _block(
     series: Series,
     model: Unknowns,
     noise: Noise,
-    keys: Sequence[tuple[str, str, int | None, int]],
+    keys: Sequence[Key],
     runs: Sequence[str],
-    scale: float,
     truth: StudyTruth,
 ) -> Block:
     """Whiten and reduce one series: unknowns, considered terms, columns of what is true."""
     factors = scale_factors([series], model, truth)
     expected = np.array([truth.mean(u.owner, u.symbol) - u.nominal for u in model.unknowns])
     (prepared,) = prepare_columns([series], model, factors, expected)
-    mine = {
-        key: index
-        for index, key in enumerate(keys)
-        if key[0] in ("", series.accelerometer) and key[2] in (None, runs.index(series.run))
-    }
-    true = np.zeros((series.time.size, len(keys) + 1))
-    symbols = list(dict.fromkeys(symbol for _, symbol, _, _ in mine))
-    powers = max((power for *_, power in mine), default=0) + 1
-    k_i = truth.mean(series.accelerometer, "K_I")
-    columns = _in_radius(series, symbols, k_i, powers, scale)
-    for (_, symbol, _, power), index in mine.items():
-        true[:, index] = columns[power][:, symbols.index(symbol)]
-    motion = series.trajectory
-    alone = replace(motion, site=replace(motion.site, removed_gravity=None))
-    true[:, -1] = series.reference(alone) / motion.radius  # the circle goes with its radius
+    true = _columns_of_truth(series, keys, runs, truth)
     whiten = series.whitener(noise)
     own = series.polynomials(whiten.polynomials)
     rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, true]))
@@ -187,24 +156,30 @@ def _block(
     return replace(block, factor=factor, considered=fixed)
 
 
-def _in_radius(
-    series: Series, symbols: Sequence[str], scale_factor: float, powers: int, scale: float
-) -> list[Array]:
-    """Return the columns as coefficients of powers of the radius' scaled deviation."""
-    if powers == 1:
-        return [series.columns(symbols, scale_factor)]
-    nodes = np.polynomial.chebyshev.chebpts2(powers)
-    motion = series.trajectory
-    values = np.array(
-        [
-            series.columns(
-                symbols, scale_factor, replace(motion, radius=motion.radius + scale * float(x))
-            )
-            for x in nodes
-        ]
-    )
-    inverse = np.linalg.inv(np.vander(nodes, increasing=True))
-    return list(np.tensordot(inverse, values, axes=1))
+def _columns_of_truth(
+    series: Series, keys: Sequence[Key], runs: Sequence[str], truth: StudyTruth
+) -> Array:
+    """Return what a series shows of each that is true, shape (n, keys); of others' zero."""
+    name = series.accelerometer
+    here = {
+        (owner, symbol): index
+        for index, (owner, symbol, run) in enumerate(keys)
+        if run in (None, runs.index(series.run))
+        and (owner in ("", name) if symbol not in INPUTS else concerns(series, symbol, owner))
+    }
+    terms = [key for key in here if key[1] not in INPUTS]
+    k_i = truth.mean(name, "K_I")
+    shown = series.columns([symbol for _, symbol in terms], k_i).T
+    table = {symbol: column for (_, symbol), column in zip(terms, shown, strict=True)}
+    mean = {symbol: truth.mean(owner, symbol) - nominal(owner, symbol) for owner, symbol in terms}
+    base = series.reference()
+    true = np.zeros((series.time.size, len(keys)))
+    for (_, symbol), index in here.items():
+        if symbol not in INPUTS:
+            true[:, index] = table[symbol]
+        else:
+            true[:, index] = input_column(series, symbol, k_i, mean, table, base)
+    return true
 
 
 def _solve(blocks: Sequence[Block], model: Unknowns, true: int) -> Solution:

@@ -6,8 +6,8 @@ Records of a double turntable, if there are any, are simulated and analysed besi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -21,14 +21,13 @@ from counterspin.campaign.simulated.reading_simulation import (
     head_errors,
     indications,
     numbered_groups,
-    setting_spread,
     true_directions,
     true_poses,
 )
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.linear_readings import Readings
+from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_input
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.physics.terms import shown_by_readings
 from counterspin.records.mean import stretches
@@ -63,8 +62,6 @@ class ReadingsEngine:
     #: Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
     #: is; infinite where it is stated; shape (m,).
     scattered: Array
-    #: Symbol -> standard uncertainty of setting each position, drawn anew in each trial, rad.
-    setting: Mapping[str, float] = field(default_factory=dict)
     poses: tuple[DrawnPoses, ...] = ()  #: Poses at unknown attitudes beside them.
     records: FullEngine | None = None  #: Trials of the records beside them; None: there are none.
 
@@ -105,6 +102,8 @@ class ReadingsEngine:
                 for name in group.accelerometers
             ]
             value = indications_along(group, coefficients, own.along)
+            gravity = float(draws.off("site.gravity")[0])
+            value = value * (1.0 + group.in_si * gravity / group.gravity)
             value = value + own.noise * generator.standard_normal(value.shape)
             repeats = group.repeats[:, None]
             again = 2.0 * generator.standard_gamma(np.tile(0.5 * (repeats - 1.0), 3))
@@ -116,20 +115,25 @@ class ReadingsEngine:
         errors = head_errors(self.readings, generator)
         noise = self.noise * generator.standard_normal(self.noise.size)
         true = {key: float(value.mean()) for key, value in draws.values.items()}
-        machine = {symbol: u * generator.standard_normal() for symbol, u in self.setting.items()}
-        machine |= {
+        machine = {
             symbol: value
             for (owner, symbol), value in true.items()
             if not owner and shown_by_readings(symbol)
         }
-        radius = float(draws.radius[0])
+        off = {symbol: float(draws.off(symbol)[0]) for symbol in INPUT_STEPS}
+        model = self.request.model
+        known = {other.symbol for other in (*model.unknowns, *model.considered)}
         read = []
         for group, places in self.groups:
             at = list(places)
             own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
-            # The analysis assumes the campaign's radius, whatever is true.
-            actual = replace(group, stations=_carried(group, radius))
-            value = indications(actual, own, machine, errors[at]) + noise[at]
+            # The analysis assumes what is stated of the inputs, whatever is true.
+            actual = group
+            for symbol, by in off.items():
+                actual = with_input(actual, symbol, by, known | machine.keys())
+            value = indications(actual, own, machine, errors[at])
+            value = value * (1.0 + group.in_si * off["site.gravity"] / group.site.gravity)
+            value = value + noise[at]
             one = replace(group, value=value)
             if group.u is None:
                 repeats = group.repeats - 1.0
@@ -142,12 +146,6 @@ class ReadingsEngine:
                 one = replace(one, u=np.where(np.isfinite(self.scattered[at]), sigma, group.u))
             read.append(one)
         return read
-
-
-def _carried(group: Readings, radius: float) -> tuple:  # type: ignore[type-arg]
-    return tuple(
-        replace(station, radius=radius) if station.rate else station for station in group.stations
-    )
 
 
 def readings_engine(
@@ -181,7 +179,6 @@ def readings_engine(
         tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
         np.array(noise),
         np.array(scattered),
-        setting_spread(campaign),
         tuple(_drawn_poses(campaign)),
         records,
     )

@@ -54,6 +54,7 @@ class StrobedMotion:
     mounting: Mounting  #: The axes in the run's attitude.
     attitude: Array  #: The platform's attitude, shape (3, 3).
     site: Site  #: Where the centrifuge stands.
+    radius: float  #: m.
 
     @classmethod
     def of(
@@ -64,6 +65,7 @@ class StrobedMotion:
         mounting: Mounting,
         attitude: Array,
         site: Site,
+        radius: float,
     ) -> StrobedMotion:
         """Return a run with the strobes that a record of this duration passes."""
         first = spindle.start_angle
@@ -75,7 +77,7 @@ class StrobedMotion:
         )
         angles: Array = np.asarray(phase + TURN * turns, dtype=np.float64)
         angles = angles if spindle.rate > 0 else angles[::-1]
-        return cls(spindle, angles, mounting.turned(attitude), attitude, site)
+        return cls(spindle, angles, mounting.turned(attitude), attitude, site, radius)
 
 
 def obstacle(symbol: str) -> str | None:
@@ -99,13 +101,12 @@ def effects(
     drift: Array,
     ripple_cos: Array,
     ripple_sin: Array,
-    radius: Array,
 ) -> tuple[Array, Array]:
     """Return b2 per unit coefficient, and what the noise of a strobe is divided by in b2.
 
     symbols: Terms, q of them, none with an `obstacle`. The platform's are seen with a scale factor
         of 1.
-    drift, ripple_cos, ripple_sin, radius: Of each of n rotations, shape (n,): 1/s, ratios, m.
+    drift, ripple_cos, ripple_sin: Of each of n rotations, shape (n,): 1/s, ratios.
     Returns: b2 per unit in m/s^2, shape (q, n), and sigma/u(b2) in s^2, shape (n,).
     """
     n = drift.size
@@ -115,7 +116,7 @@ def effects(
     for start in range(0, n, step):
         part = slice(start, start + step)
         rotation = _Rotation(motion.spindle, drift[part], ripple_cos[part], ripple_sin[part])
-        curvatures[:, part], size[part] = _effects(motion, symbols, rotation, radius[part])
+        curvatures[:, part], size[part] = _effects(motion, symbols, rotation)
     return curvatures, size
 
 
@@ -165,25 +166,26 @@ class _Rotation:
 
 
 def _effects(
-    motion: StrobedMotion, symbols: Sequence[str], rotation: _Rotation, radius: Array
+    motion: StrobedMotion, symbols: Sequence[str], rotation: _Rotation
 ) -> tuple[Array, Array]:
     strobes = rotation.time_at(motion.angles)
-    gain, size = _curvature_gain(strobes)
+    n = rotation.drift.size
+    gain, size = curvature_gain(strobes)
     gap = np.diff(strobes, axis=0)
     times = strobes[:-1, None] + gap[:, None] * _X[:, None]
     # Sums over the later strobes, taken from a strobe's own time so that nothing cancels.
     later = np.cumsum(gain[::-1], axis=0)[::-1][1:]
     moment = np.cumsum((gap * later)[::-1], axis=0)[::-1]
     kernel = moment[:, None] - later[:, None] * (gap[:, None] * _X[:, None])
-    weight = (kernel * gap[:, None] * _W[:, None]).reshape(-1, radius.size)
-    field = _Force(motion, rotation, radius, times.reshape(-1, radius.size))
-    curvatures = np.empty((len(symbols), radius.size))
+    weight = (kernel * gap[:, None] * _W[:, None]).reshape(-1, n)
+    field = _Force(motion, rotation, times.reshape(-1, n))
+    curvatures = np.empty((len(symbols), n))
     for index, symbol in enumerate(symbols):
         curvatures[index] = _effect(motion, term(symbol).effect, field, weight, gain)
     return curvatures, size
 
 
-def _curvature_gain(strobes: Array) -> tuple[Array, Array]:
+def curvature_gain(strobes: Array) -> tuple[Array, Array]:
     """Return d(b2)/d(strobes) of an unweighted parabola (m, n), and 1/its norm (n,)."""
     t = strobes - strobes.mean(axis=0)
     square = t * t
@@ -197,10 +199,9 @@ def _curvature_gain(strobes: Array) -> tuple[Array, Array]:
 class _Force:
     """The specific force at the nodes, east, north and up, and what is made of it."""
 
-    def __init__(
-        self, motion: StrobedMotion, rotation: _Rotation, radius: Array, times: Array
-    ) -> None:
-        self.times, self.site, self.radius = times, motion.site, radius
+    def __init__(self, motion: StrobedMotion, rotation: _Rotation, times: Array) -> None:
+        self.times, self.site, self.radius = times, motion.site, motion.radius
+        radius = motion.radius
         angle, rate, alpha = rotation.at(times)
         self.cos, self.sin = np.cos(angle), np.sin(angle)
         along = radius * rate
@@ -214,7 +215,7 @@ class _Force:
             motion.site.gravity - turn[1] * east,
         )
         self._turn = turn
-        start = rotation.at(np.zeros((1, radius.size)))
+        start = rotation.at(np.zeros((1, rotation.drift.size)))
         self._start = (
             -radius * start[1][0] * np.sin(start[0][0]),
             radius * start[1][0] * np.cos(start[0][0]),
@@ -257,7 +258,7 @@ def _effect(
     axes = motion.mounting
     if isinstance(effect, Product):
         if not effect.factors:
-            return np.full(field.radius.size, 0.5 * g)
+            return np.full(gain.shape[1], 0.5 * g)
         if len(effect.factors) == 1:
             axis = effect.sign * axes.matrix["IPO".index(effect.factors[0])]
             return _linear(motion, axis, field, weight, gain)

@@ -1,10 +1,10 @@
 """Strobed effects as a polynomial of the spindle's small errors, checked inside a box.
 
 What each error adds to a run's b2 (`counterspin.studies.strobed_effects`) is a smooth function of
-the drift, of the first harmonic's cosine and sine parts, and of the radius. A polynomial of the
-fourth degree through points computed by quadrature stands for it inside a box, whose corners and
-inside are checked when it is made. Quantities that do not vary take no part; where none varies
-the polynomial is a constant.
+the drift and of the first harmonic's cosine and sine parts. A polynomial of the fourth degree
+through points computed by quadrature stands for it inside a box, whose corners and inside are
+checked when it is made. Quantities that do not vary take no part; where none varies the polynomial
+is a constant.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from counterspin.studies.strobed_effects import StrobedMotion, effects
 
 DEGREE: Final = 4
 
-#: The box: angle that drift adds in a run (rad), ripple ratio, relative error of the radius.
+#: The box: angle that drift adds in a run (rad), ripple ratio.
 _DRIFT_ANGLE: Final = 0.076
 _RIPPLE_RATIO: Final = 6e-4
-_RADIUS_ERROR: Final = 1e-3
 
 #: The largest error that the polynomial may have, in parts of the largest value in the box.
 _TOLERANCE: Final = 1e-9
@@ -44,38 +43,28 @@ _CHECK_POINTS: Final = 60
 
 @frozen
 class Box:
-    """Where a surrogate holds: centre and half width of drift, ripple parts and radius, (4,)."""
+    """Where a surrogate holds: centre and half width of drift and ripple parts, (3,)."""
 
     centre: Array
     half: Array
 
     @property
     def varies(self) -> npt.NDArray[np.intp]:
-        """Which of the four quantities vary."""
+        """Which of the three quantities vary."""
         return np.flatnonzero(self.half > 0.0)
 
 
 def box_of(motion: StrobedMotion, bounds: Array) -> Box:
     """Return the box that holds what a study draws, or as much of it as a surrogate may hold.
 
-    bounds: Least and greatest drift, ripple's cosine and sine parts and radius, shape (4, 2).
+    bounds: Least and greatest drift and ripple's cosine and sine parts, shape (3, 2).
     """
     turned = float(np.max(np.abs(motion.angles - motion.spindle.start_angle)))
     duration = turned / abs(motion.spindle.rate)
-    allowed = np.array(
-        [
-            2.0 * _DRIFT_ANGLE / (turned * duration),
-            _RIPPLE_RATIO,
-            _RIPPLE_RATIO,
-            _RADIUS_ERROR * float(bounds[3].mean()),
-        ]
-    )
+    allowed = np.array([2.0 * _DRIFT_ANGLE / (turned * duration), _RIPPLE_RATIO, _RIPPLE_RATIO])
     low, high = bounds.T
     centre = 0.5 * (low + high)
-    # Small errors are small about zero; the radius is near its own value.
-    reference = np.array([0.0, 0.0, 0.0, centre[3]])
-    low = np.clip(low, reference - allowed, reference + allowed)
-    high = np.clip(high, reference - allowed, reference + allowed)
+    low, high = np.clip(low, -allowed, allowed), np.clip(high, -allowed, allowed)
     varying = high > low
     centre = np.where(varying, 0.5 * (low + high), centre)
     half = np.where(varying, 0.5 * (high - low) * (1.0 + 1e-9), 0.0)
@@ -87,23 +76,17 @@ class Surrogate:
     """The effects of a run's terms as polynomials."""
 
     box: Box  #: Where they hold.
-    #: Of the varying quantities, one row for each monomial; those without the radius first.
+    #: Of the varying quantities, one row for each monomial.
     powers: tuple[tuple[int, ...], ...]
-    #: Coefficients: of the effects at the true radius, shape (q, monomials), and at the assumed
-    #: radius with sigma/u(b2) as last row, shape (q + 1, monomials without the radius).
-    with_radius: Array
-    without_radius: Array
+    #: Of the effects, with sigma/u(b2) as last row, shape (q + 1, monomials).
+    coefficients: Array
     error: float  #: The largest error found in the check, in parts of each one's largest value.
 
     @classmethod
-    def fit(
-        cls, motion: StrobedMotion, symbols: Sequence[str], box: Box, assumed_radius: float
-    ) -> Surrogate:
+    def fit(cls, motion: StrobedMotion, symbols: Sequence[str], box: Box) -> Surrogate:
         """Make the polynomials of a run and check them."""
         places = box.varies
-        has_radius = 3 in places
-        powers = sorted(_powers(places.size), key=lambda p: (bool(has_radius and p[-1]), sum(p)))
-        count = sum(1 for p in powers if not (has_radius and p[-1]))
+        powers = sorted(_powers(places.size), key=sum)
         generator = np.random.default_rng(4)
         points = _POINTS_PER_COEFFICIENT * len(powers) if places.size else 1
         # Points that crowd towards the faces, as Chebyshev's do, keep the error even.
@@ -112,44 +95,34 @@ class Surrogate:
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=places.size))).T
         if places.size:
             checked = np.hstack([checked, corners])
-        true, assumed = _exact(motion, symbols, box, scaled, assumed_radius)
-        true_check, assumed_check = _exact(motion, symbols, box, checked, assumed_radius)
-        size = np.maximum(np.abs(assumed).max(axis=1), 1e-30)[:, None]
+        exact, check = (_exact(motion, symbols, box, points) for points in (scaled, checked))
+        size = np.maximum(np.abs(exact).max(axis=1), 1e-30)[:, None]
         basis, basis_check = _monomials(scaled, powers), _monomials(checked, powers)
-        with_radius = _fitted(basis, true / size[:-1]) * size[:-1]
-        without = _fitted(basis[:count], assumed / size) * size
+        coefficients = _fitted(basis, exact / size) * size
         # A term that acts very little is compared with the effect of others at credible sizes.
         limits = np.array([term(symbol).limit for symbol in symbols])[:, None]
         floor = _SMALLEST_EFFECT * np.max(size[:-1] * limits) / limits
         scale = np.vstack([np.maximum(size[:-1], floor), size[-1:]])
-        error = max(
-            float(np.max(np.abs(with_radius @ basis_check - true_check) / scale[:-1])),
-            float(np.max(np.abs(without @ basis_check[:count] - assumed_check) / scale)),
-        )
+        error = float(np.max(np.abs(coefficients @ basis_check - check) / scale))
         if error > _TOLERANCE:
             raise ConvergenceError(
                 f'the polynomial surrogate errs by {error:.1e} in its box; use `engine="exact"`'
             )
-        return cls(box, tuple(powers), with_radius, without, error)
+        return cls(box, tuple(powers), coefficients, error)
 
     def holds(self, small: Sequence[Array]) -> npt.NDArray[np.bool_]:
-        """Return for which rotations (drift, cos, sin, radius; each (n,)) the surrogate holds."""
+        """Return for which rotations (drift, cos, sin; each (n,)) the surrogate holds."""
         inside = np.ones(np.broadcast_shapes(*(part.shape for part in small)), dtype=bool)
         for value, centre, half in zip(small, self.box.centre, self.box.half, strict=True):
             slack = half if half > 0.0 else 1e-12 * abs(centre)
             inside &= np.abs(value - centre) <= slack
         return inside
 
-    def __call__(self, small: Sequence[Array]) -> tuple[Array, Array, Array]:
-        """Return the effects at the true and at the assumed radius, (q, n), and sigma/u(b2).
-
-        Where nothing varies the last axis has length 1.
-        """
+    def __call__(self, small: Sequence[Array]) -> tuple[Array, Array]:
+        """Return the effects, shape (q, n), and sigma/u(b2), (n,); n is 1 where nothing varies."""
         scaled = [(small[i] - self.box.centre[i]) / self.box.half[i] for i in self.box.varies]
-        basis = _monomials(scaled, self.powers)
-        true = self.with_radius @ basis
-        assumed = self.without_radius @ basis[: self.without_radius.shape[1]]
-        return true, assumed[:-1], assumed[-1]
+        found = self.coefficients @ _monomials(scaled, self.powers)
+        return found[:-1], found[-1]
 
 
 def _powers(count: int) -> list[tuple[int, ...]]:
@@ -179,16 +152,11 @@ def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int]
     return tuple(products)
 
 
-def _exact(
-    motion: StrobedMotion, symbols: Sequence[str], box: Box, scaled: Array, assumed_radius: float
-) -> tuple[Array, Array]:
+def _exact(motion: StrobedMotion, symbols: Sequence[str], box: Box, scaled: Array) -> Array:
     values = np.repeat(box.centre[:, None], scaled.shape[1], axis=1)
     values[box.varies] += box.half[box.varies, None] * scaled
-    drift, cos, sin, radius = values
-    true, _ = effects(motion, symbols, drift, cos, sin, radius)
-    at_assumed = np.full_like(radius, assumed_radius)
-    assumed, size = effects(motion, symbols, drift, cos, sin, at_assumed)
-    return true, np.vstack([assumed, size])
+    found, size = effects(motion, symbols, *values)
+    return np.vstack([found, size])
 
 
 def _fitted(basis: Array, values: Array) -> Array:

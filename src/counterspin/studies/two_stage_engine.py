@@ -9,22 +9,24 @@ batch at once. One reading is taken at each strobe, as the paper's plan has it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.joint.inputs import concerns, with_input
 from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics import as_printed
-from counterspin.physics.terms import TERMS, Term, term
-from counterspin.studies.draws import Draws, of_run
+from counterspin.physics.terms import SHARED_TERMS, TERMS, term
+from counterspin.studies.draws import Draws, StudyTruth, of_run
 from counterspin.studies.noise import curvature_noise, residual_variances
-from counterspin.studies.strobed_effects import StrobedMotion, effects
+from counterspin.studies.strobed_effects import StrobedMotion, curvature_gain, effects
 from counterspin.studies.surrogate import Surrogate
 from counterspin.studies.trials import Trials
+from counterspin.studies.world import World
 
 
 @frozen
@@ -38,16 +40,18 @@ class TwoStageEngine:
     symbols: tuple[str, ...]
     true: tuple[tuple[str, str], ...]  #: Those that are true: (owner, symbol).
     surrogates: tuple[Surrogate, ...] | None  #: Of each run; None: quadrature for every trial.
-    radius: float  #: As the analysis assumes it, m.
+    #: (recorder of a clock, else empty; symbol) of an input that is not as stated -> by how much it
+    #: changes each effect in each run, and b2 of a perfect system, per unit, shape (q + 1, runs).
+    inputs: Mapping[tuple[str, str], Array]
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
         """Return what the analysis says; see `Engine`."""
         n, runs = draws.trials, len(self.motions)
         seen = [self._effects(draws, run) for run in range(runs)]
-        assumed = _stacked([part for _, part, _ in seen], 1)  # (q, runs, n or 1)
-        sizes = _stacked([size for _, _, size in seen], 0)  # sigma/u(b2)
+        assumed = _stacked([part for part, _ in seen], 1)  # (q, runs, n or 1)
+        sizes = _stacked([size for _, size in seen], 0)  # sigma/u(b2)
         b2 = curvature_noise(generator, draws.white, sizes, n)
-        b2 += _stacked([self._shift(draws, run, true) for run, (true, _, _) in enumerate(seen)], 0)
+        b2 += _stacked([self._shift(draws, run, part) for run, (part, _) in enumerate(seen)], 0)
         variance = np.ones((1, 1))
         if self.request.sigma is None:
             variance = residual_variances(generator, draws.white, self._residual_dof, n)
@@ -57,43 +61,36 @@ class TwoStageEngine:
     def _residual_dof(self) -> Array:
         return np.array([motion.angles.size - 3.0 for motion in self.motions])
 
-    def _effects(self, draws: Draws, run: int) -> tuple[Array, Array, Array]:
-        """Return the run's effects at the true and at the assumed radius, and sigma/u(b2)."""
+    def _effects(self, draws: Draws, run: int) -> tuple[Array, Array]:
+        """Return the run's effects with the inputs as they are stated, and sigma/u(b2)."""
         small = draws.small(run)
         if self.surrogates is None:
-            return self._by_quadrature(run, small)
+            return effects(self.motions[run], self.symbols, *np.broadcast_arrays(*small))
         surrogate = self.surrogates[run]
         inside = surrogate.holds(small)
         if inside.all():
             return surrogate(small)
         n = draws.trials
         everywhere = [np.broadcast_to(part, n) for part in small]
-        inside = np.broadcast_to(inside, n)
-        true, assumed, size = (
+        outside = ~np.broadcast_to(inside, n)
+        found, size = (
             np.array(np.broadcast_to(part, (*part.shape[:-1], n))) for part in surrogate(everywhere)
         )
-        outside = ~inside
-        exact = self._by_quadrature(run, [part[outside] for part in everywhere])
-        true[:, outside], assumed[:, outside], size[outside] = exact
-        return true, assumed, size
-
-    def _by_quadrature(self, run: int, small: list[Array]) -> tuple[Array, Array, Array]:
-        motion = self.motions[run]
-        drift, cos, sin, radius = np.broadcast_arrays(*small)
-        true, _ = effects(motion, self.symbols, drift, cos, sin, radius)
-        at = np.full(radius.shape, self.radius)
-        assumed, size = effects(motion, self.symbols, drift, cos, sin, at)
-        return true, assumed, size
+        exact = effects(self.motions[run], self.symbols, *(part[outside] for part in everywhere))
+        found[:, outside], size[outside] = exact
+        return found, size
 
     def _shift(self, draws: Draws, run: int, effect: Array) -> Array:
         """Return what the true errors add to a run's b2, shape (n or 1,)."""
+        total = np.zeros(1)
+        for key, changes in self.inputs.items():
+            effect = effect + changes[:-1, run, None] * draws.inputs[key]
+            total = total + changes[-1, run] * draws.inputs[key]
         scale = draws.values.get((self.owner, "K_I"), np.ones((1, 1)))
         k_i = of_run(scale, run)
-        total = np.zeros(1)
         for owner, symbol in self.true:
             size = of_run(draws.values[owner, symbol], run)
-            row = term(symbol)
-            size = size * k_i if not isinstance(row, Term) else size - row.nominal
+            size = size * k_i if symbol in SHARED_TERMS else size - term(symbol).nominal
             total = total + size * effect[self.symbols.index(symbol)]
         return total
 
@@ -150,17 +147,37 @@ class TwoStageEngine:
         """Return d(b2)/d(unknown) of every run, shape (runs, n or 1)."""
         request = self.request
         if request.model == "exact":
-            platform = not isinstance(term(symbol), Term)
             effect: Array = assumed[self.symbols.index(symbol)]
-            return effect * request.scale_factor if platform else effect
+            return effect * request.scale_factor if symbol in SHARED_TERMS else effect
         rates = np.array([motion.spindle.rate for motion in self.motions])
         g = self.motions[0].site.gravity
         if symbol in ("K_II", RIPPLE):
             printed = as_printed.second_stage_columns(
-                rates, self.radius, g, request.scale_factor, request.ripple
+                rates, self.motions[0].radius, g, request.scale_factor, request.ripple
             )
             return np.asarray(printed[:, [0 if symbol == "K_II" else 1]])
         return np.full((rates.size, 1), 0.5 * g if symbol == "K_F" else 0.0)
+
+
+def changes_by_inputs(
+    world: World, truth: StudyTruth, owner: str, symbols: Sequence[str]
+) -> dict[tuple[str, str], Array]:
+    """Return what each input that is not as stated changes; see `TwoStageEngine.inputs`.
+
+    To first order, and as it is where the rotation is that which does not vary.
+    """
+    changes = {key: np.zeros((len(symbols) + 1, len(world.runs))) for key in truth.moving_inputs}
+    for run, spindle in enumerate(world.spindles):
+        times = spindle.time_at(world.strobed(run, owner).angles)
+        series = world.series(run, owner, spindle, times)
+        gain = curvature_gain(times[:, None])[0][:, 0]
+        before = gain @ np.column_stack([series.columns(symbols, 1.0), series.reference()])
+        for (recorder, name), change in changes.items():
+            if not concerns(series, name, recorder):
+                continue
+            reference, columns, step = with_input(series, name, symbols, 1.0)
+            change[:, run] = (gain @ np.column_stack([columns, reference]) - before) / step
+    return changes
 
 
 def _stacked(parts: Sequence[Array], axis: int) -> Array:

@@ -8,10 +8,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics import observation
-from counterspin.physics.terms import PLATFORM_TERMS
+from counterspin.physics.terms import PLATFORM_TERMS, term
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import (
     DRIFT,
@@ -28,6 +29,10 @@ from counterspin.studies.world import World
 
 #: Largest noise of angle and time that is neglected, in parts of the displacement noise.
 _LARGEST_OTHER_NOISE: Final = 0.01
+
+#: Largest error of an input, in parts of itself, of the delay in rad: what it does is taken as
+#: linear, which is off by six times as much of it at most (t^3 of a clock, R^3 of a radius).
+_LARGEST_PART: Final = 1e-3
 
 #: Largest error of second order, and largest one left in the residuals of a parabola, likewise.
 _LARGEST_ERROR: Final = 0.1
@@ -86,6 +91,7 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
 def _against(world: World, truth: StudyTruth) -> list[str]:
     reasons = ["the bias wanders, and only whole records have it"] if world.noise.wanders else []
     white = _white(truth)
+    reasons += _far_inputs(world, truth)
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be found")
     other_levels = NOISE_LEVELS.keys() - {WHITE}
@@ -107,6 +113,23 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
     if second > _LARGEST_ERROR * white:
         reasons.append(f"the platform turns so far that second-order effects reach {second:.1e} m")
     return reasons
+
+
+def _far_inputs(world: World, truth: StudyTruth) -> list[str]:
+    """Return which inputs are so far from what is stated that their squares count."""
+    fastest = max(abs(spindle.rate) for spindle in world.spindles)
+    sizes = {"centrifuge.radius": world.radius, "site.gravity": world.site.gravity}
+    sizes[TIMING] = 1.0 / fastest
+    parts = {
+        term(symbol).words: truth.reach_of_input((recorder, symbol)) / sizes.get(symbol, 1.0)
+        for recorder, symbol in truth.moving_inputs
+    }
+    return [
+        f"the {words} is up to {part:.1e} from what is stated, and squares of more than "
+        f"{_LARGEST_PART:.0e} count"
+        for words, part in parts.items()
+        if part > _LARGEST_PART
+    ]
 
 
 def _white(truth: StudyTruth) -> float:
@@ -154,7 +177,7 @@ def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
         for trial in range(draws.trials):
             single = draws.take(trial)
             spindle = single.spindle(world.spindles[run], run)
-            motion = world.trajectory(run, spindle, float(single.radius[0]))
+            motion = world.true_trajectory(run, spindle, single)
             times = spindle.time_at(strobed.angles)
             keys = [key for key in single.values if key[0] in ("", owner)]
             columns = observation.columns(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
+from counterspin.studies.draws import Draws
 from counterspin.studies.noise import RecordNoise
 from counterspin.studies.strobed_effects import StrobedMotion
 
@@ -44,20 +46,43 @@ class World:
     angle_recorded: bool  #: Whether the records have an angle.
     noise: RecordNoise  #: Of the records, where it does not vary.
     conditions: tuple[RunConditions, ...]  #: Of each run.
+    recorders: tuple[str, ...]  #: Whose clock the record of each run has, where there are several.
 
     def times(self, run: int) -> Array:
         """Return the times of a run's samples, s."""
         count = sample_count(self.durations[run], self.sampling_rate)
         return np.arange(count) / self.sampling_rate
 
-    def trajectory(self, run: int, spindle: Spindle, radius: float | None = None) -> Trajectory:
-        """Return a run's motion, along the radius that the analyses assume or along another."""
-        r = self.radius if radius is None else radius
-        return Trajectory(spindle, r, self.site, conditions=self.conditions[run])
+    def trajectory(self, run: int, spindle: Spindle) -> Trajectory:
+        """Return a run's motion as the analyses assume it."""
+        return Trajectory(spindle, self.radius, self.site, conditions=self.conditions[run])
 
-    def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
-        """Return a record, without errors where none are given."""
-        times = self.times(run)
+    def true_trajectory(self, run: int, spindle: Spindle, draws: Draws) -> Trajectory:
+        """Return a run's motion in the first of some trials."""
+        radius, gravity, latitude = (
+            stated + float(draws.off(symbol)[0])
+            for symbol, stated in (
+                ("centrifuge.radius", self.radius),
+                ("site.gravity", self.site.gravity),
+                ("site.latitude", self.site.latitude),
+            )
+        )
+        site = replace(self.site, gravity=gravity, latitude=latitude)
+        return Trajectory(spindle, radius, site, conditions=self.conditions[run])
+
+    def series(
+        self,
+        run: int,
+        name: str,
+        spindle: Spindle,
+        times: Array | None = None,
+        error: Array | None = None,
+    ) -> Series:
+        """Return a record, without errors where none are given.
+
+        times: Of its rows, s; None: those of the samples.
+        """
+        times = self.times(run) if times is None else times
         series = Series(
             accelerometer=name,
             run=self.runs[run],
@@ -70,6 +95,7 @@ class World:
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
+            recorder=self.recorders[run],
         )
         return series.with_timing(self.noise.timing)
 
@@ -78,7 +104,13 @@ class World:
         mounting, attitude = self.mountings[name], self.attitudes[run]
         phase = strobe_angle(mounting.turned(attitude).input_axis)
         return StrobedMotion.of(
-            self.spindles[run], self.durations[run], phase, mounting, attitude, self.site
+            self.spindles[run],
+            self.durations[run],
+            phase,
+            mounting,
+            attitude,
+            self.site,
+            self.radius,
         )
 
 
@@ -126,4 +158,5 @@ def world_of(campaign: Campaign) -> World:
             bias_walk=float(noise.bias_walk),
         ),
         conditions=tuple(conditions_of(campaign).values()),
+        recorders=tuple(campaign.recording_of(run).recorder for run in campaign.runs),
     )

@@ -28,6 +28,7 @@ from counterspin.campaign.readings_table import (
     load_table,
 )
 from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.simulated.true_inputs import at_true_inputs, with_true_inputs
 from counterspin.campaign.toml_file import load_document
 from counterspin.campaign.triads.declared import is_pose
 from counterspin.campaign.triads.grouped import one_group
@@ -124,7 +125,8 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     values, machine = np.zeros(len(readings)), true_machine(campaign)
     for group, places in numbered_groups(campaign):
         coefficients = truth.coefficients.get(group.accelerometer, {})
-        values[places] = indications(group, coefficients, machine, errors[places])
+        was = at_true_inputs(campaign, group)
+        values[places] = indications(was, coefficients, machine, errors[places])
     return tuple(
         reading if reading.record else replace(reading, value=value)
         for reading, value in zip(readings, values.tolist(), strict=True)
@@ -183,7 +185,7 @@ def simulate_mean_record(
         raise ValueError(f'the run "{reading.name}" states no duration')
     time = np.arange(sample_count(reading.duration, rate)) / rate
     angle = reading.rate * time
-    (group,) = groups_of(campaign, [reading])
+    (group,) = (at_true_inputs(campaign, one) for one in groups_of(campaign, [reading]))
     stations = group.stations_with(true_machine(campaign))
     (station,) = group.turned(stations, np.array([head_error]))
     (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
@@ -292,7 +294,7 @@ def _with_value(
     rest = match[2] or (output.unit if output else "g")
     unit = re.sub(rf"^{PLUS_MINUS}{NUMBER}\s*", "", rest)
     if output is None:
-        per_g = unit_factor("g", unit, gravity=campaign.gravity.value)
+        per_g = unit_factor("g", unit, gravity=with_true_inputs(campaign).gravity.value)
     else:
         size = unit_factor(output.unit, unit)
         per_g, zero = size * output.sensitivity, size * output.zero

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Final, Literal
 
+from counterspin.campaign.columns import Recording
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
@@ -124,13 +125,18 @@ def _is_still(noise: StatedNoise) -> bool:
 def refuse_unwritable(campaign: Campaign) -> None:
     """Raise CampaignError if records are read in a way in which none are simulated."""
     problems = []
-    said = [key for key, value in vars(campaign.dialect).items() if value is not None]
-    problems += [f"records.{key}: simulated records are plain; leave it out" for key in said]
-    for key, channel in (("time", campaign.time), ("angle", campaign.angle)):
-        if channel is not None and channel.column and (channel.kind != "numbers"):
-            problems.append(f"records.{key}: simulated records have numbers in every row")
-        elif channel is not None and channel.column and not channel.unit:
-            problems.append(f"records.{key}.unit: is missing, to simulate records")
+    common = Recording(campaign.time, campaign.angle, campaign.dialect)
+    own = {f'run "{r.name}", records': r.recording for r in campaign.runs if r.recording}
+    for where, one in ({"records": common} | own).items():
+        said = [key for key, value in vars(one.dialect).items() if value is not None]
+        problems += [f"{where}.{key}: simulated records are plain; leave it out" for key in said]
+        for key, channel in (("time", one.time), ("angle", one.angle)):
+            if channel is not None and channel.column and (channel.kind != "numbers"):
+                problems.append(f"{where}.{key}: simulated records have numbers in every row")
+            elif channel is not None and channel.column and not channel.unit:
+                problems.append(f"{where}.{key}.unit: is missing, to simulate records")
+        if one.time.kind == "rows" and campaign.runs:
+            problems.append(f"{where}.time: simulated records have a column of the time")
     for name, accelerometer in campaign.accelerometers.items():
         if accelerometer.channel.column and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
@@ -142,19 +148,15 @@ def refuse_unwritable(campaign: Campaign) -> None:
             problems.append(f'run "{run.name}": a simulated record is of one run')
         if len(run.files) > 1:
             problems.append(f'run "{run.name}": a simulated record is one file')
-        if run.recording is not None:
-            problems.append(f'run "{run.name}": all simulated records are read alike')
     if problems:
         raise CampaignError(str(campaign.path), problems)
 
 
 def _unfit_clock(campaign: Campaign) -> Iterator[str]:
-    """Yield why records whose rows are counted are not simulated as they are read."""
-    if campaign.time.kind != "rows":
+    """Yield why records of poses whose rows are counted are not simulated as they are read."""
+    if campaign.time.kind != "rows" or campaign.runs or campaign.simulation is None:
         return
-    if campaign.runs:
-        yield "records.time: simulated records have a column of the time"
-    elif campaign.simulation is not None and campaign.triad and campaign.triad.records:
+    if campaign.triad and campaign.triad.records:
         rate, said = campaign.simulation.sampling_rate, 1.0 / campaign.time.factor
         if not math.isclose(rate, said, rel_tol=1e-9):
             yield f"simulation.sampling_rate: is {rate:g} Hz, and records.time says {said:g} Hz"

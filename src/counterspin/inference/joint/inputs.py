@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -49,6 +49,11 @@ def rotation_column(series: Series, symbol: str) -> Array:
     return (ahead - behind) / (2.0 * step)
 
 
+def concerns(series: Series, name: str, recorder: str) -> bool:
+    """Return whether an input shows in a series; of clocks it is that of its own recorder."""
+    return name != CLOCK or recorder == series.recorder
+
+
 def input_column(
     series: Series,
     name: str,
@@ -65,28 +70,8 @@ def input_column(
     symbols = list(known)
     errors = np.array([known[symbol] for symbol in symbols])
     before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
-    if name == TIMING:
-        spindle = series.trajectory.spindle
-        step = _STEP / abs(spindle.rate)
-        # Angles that were taken later were reached later: the spindle was behind by that time, for
-        # what the errors make of the motion too. In these its ripple no longer counts.
-        behind = replace(spindle, start_angle=spindle.start_angle - spindle.rate * step)
-        late = series.columns(symbols, scale_factor, replace(series.trajectory, spindle=behind))
-        delayed: Array = (series.reference(later=-step) + late @ errors - base - before) / step
-        return delayed
-    if name == CLOCK:
-        there = series.by_clock(_STEP)
-        clocked: Array = there.reference() + there.columns(symbols, scale_factor) @ errors
-        return np.asarray((clocked - base - before) / _STEP)
-    size = {
-        "centrifuge.radius": series.trajectory.radius,
-        "site.gravity": series.trajectory.site.gravity,
-        "site.latitude": 1.0,
-    }[name]
-    step = _INPUT_STEP * size
-    moved = INPUTS[name](series.trajectory, step)
-    after = series.columns(symbols, scale_factor, moved) @ errors
-    change: Array = (series.reference(moved) + after - base - before) / step
+    reference, columns, step = with_input(series, name, symbols, scale_factor)
+    change: Array = (reference + columns @ errors - base - before) / step
     if name == "site.latitude" and series.by_latitude is not None:
         change = change - series.by_latitude
     if name == "site.gravity" and series.in_g:
@@ -94,3 +79,28 @@ def input_column(
         # counts: with its noise in the column, it would explain itself.
         change = change - (base + before) / series.trajectory.site.gravity
     return change
+
+
+def with_input(
+    series: Series, name: str, symbols: Sequence[str], scale_factor: float
+) -> tuple[Array, Array, float]:
+    """Return reference (n,) and columns (n, q) with an input off by a small step, and the step."""
+    if name == TIMING:
+        spindle = series.trajectory.spindle
+        step = _STEP / abs(spindle.rate)
+        # Angles that were taken later were reached later: the spindle was behind by that time, for
+        # what the errors make of the motion too. In these its ripple no longer counts.
+        behind = replace(spindle, start_angle=spindle.start_angle - spindle.rate * step)
+        late = series.columns(symbols, scale_factor, replace(series.trajectory, spindle=behind))
+        return series.reference(later=-step), late, step
+    if name == CLOCK:
+        there = series.by_clock(_STEP)
+        return there.reference(), there.columns(symbols, scale_factor), _STEP
+    size = {
+        "centrifuge.radius": series.trajectory.radius,
+        "site.gravity": series.trajectory.site.gravity,
+        "site.latitude": 1.0,
+    }[name]
+    step = _INPUT_STEP * size
+    moved = INPUTS[name](series.trajectory, step)
+    return series.reference(moved), series.columns(symbols, scale_factor, moved), step

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import Final
 
 from counterspin.frozen import frozen
-from counterspin.inference.joint.inputs import CLOCK
+from counterspin.inference.joint.inputs import concerns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.physics.terms import (
@@ -81,7 +81,7 @@ class Unknown:
         if self.symbol in OWN_TERMS:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
-            return self.symbol != CLOCK or self.owner == series.recorder
+            return concerns(series, self.symbol, self.owner)
         if self.symbol not in SHARED_TERMS and shown_by_readings(self.symbol):
             return False
         return self.owner in ("", series.run)
