@@ -8,6 +8,7 @@ import pytest
 from served import ANSWERS
 
 from counterspin.application.drafts import arrived, place_for
+from counterspin.application.folder import OutsideError
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
@@ -130,6 +131,12 @@ def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
     monkeypatch.setattr("counterspin.application.guard.FILE_BYTES", 1000)
     assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
     assert not (folder / "new").exists()
+
+
+def test_a_packed_file_is_refused_before_it_is_brought(desk):
+    with pytest.raises(OutsideError, match=r"new/run\.csv\.gz: the file is packed; unpack it"):
+        place_for(desk, "new/run.csv.gz")
+    assert not desk.folder.path("new").exists()
 
 
 def test_folders_that_were_made_for_it_go_too(desk, folder):

@@ -16,6 +16,21 @@ from counterspin.records.formats import open_columns
 from counterspin.records.record import ColumnSpec
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("run.csv.gz", "the file is packed; unpack it, and name the file that is in it."),
+        ("runs.ZIP", "the file is packed; unpack it"),
+        ("run.doc", "a record file ends in one of .csv, .txt,"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused_with_what_to_do(name, words, tmp_path):
+    (tmp_path / name).write_bytes(b"\x1f\x8b")
+    with pytest.raises(RecordError) as caught:
+        open_columns(tmp_path / name)
+    assert str(caught.value).startswith(f"{tmp_path / name}: {words}")
+
+
 def test_every_format_gives_the_same_record(tmp_path):
     columns = table()
     paths = [write(tmp_path / "a.csv", columns), write(tmp_path / "a.parquet", columns)]

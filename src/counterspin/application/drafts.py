@@ -21,7 +21,7 @@ from counterspin.exports.poses import PosesDraft
 from counterspin.exports.tumble import TumbleDraft
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
-from counterspin.records.formats import RECORD_FORMATS
+from counterspin.records.formats import wrong_ending
 
 _LOOKS: Final = Remembered(2)
 #: Rows, and parts of a column, that are shown before a campaign is written.
@@ -48,9 +48,8 @@ class Arrival:
 def place_for(desk: Desk, name: str) -> Arrival:
     """Return the places of an uploaded file."""
     path = desk.folder.path(name)
-    if path.suffix.lower() not in RECORD_FORMATS:
-        known = ", ".join(RECORD_FORMATS)
-        raise OutsideError(f"{name}: only records are taken here; they end in {known}")
+    if wrong := wrong_ending(path):
+        raise OutsideError(f"{name}: {wrong}")
     folders = tuple(folder for folder in path.parents if not folder.exists())
     make_folder(path.parent)
     return Arrival(path, begin(path), folders)

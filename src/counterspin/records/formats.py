@@ -58,15 +58,26 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
 }
 
 
+#: Endings of files that hold other files, made small.
+_PACKED: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")
+
+
+def wrong_ending(path: Path) -> str:
+    """Return why a file is no record by its ending, and what to do; empty if it may be one."""
+    ending = path.suffix.lower()
+    if ending in RECORD_FORMATS:
+        return ""
+    if ending in _PACKED:
+        return "the file is packed; unpack it, and name the file that is in it."
+    kind = "this is a folder" if path.is_dir() else "this one does not"
+    return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
+
+
 def opener_of(path: Path) -> Callable[[Path, BinaryIO, Dialect], ColumnFile]:
     """Return what opens a file; RecordError if no record has its ending, or if it is a folder."""
-    opener = RECORD_FORMATS.get(path.suffix.lower())
-    if opener is None:
-        kind = "this is a folder" if path.is_dir() else "this one does not"
-        raise RecordError(
-            f"{path}: a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
-        )
-    return opener
+    if wrong := wrong_ending(path):
+        raise RecordError(f"{path}: {wrong}")
+    return RECORD_FORMATS[path.suffix.lower()]
 
 
 def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
