@@ -45,9 +45,10 @@ def _frozen(cls: Any, comparing: dict[str, Any]) -> Any:
 
 
 def _set_once(self: Any, name: str, value: Any) -> None:
-    if name in self.__dict__ or name not in self.__dataclass_fields__:
+    own = self.__dict__
+    if name in own or name not in self.__dataclass_fields__:
         _refuse(self, name)
-    self.__dict__[name] = value
+    own[name] = value
 
 
 def _refuse(self: Any, name: str) -> NoReturn:

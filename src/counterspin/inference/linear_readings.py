@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -109,8 +110,13 @@ class Readings:
 
     def moved_one(self, station: Station, place: int, symbol: str, size: float) -> Station:
         """Return the station of one of the readings, with one more of the machine's terms."""
-        angle = float(np.broadcast_to(self.head_angle, self.size)[place])
-        return moved(station, symbol, size, self.head[place], angle)
+        return moved(station, symbol, size, self.head[place], self._head_angles[place])
+
+    @cached_property
+    def _head_angles(self) -> list[float]:
+        """What the head shows at each reading, rad."""
+        angles: list[float] = np.broadcast_to(self.head_angle, self.size).tolist()
+        return angles
 
     def turned(self, stations: Sequence[Station], by: Array) -> list[Station]:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
@@ -134,7 +140,7 @@ class Readings:
     def read_again(self) -> tuple[tuple[int, ...], ...]:
         """Places of the readings of each position that was read more than once."""
         same: dict[tuple[object, ...], list[int]] = {}
-        shown = np.broadcast_to(self.head_angle, self.size)
+        shown = np.array(self._head_angles)
         waves = np.round(np.stack([np.cos(shown), np.sin(shown)], axis=-1), 9) + 0.0
         for place, (station, mounting) in enumerate(
             zip(self.stations, self.mountings, strict=True)
