@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
@@ -76,10 +77,10 @@ class CsvFile(ColumnFile):
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
         lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        layout = None
+        layout, plain = None, is_plain(lines)
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
-            layout = plain_layout(lines, dialect) if unsaid and is_plain(lines) else None
+            layout = plain_layout(lines, dialect) if unsaid and plain else None
         found = layout or find_layout(lines, dialect)
         layout = found or plain_layout(lines, dialect)
         if found is None and dialect.encoding is None:
@@ -101,7 +102,7 @@ class CsvFile(ColumnFile):
         above = [split(line, self.delimiter) for number, line in lines if number < layout.header]
         units, self.interval = labview_head(above, self.names, self.decimal)
         self.units |= units
-        if not is_plain(lines):
+        if not plain:
             self.found = layout.words(self._encoding)
         if self.delimiter == BLANKS:
             self._part_by_tabs()
@@ -142,7 +143,8 @@ class CsvFile(ColumnFile):
         """Return a line of the head as text."""
         encoding = "utf-8" if self._content is not None else self._encoding
         try:
-            return raw.decode("utf-8-sig" if encoding == "utf-8" else encoding).rstrip("\r\n")
+            text = raw.removeprefix(BOM_UTF8) if encoding == "utf-8" else raw
+            return text.decode(encoding).rstrip("\r\n")
         except UnicodeError:
             if self._encoding == "utf-8":
                 self._encoding = "latin-1"
