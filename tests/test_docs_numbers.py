@@ -30,7 +30,7 @@ from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observing
 from counterspin.physics import gravity, motion, terms
-from counterspin.planning import design, plan_file, requirements, search
+from counterspin.planning import design, limiting, plan_file, requirements
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.reproduction import plan as paper
 from counterspin.studies import description, draws, result, study, surrogate, tally, validity
@@ -91,7 +91,7 @@ ROWS = {
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
         ("by heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
-        ("gain of a limit relaxed by {} %", 100.0 * search._RELAXATION),
+        ("gain of a limit relaxed by {} %", 100.0 * limiting.RELAXATION),
         ("u would grow by {}; where", math.hypot(1.0, requirements._TOLERABLE_PART_OF_U) - 1.0),
     ],
     "study": [
