@@ -251,7 +251,7 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
         (
             Column("Source", wraps=True),
             Column("Meaning", wraps=True),
-            Column("Std. uncertainty", "right"),
+            Column("Std. uncertainty", "right", wraps=True),
             Column(f"Contribution, {unit}", "right", wraps=True),
             Column("Share of u^2", "right", wraps=True),
         ),

@@ -354,7 +354,7 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
                 Column("Source", wraps=True),
                 Column("Meaning", wraps=True),
                 Column("Kind"),
-                Column("Std. uncertainty", "right"),
+                Column("Std. uncertainty", "right", wraps=True),
                 Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
                 Column(f"Contribution, {unit}", "right", wraps=True),
                 Column("Share of u^2", "right", wraps=True),
