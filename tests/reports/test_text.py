@@ -358,7 +358,7 @@ def test_details_are_written_when_asked_for():
 
 
 def test_what_the_campaign_says_of_itself_is_repeated():
-    assert "laboratory Centrifuge hall; serial number 17." in text_of(full())
+    assert "Laboratory Centrifuge hall; serial number 17." in text_of(full())
 
 
 # Runs

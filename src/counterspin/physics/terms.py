@@ -150,7 +150,7 @@ def _slopes() -> Iterator[Term[Slope]]:
             for of, unit, degree in (("K_F", "g", 3), ("K_I", "g/g", 3), ("K_II", "g/g^2", 1))
             for n, power in powers[:degree]
         ),
-        ("K_F.hysteresis", "direction", "g", "K_F on the way up in temperature, less down"),
+        ("K_F.hysteresis", "direction", "g", "difference of K_F between warming and cooling"),
         ("K_F.trend", "time", "g/s", "change of K_F with time"),
         ("K_F.heating", "force", "g/g^2", heating),
     ):

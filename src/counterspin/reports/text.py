@@ -128,6 +128,8 @@ def _parts(
         title = max(map(len, rows[0][index].split()), default=0)
         cells = max((len(line) for row in rows[1:] for line in row[index].split("\n")), default=0)
         wanted.append(max(map(len, lines)))
+        # Numbers, which stand at the right, stay in one line; only the title above them is wrapped.
+        words = max(title, cells) if column.align == "right" else words
         wrapped = max(words, min(column.narrowest, wanted[-1]))
         whole.append(wrapped if column.wraps else wanted[-1])
         least.append(wrapped if column.wraps else max(title, cells))
