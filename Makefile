@@ -78,6 +78,7 @@ docs-tests: docs ## Try the site: its examples, its links, a browser that goes t
 
 violations: $(READY) ## Make the tables of what violations of the model do again
 	$(BIN)/python docs/violations.py
+	$(BIN)/python docs/tumbled.py
 	$(BIN)/python docs/incredible.py
 
 fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md

@@ -339,7 +339,14 @@ def row_of(violation: Violation, observable: str, clean: Sequence[Result], size:
         Of the campaign.
     """
     stated, world = violation.of(description(observable, size))
-    assuming, weighing = calibrated(world, *ways(stated))
+    return row_between(violation, observable, clean, calibrated(world, *ways(stated)))
+
+
+def row_between(
+    violation: Violation, observable: str, clean: Sequence[Result], found: Sequence[Result]
+) -> Row:
+    """Return what lies between the two results without a violation and those with it."""
+    assuming, weighing = found
     return Row(
         name=violation.name,
         size=violation.size,
@@ -362,16 +369,22 @@ def rows(violations: Sequence[Violation], observable: str, size: Size) -> Iterat
         yield row_of(violation, observable, clean, size)
 
 
-def render(table: Sequence[Row]) -> str:
+def lines_of(table: Sequence[Row]) -> str:
     """Return the table as Markdown, one line for each violation."""
     lines: dict[tuple[str, str], list[str]] = {}
     for row in table:
         lines.setdefault((row.name, row.size), [row.name, row.size]).append(row.cell)
-    head = ["in the world", "size", *(name.replace("_", " ") for name in UNITS)]
+    shown = dict.fromkeys(row.observable.replace("_", " ") for row in table)
+    head = ["in the world", "size", *shown]
+    return table_of(dict.fromkeys(head, "---"), list(lines.values()))
+
+
+def render(table: Sequence[Row]) -> str:
+    """Return the table with how often the right cause is named."""
     found = [row for row in table if row.codes]
     right, first = (sum(row.right(among) for row in found) for among in (2, 1))
     return (
-        f"{table_of(dict.fromkeys(head, '---'), list(lines.values()))}\n"
+        f"{lines_of(table)}\n"
         f"Where all is assumed something is found in {len(found)} of these {len(table)} cases. "
         f"What is otherwise is the first or the second cause that is named in {right} of them, the "
         f"first in {first}.\n"

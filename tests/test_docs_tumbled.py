@@ -1,0 +1,58 @@
+"""The table of tumbles is what is found, and nothing in it goes unsaid beyond 3 u."""
+
+import math
+import runpy
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+STUDY = runpy.run_path(str(DOCS / "tumbled.py"))
+TABLE, WAYS = STUDY["TABLE"], STUDY["WAYS"]
+ARCSEC = math.radians(1.0) / 3600.0
+
+
+@pytest.fixture(scope="module")
+def kept():
+    return {(row.name, row.observable): row for row in TABLE.load()}
+
+
+def test_the_page_shows_what_was_found():
+    page = TABLE.page.read_text("utf-8")
+    assert TABLE.insert(TABLE.load(), page) == page
+
+
+def test_every_violation_is_in_the_table_with_every_tumble(kept):
+    assert set(kept) == {(v.name, way) for v in STUDY["violations"]() for way in WAYS}
+
+
+def test_none_is_silent(kept):
+    assert [row for row in kept.values() if row.silent] == []
+
+
+def test_the_table_is_what_is_found(kept):
+    for row in STUDY["rows"]("12 positions"):
+        known = kept[row.name, row.observable]
+        assert (row.codes, row.said_weighed) == (known.codes, known.said_weighed)
+        assert row.shifts == pytest.approx(known.shifts, abs=0.05)
+
+
+def test_what_waves_of_the_head_look_like(kept):
+    """Turned by d more, cos phi reads less by d sin phi; d = e sin phi is e (1 - cos 2 phi)/2 less.
+
+    That is e sin^2 phi, so K_F less by e and K_II more by e: in one mounting to the last digit.
+    """
+    typical = 1e-5
+    for way, (positions, mounted) in WAYS.items():
+        row = kept["head.harmonic.1.sin", way]
+        turns = positions * len(mounted)
+        # Of a + b cos phi + c cos^2 phi + d sin phi by even angles: u(a) and u(c), over sigma,
+        # are sqrt(3/n) and sqrt(8/n); K_PP and K_OO of 2 ug/g^2 act on both.
+        u_f = math.hypot(2e-6 * math.sqrt(3.0 / turns), 2e-6)
+        u_ii = math.hypot(2e-6 * math.sqrt(8.0 / turns), 2e-6)
+        if mounted == (0,):
+            assert abs(row.shifts["K_F"]) == pytest.approx(typical / u_f, rel=0.01)
+            assert abs(row.shifts["K_II"]) == pytest.approx(typical / u_ii, rel=0.01)
+            assert row.codes == []
+        else:
+            assert "lack-of-fit" in row.codes
