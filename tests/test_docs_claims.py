@@ -11,6 +11,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from prose import ROOT, agrees, sentences, told, value_of
+from scipy.special import stdtrit
 
 import counterspin as cs
 from counterspin.calibration import (
@@ -149,7 +150,7 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
-    ("diagnosis", "as long as {} degrees of freedom are left", [readings.FEWEST_FREEDOM]),
+    ("diagnosis", "effective ones, rounded: from {} on", [readings.FEWEST_FREEDOM]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [reading_tests._HARMONICS]),
     ("diagnosis", "constant of {} and of {} of the series", [*reading_tests._WARM_UPS]),
     ("diagnosis", "within {} of its chi-square, is named with it", [reading_tests._DECISIVE_CHI2]),
@@ -537,6 +538,20 @@ def test_what_a_stretched_arm_looks_like():
         f = np.concatenate([side * force for side in sides])
         fit, *_ = np.linalg.lstsq(np.vander(f, 4, increasing=True), f * np.abs(f), rcond=None)
         assert fit[2] == pytest.approx(k_ii, abs=1e-10)
+
+
+def test_what_few_degrees_of_freedom_show():
+    """diagnosis.md: the effect that F is beyond its limit with every other time, by its median."""
+    level = 0.5 * diagnostics.SIGNIFICANCE / 20
+    seen, *larger = told(
+        "diagnosis",
+        "one that is {} of its standard deviations is seen every other time with 5 degrees of "
+        "freedom; with 4 it must be {}, with 3 it must be {}, and with 2 it must be {}. Twelve",
+    )
+    for freedom, text in zip((5, 4, 3, 2), (seen, *larger), strict=True):
+        # Of the residuals' freedom the column itself takes one.
+        limit = float(stdtrit(freedom - 1, 1.0 - 0.5 * level))
+        assert float(f"{limit:.2g}") == value_of(text)
 
 
 def test_what_a_bias_that_settles_early_leaves_to_be_seen():

@@ -41,8 +41,11 @@ _LEAST_BESIDE_HEAD: Final = 0.3
 #: Readings without any noise, but for one that is off, leave this chi-square of the others.
 _LEAST_REST: Final = 1e-6
 
-#: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone.
-FEWEST_FREEDOM: Final = 5.0
+#: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone: five,
+#: effective ones rounded, for twelve positions of which nothing is stated have just these. Of
+#: twenty columns that are tried, one is then told from chance every other time if it is 15 of its
+#: standard deviations; with four left it must be 26, with three 89, with two 5100 (Student's t).
+FEWEST_FREEDOM: Final = 4.5
 
 #: Part of a standard uncertainty that is as good as none.
 _HELD: Final = 1e-6

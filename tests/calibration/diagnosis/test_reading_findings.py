@@ -175,6 +175,14 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
         assert "only residuals of 2 times what is stated are noticed" in stated.findings[0].text
 
 
+def test_twelve_positions_of_which_nothing_is_stated_are_judged(tmp_path):
+    """Mean and three waves are taken up, and 12 less 7 are left: at 5 chance would decide."""
+    for seed in range(8):
+        values = simulated(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
+        result = calibrated(tmp_path, even(12), values, assume=[])
+        assert "unjudged-readings" not in [f.code for f in result.findings]
+
+
 def shown(kind, rng):
     """Return a tumble of 12 positions in a random order with something wrong, and its angles."""
     order = rng.permutation(12)
