@@ -269,9 +269,9 @@ def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
 
 def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
     judge_result(result(residual=CONTRADICTED)).write(desk / "r.json", overwrite=True)
-    status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.xml", "--despite", " ")
-    assert (status, "--despite: give the reason in words" in err) == (2, True)
-    why = ("--despite", "known play of the arm")
+    status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.xml", "--accept-misfit", " ")
+    assert (status, "--accept-misfit: give the reason in words" in err) == (2, True)
+    why = ("--accept-misfit", "known play of the arm")
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml", *why)[0] == 0
     made = (desk / "c.xml").read_bytes()
     name = "Misfit of the result"

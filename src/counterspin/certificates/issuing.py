@@ -147,7 +147,7 @@ def certificate(
     *,
     schema: Path | None = None,
     signer: Signer | Callable[[], Signer] | None = None,
-    despite: str | None = None,
+    accept_misfit: str | None = None,
     amends: Amendment | None = None,
 ) -> Certificate:
     """Make the certificate of a result; `Certificate.write` writes it.
@@ -164,7 +164,7 @@ def certificate(
         Who signs XML and pages, as `read_signer` and `command_signer` of
         `counterspin.certificates.signers` return it; or what returns that, which is called once
         all else has been checked.
-    despite
+    accept_misfit
         The reason for which a result that its records contradict is certified all the same; it
         stands in the certificate.
     amends
@@ -180,19 +180,19 @@ def certificate(
     CounterspinError
         If key or schema cannot be used.
     """
-    if despite is not None and not despite.strip():
-        raise CampaignError("certificate", ["`despite`: give the reason in words"])
+    if accept_misfit is not None and not accept_misfit.strip():
+        raise CampaignError("certificate", ["`accept_misfit`: give the reason in words"])
     original = result if isinstance(result, Result) else Result.read(result)
     data, specifications = read_lab(lab, original)
     names = data.certified(original)
     judged = judge_result(original)
-    if despite is not None:
+    if accept_misfit is not None:
         if judged.state != "contradicted":
             raise CampaignError(
                 "certificate",
-                ["`despite`: the records do not contradict this result; leave it out"],
+                ["`accept_misfit`: the records do not contradict this result; leave it out"],
             )
-        judged = judged.model_copy(update={"accepted_misfit": despite})
+        judged = judged.model_copy(update={"accepted_misfit": accept_misfit})
     try:
         check_certifiable(judged, names)
     except RecordError as error:
@@ -202,7 +202,7 @@ def certificate(
     source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
     require_evidence(original.assumed, data.evidence, source)
     amended, old = (None, b"") if amends is None else read_amended(amends)
-    issue = _issue(data, original, amended, despite, signed=signer is not None)
+    issue = _issue(data, original, amended, accept_misfit, signed=signer is not None)
     if issue.draft and signer is not None:
         raise CampaignError(source, [_example_words(example_keys(data))])
     if callable(signer):
@@ -284,18 +284,20 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
         )
 
 
-def _identifier(lab: Lab, result: Result, despite: str | None) -> str:
+def _identifier(lab: Lab, result: Result, accept_misfit: str | None) -> str:
     """Return an identifier that follows from the bytes of the result and the laboratory's data."""
     said = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
-    rests_on = (checksum_of(result.content), said, despite or "")
+    rests_on = (checksum_of(result.content), said, accept_misfit or "")
     return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
 
 
 def _issue(
-    lab: Lab, result: Result, amended: Amended | None, despite: str | None, *, signed: bool
+    lab: Lab, result: Result, amended: Amended | None, accept_misfit: str | None, *, signed: bool
 ) -> Issue:
     draft = bool(example_keys(lab))
-    unnamed = _identifier(lab, result, despite) if amended is None else amended.next_identifier()
+    unnamed = (
+        _identifier(lab, result, accept_misfit) if amended is None else amended.next_identifier()
+    )
     identifier = lab.certificate.identifier or unnamed
     if amended is not None and identifier == amended.identifier:
         raise CampaignError(

@@ -81,7 +81,7 @@ def _of_the_certificate(lab: Lab, stated: Result, issue: Issue) -> Iterator[Stat
     settings = lab.certificate
     yield Statement("Draft", [wording.DRAFT] if issue.draft else [])
     yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
-    misfit = wording.despite_lines(stated, lab.certified(stated))
+    misfit = wording.misfit_lines(stated, lab.certified(stated))
     yield Statement("Misfit of the result", misfit)
     yield Statement("File of the result", wording.seal_lines(stated))
     yield Statement(

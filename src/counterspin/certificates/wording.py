@@ -221,7 +221,7 @@ def seal_lines(result: Result) -> list[str]:
     ]
 
 
-def despite_lines(result: Result, names: Sequence[str]) -> list[str]:
+def misfit_lines(result: Result, names: Sequence[str]) -> list[str]:
     """Return what the records of a result contradict, and why it is certified all the same."""
     if result.accepted_misfit is None:
         return []

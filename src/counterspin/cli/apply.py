@@ -20,26 +20,27 @@ def _check_count(_: object, value: int | None) -> None:
 
 @group
 @frozen
-class Forces:
+class ForceOptions:
     """What the file's numbers are, and what is known of the other axes.
 
     Parameters
     ----------
     column
-        The column to correct; may be left out where only one is possible.
+        The column to correct; may be left out if only one is possible.
     unit
-        Unit of the table's forces: g, m/s^2, mg; or of the outputs that were calibrated, such as
-        count: then the corrected forces are in g.
+        Unit of the forces in the table: g, m/s^2, mg; or the unit of the calibrated output, such as
+        count, in which case the corrected forces are in g.
     pendulous
         Specific force along the pendulous axis: a column, or a constant such as "-1 g".
     output_axis
-        Specific force along the output axis, likewise.
+        Specific force along the output axis, in the same form.
     temperature
-        How warm it was: a column in degC, or a constant such as "23 ± 1 degC".
+        Temperature of the accelerometer: a column in degC, or a constant such as "23 ± 1 degC".
     others
-        Accelerometers beside it, from which both follow: Qy=COLUMN,Qz=COLUMN.
+        Accelerometers mounted with it, from which both cross-axis forces are computed:
+        Qy=COLUMN,Qz=COLUMN.
     force
-        Apply even a result of the equations as printed, whose K_II is half the true one.
+        Apply a result of the equations as printed too, although its K_II is half the true one.
     """
 
     column: Annotated[str | None, Parameter(name="--input")] = None
@@ -53,25 +54,25 @@ class Forces:
 
 @group
 @frozen
-class Written:
-    """How the file is written, where it does not show; as [records] of a campaign says it.
+class FileOptions:
+    """How the file is written, where this cannot be recognised; keys as in [records] of a campaign.
 
     Parameters
     ----------
     skip_lines
-        Lines before the names of the columns.
+        Number of lines above the column names.
     delimiter
-        Between its cells.
+        Character that separates the cells.
     decimal
-        In its numbers.
+        Decimal sign of the numbers.
     encoding
-        Of its text, such as latin-1.
+        Encoding of the text, such as latin-1.
     units_row
-        Whether a row of units stands below the names.
+        Whether there is a row of units below the names.
     sheet
-        Of an Excel file.
+        Sheet of an Excel file.
     group
-        Of an HDF5 or TDMS file, or the structure of a MATLAB file.
+        Group of an HDF5 or TDMS file, or structure of a MATLAB file.
     """
 
     skip_lines: Annotated[int | None, Parameter(validator=_check_count)] = None
@@ -83,7 +84,7 @@ class Written:
     group: str | None = None
 
 
-_ALONE, _PLAIN = Forces(), Written()
+_ALONE, _PLAIN = ForceOptions(), FileOptions()
 
 
 def apply(
@@ -93,8 +94,8 @@ def apply(
     *,
     output: OutputFolder,
     accelerometer: str | None = None,
-    forces: Forces = _ALONE,
-    written: Written = _PLAIN,
+    forces: ForceOptions = _ALONE,
+    written: FileOptions = _PLAIN,
     overwrite: bool = False,
 ) -> None:
     """Correct indicated specific force for a calibrated accelerometer.
@@ -102,16 +103,16 @@ def apply(
     Parameters
     ----------
     result
-        Result that `counterspin calibrate --json` wrote.
+        Result written by `counterspin calibrate --json`.
     file
         Record file with a column of indicated specific force, such as .csv, .parquet, .h5 or .mat.
     output
-        File to write: the table and two more columns, corrected force and its uncertainty.
+        File to write: the table with two more columns, corrected force and its uncertainty.
     accelerometer
-        Which of the result's accelerometers it is. Left out: all that --others names are corrected,
-        or all three of a triad whose columns have their names.
+        Which of the result's accelerometers to correct. Without it, all that --others names, or all
+        three of a triad if the columns have their names.
     overwrite
-        Replace an earlier corrected file; never another file.
+        Replace an earlier corrected file; other files are never replaced.
     """
     from counterspin.calibration.result import Result
     from counterspin.correction.apply import ApplyOptions

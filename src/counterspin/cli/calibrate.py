@@ -34,15 +34,15 @@ class Estimation:
     model
         Observation model of the two-stage method: the exact one, or the paper's as printed.
     weighted
-        Two-stage: weight the runs by sigma(b2); the paper does not.
+        Two-stage: weight the runs by sigma(b2), which the paper does not.
     ripple
-        Two-stage, as printed: what is common to all rates, the ripple's amplitude or its ratio.
+        Two-stage, as printed: what all rates have in common, the ripple's amplitude or its ratio.
     fit_bias
         Two-stage: estimate K_F with its prior, or take it as known.
     sigma
-        Two-stage: the displacement noise that the campaign gives, or that of the residuals.
+        Two-stage: use the displacement noise stated in the campaign, or that of the residuals.
     without
-        A run to leave out; once for each. Of several campaigns, each must have it.
+        Leave out the run of this name; may be repeated. Of several campaigns, each must have it.
     """
 
     method: Literal["joint", "two-stage"] = "joint"
@@ -56,15 +56,15 @@ class Estimation:
 
 @group
 @frozen
-class Printed:
-    """What is printed beside the coefficients.
+class PrintOptions:
+    """What is printed in addition to the coefficients.
 
     Parameters
     ----------
     budget
-        Joint: print where the uncertainty of each coefficient comes from, line by line.
+        Joint: print the uncertainty budget of each coefficient, line by line.
     details
-        Print all that was found: tests of each run, samples left out, correlations.
+        Print all findings, tests of each run, samples left out and correlations.
     """
 
     budget: bool = False
@@ -74,12 +74,12 @@ class Printed:
 @group
 @frozen
 class BatchWorkers:
-    """Who calibrates several campaigns.
+    """Processes that calibrate several campaigns.
 
     Parameters
     ----------
     workers
-        Several campaigns: processes.
+        Several campaigns: number of processes.
     cluster
         Several campaigns: address of a Dask scheduler, whose workers see the same folders.
     """
@@ -90,19 +90,19 @@ class BatchWorkers:
 
 @group
 @frozen
-class Kept:
-    """What is kept of a result: why it is used, and in which instrument's ledger it is.
+class KeepingOptions:
+    """What is recorded about a result: why a misfit is accepted, and the instrument's ledger.
 
     Parameters
     ----------
     accept_misfit
-        The reason for which the result is to be used even if the records contradict it.
+        Reason for using the result even if the records contradict it.
     ledger
-        Enter the result's file, that of --json, in this ledger, to which entries are only added.
+        Enter the result file, as named by --json, in this append-only ledger.
     who
-        With --ledger: who enters it.
+        With --ledger: name of the person who makes the entry.
     why
-        With --ledger: why, in words.
+        With --ledger: reason for the entry.
     """
 
     accept_misfit: str | None = None
@@ -136,7 +136,7 @@ class Kept:
             add(self.ledger, json, who=self.who, why=self.why)
 
 
-_USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), Printed(), BatchWorkers(), Kept()
+_USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), PrintOptions(), BatchWorkers(), KeepingOptions()
 
 
 def calibrate(
@@ -145,18 +145,19 @@ def calibrate(
     *more: Path,
     saved: Saved = NOT_SAVED,
     estimation: Estimation = _USUAL,
-    printed: Printed = _BRIEF,
-    kept: Kept = _NOWHERE,
+    printed: PrintOptions = _BRIEF,
+    kept: KeepingOptions = _NOWHERE,
     workforce: BatchWorkers = _ALONE,
 ) -> None:
-    """Determine the accelerometers' coefficients from a campaign's records.
+    """Estimate the coefficients of accelerometers from the records of a campaign.
 
     Parameters
     ----------
     directory
         The campaign's folder, or its campaign.toml.
     more
-        Further campaigns: a summary of all is printed, and a failing one stops no other.
+        Further campaigns. A summary of all is printed; if one fails, the others are still
+        calibrated.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions

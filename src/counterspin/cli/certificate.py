@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 
 @group
 @frozen
-class Proof:
-    """What a certificate is held to: the schema, and a signature.
+class SigningOptions:
+    """How a certificate is validated and signed.
 
     Parameters
     ----------
     schema
-        Folder or file of the schema of DCC, to validate against.
+        Folder or file of the DCC schema; the certificate is validated against it.
     key
-        Private key to sign with: PEM, or PKCS #12 with its certificate. If it is encrypted, its
-        password is asked for, or read from standard input where that is no terminal.
+        Private key to sign with: PEM, or PKCS #12 with its certificate. The password of an
+        encrypted key is asked for, or read from standard input if that is not a terminal.
     signer
-        In place of a key: a command that reads bytes on standard input and writes their signature,
-        such as that of a card or token.
+        Instead of a key: a command that reads bytes on standard input and writes their signature,
+        for example with a smart card or token.
     cert
-        X.509 certificate (PEM): of the key, or with --verify of who must have signed.
+        X.509 certificate (PEM) of the key; with --verify, of the expected signer.
     both
-        Write the other of the two, XML and PDF, beside it, of the same signature.
+        Write XML and PDF, with the same signature.
     """
 
     schema: Path | None = None
@@ -83,29 +83,30 @@ def _password(key: Path) -> str:
 
 @group
 @frozen
-class Grounds:
-    """Why a certificate is issued where it would not be without a reason, and where that is kept.
+class IssueOptions:
+    """Reasons that a certificate states, and where they are recorded.
 
     Parameters
     ----------
-    despite
+    accept_misfit
         Certify a result that its records contradict, for this reason, which the certificate states.
     amends
-        An issued certificate (XML or PDF) that the new one replaces; with --verify: that it must.
+        An issued certificate (XML or PDF) that the new one replaces; with --verify: check that the
+        certificate replaces it.
     reason
-        Why it is replaced; the certificate states that, and what changed.
+        Why it is replaced; the certificate states the reason and the changes.
     ledger
-        Enter the certificate there, in place of what LAB.toml says.
+        Enter the certificate in this ledger instead of the one in LAB.toml.
     """
 
-    despite: str | None = None
+    accept_misfit: str | None = None
     amends: Path | None = None
     reason: str | None = None
     ledger: Path | None = None
 
 
-_UNPROVED = Proof()
-_NONE_NEEDED = Grounds()
+_UNSIGNED = SigningOptions()
+_ISSUED_AS_IS = IssueOptions()
 
 #: What is said of a PDF's pages.
 _PAGES = {
@@ -121,25 +122,25 @@ def certificate(
     /,
     *,
     output: OutputFile = None,
-    proof: Proof = _UNPROVED,
-    grounds: Grounds = _NONE_NEEDED,
+    signing: SigningOptions = _UNSIGNED,
+    issue: IssueOptions = _ISSUED_AS_IS,
     init: Path | None = None,
     verify: Path | None = None,
 ) -> None:
-    """Write the Digital Calibration Certificate of a result, or check one.
+    """Write the Digital Calibration Certificate (DCC) of a result, or verify one.
 
     Parameters
     ----------
     result
-        Result that `counterspin calibrate --json` wrote.
+        Result written by `counterspin calibrate --json`.
     lab
-        What the laboratory says: LAB.toml.
+        The laboratory's data: LAB.toml.
     output
         The certificate: .xml, or .pdf with the XML attached (PDF/A-3a).
     init
-        In place of all else: write a commented example of LAB.toml to this file.
+        Instead of all else: write a commented example of LAB.toml to this file.
     verify
-        In place of a result: a certificate, XML or PDF, to check it and print its numbers.
+        Instead of a result: a certificate, XML or PDF, to check; its numbers are printed.
     """
     from counterspin.certificates.amendment import Amendment
     from counterspin.certificates.issuing import certificate as make
@@ -161,7 +162,7 @@ def certificate(
         return
     if verify is not None:
         checked = check_certificate(
-            verify, schema=proof.schema, cert=proof.cert, amends=grounds.amends
+            verify, schema=signing.schema, cert=signing.cert, amends=issue.amends
         )
         report_console().print(Report(list(certificate_blocks(checked.certified))))
         said = {
@@ -176,31 +177,31 @@ def certificate(
                 "of issue that the certificate states."
             )
         if (old := checked.certified.amends) is not None:
-            checksum = " and its checksum is right" if grounds.amends is not None else ""
+            checksum = " and its checksum is right" if issue.amends is not None else ""
             say(f"It amends and replaces certificate {old}{checksum}.")
         if verify.suffix.lower() == ".pdf":
             say(_PAGES[checked.pages])
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
-    if (grounds.amends is None) != (grounds.reason is None):
+    if (issue.amends is None) != (issue.reason is None):
         raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
     check_place(output)
-    outputs = [output, *([other_kind(output)] if proof.both else [])]
+    outputs = [output, *([other_kind(output)] if signing.both else [])]
     for place in outputs[1:]:
         check_place(place)
     done = make(
         result,
         lab,
-        schema=proof.schema,
-        signer=proof.who_signs(),
-        despite=grounds.despite,
+        schema=signing.schema,
+        signer=signing.who_signs(),
+        accept_misfit=issue.accept_misfit,
         amends=None
-        if grounds.amends is None or grounds.reason is None
-        else Amendment(grounds.amends, grounds.reason),
+        if issue.amends is None or issue.reason is None
+        else Amendment(issue.amends, issue.reason),
     )
     for place in outputs:
-        done.write(place, ledger=grounds.ledger)
+        done.write(place, ledger=issue.ledger)
     files, names = " and ".join(map(str, outputs)), ", ".join(done.accelerometers)
     say(f"Wrote {files}: certificate {done.identifier} of {names}.")
     for note in done.notes:

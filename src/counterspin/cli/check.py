@@ -19,16 +19,16 @@ def check(
     run: str | None = None,
     saved: Saved = NOT_SAVED,
 ) -> None:
-    """Judge the record of one run: clock, angle, rate, residuals, resulting uncertainty.
+    """Check the record of one run: clock, angle, rate, residuals and the uncertainty it will give.
 
     Parameters
     ----------
     record
-        The file, of a run that the campaign describes.
+        The record file of a run that the campaign describes.
     campaign
         The campaign's folder, or its campaign.toml.
     run
-        Which run it is, where its name does not say.
+        Name of the run, if the file's name does not show it.
     """
     from counterspin.monitoring.check import check as judge
     from counterspin.monitoring.result import CheckedRun

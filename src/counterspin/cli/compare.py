@@ -8,14 +8,14 @@ from counterspin.cli.words import NOT_SAVED, Saved
 
 
 def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None) -> None:
-    """Put results of other models, methods or campaigns beside each other, and say what changed.
+    """Compare results of different models, methods or campaigns, and show what changed.
 
     Parameters
     ----------
     results
-        Two result files or more; each is compared with the first, the reference.
+        Two or more result files; each is compared with the first.
     report
-        Write the comparison to this file too: .html, .pdf or .md.
+        Also write the comparison to this file: .html, .pdf or .md.
     """
     from counterspin.comparisons.compare import compare as run
     from counterspin.comparisons.result import Compared

@@ -14,7 +14,7 @@ def demo(
     figure: Literal["svg", "png", "pdf"] = "svg",
     overwrite: bool = False,
 ) -> None:
-    """Simulate and calibrate the paper's plan: truth beside each method, and a figure.
+    """Simulate and calibrate the paper's plan, and compare each method with the truth.
 
     Parameters
     ----------

@@ -16,18 +16,18 @@ def history(
     saved: Saved = NOT_SAVED,
     figure: Path | None = None,
 ) -> None:
-    """Follow a coefficient of each instrument through its results: drift, and whether they agree.
+    """Follow a coefficient of each instrument over time: drift and agreement of its results.
 
     Parameters
     ----------
     paths
-        Result files, and folders in which all are found.
+        Result files, and folders that are searched for results.
     term
         The coefficient; or offset, sensitivity or angle of triads.
     serial
         Only the instrument with this serial number.
     reliability
-        Probability with which it is to be in specification until it is due again.
+        Probability that the instrument is still within specification on the date when it is due.
     figure
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """

@@ -25,23 +25,23 @@ def init(
     yes: bool = False,
     answer: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
 ) -> None:
-    """Write a commented campaign to start from: an example, or one made of your recorder's files.
+    """Write a commented campaign to start from: an example, or one from your own files.
 
     Parameters
     ----------
     directory
-        Folder for campaign.toml; made if it is not there.
+        Folder for campaign.toml; it is created if necessary.
     test
         Kind of test: records of a double turntable, readings of a multi-position tumble, readings
-        on the arm of a centrifuge (an example only), or a record of a sensor with three axes in
-        many poses. Without it an example of the first; of files, what they show.
+        on the arm of a centrifuge (example only), or a record of a three-axis sensor in many
+        poses. The default is an example of the first; with --from, what the files show.
     from_
-        Files of a recorder, one for each run, or the table of a tumble's readings: what is in them
-        is guessed and said, what they do not say is asked.
+        Files of a recorder, one for each run, or the table of a tumble's readings. Their contents
+        are guessed and printed; what they do not show is asked for.
     yes
-        Ask nothing: fail with what the files do not say.
+        Ask nothing: stop with an error if the files leave something open.
     answer
-        What the files do not say, as in --answer "radius=2.5 m"; once for each.
+        Answer to a question in advance, such as --answer "radius=2.5 m"; may be repeated.
     """
     if from_:
         _from_files(directory, from_, answer or [], test, asks=not yes)

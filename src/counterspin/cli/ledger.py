@@ -18,20 +18,20 @@ def ledger(
     who: str | None = None,
     why: str | None = None,
 ) -> None:
-    """Check that no entry of an instrument's ledger was altered, or add results to it.
+    """Verify that no entry of an instrument's ledger was altered, or add results to it.
 
     Parameters
     ----------
     action
         verify: check every entry and list them; add: enter results.
     ledger
-        The ledger, a file to which entries are only added.
+        The ledger, an append-only file.
     results
         With add: result files.
     who
-        With add: who enters them.
+        With add: name of the person who makes the entry.
     why
-        With add: why, in words.
+        With add: reason for the entry.
     """
     from counterspin.certificates.entering import ledger_blocks
     from counterspin.certificates.ledger import verify_ledger

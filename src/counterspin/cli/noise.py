@@ -13,21 +13,21 @@ from counterspin.frozen import frozen
 
 @group
 @frozen
-class Recorded:
-    """What the columns of the record are, where neither file nor campaign says it.
+class ColumnOptions:
+    """What the columns of the record are, if neither file nor campaign states it.
 
     Parameters
     ----------
     columns
-        A column to take; may be repeated. Without it, all whose unit is known.
+        Analyse this column; may be repeated. The default is every column of known unit.
     unit
-        Unit of columns of which the file states none, such as g, m/s^2 or m/s.
+        Unit of columns for which the file states none, such as g, m/s^2 or m/s.
     sampling_rate
-        Where there is no column of time, such as "100 Hz".
+        Sampling rate of a record without a time column, such as "100 Hz".
     gravity
-        Converts between g and m/s^2, without a campaign; else 9.80665 m/s^2.
+        Gravity for conversion between g and m/s^2, without a campaign; default 9.80665 m/s^2.
     rate
-        Of a spindle that turned beside, such as "1 rev/s": names its lines.
+        Rate of a spindle that turned nearby, such as "1 rev/s": names its spectral lines.
     """
 
     columns: Annotated[list[str] | None, Parameter(name="--column", consume_multiple=False)] = None
@@ -37,7 +37,7 @@ class Recorded:
     rate: str | None = None
 
 
-_AS_THE_FILE_SAYS = Recorded()
+_AS_THE_FILE_SAYS = ColumnOptions()
 
 
 def noise(
@@ -45,23 +45,23 @@ def noise(
     /,
     *,
     campaign: Path | None = None,
-    recorded: Recorded = _AS_THE_FILE_SAYS,
+    recorded: ColumnOptions = _AS_THE_FILE_SAYS,
     report: Path | None = None,
     plot: Path | None = None,
     saved: Saved = NOT_SAVED,
 ) -> None:
-    """Tell the noise of a record at rest: spectrum, Allan deviation, components, lines.
+    """Analyse the noise of a record at rest: spectrum, Allan deviation, components, lines.
 
     Parameters
     ----------
     record
-        The file, of a sensor that stood still, in any format of records.
+        Record of a sensor at rest, in any record format.
     campaign
-        A campaign's folder or campaign.toml, which says what the columns are.
+        A campaign's folder or campaign.toml, which states what the columns are.
     report
-        Write the report too: .html, .pdf or .md.
+        Also write a report: .html, .pdf or .md.
     plot
-        Draw Allan deviation and spectrum: .svg, .png or .pdf.
+        Plot Allan deviation and spectrum: .svg, .png or .pdf.
     """
     from counterspin.monitoring.noise import noise as run
     from counterspin.monitoring.noise_page import PLOTS, noise_plots

@@ -12,14 +12,14 @@ from counterspin.frozen import frozen
 @group
 @frozen
 class RecordingDetails:
-    """How the records of a campaign that is checked will be made, where it does not say so.
+    """How the records of a campaign will be made, if it does not state this.
 
     Parameters
     ----------
     sampling_rate
-        With --check: sampling rate of the records, such as "50 Hz", where the campaign has none.
+        With --check: sampling rate of the records, such as "50 Hz", if the campaign states none.
     revolutions
-        With --check: revolutions of each run for which the campaign has no length.
+        With --check: revolutions of each run for which the campaign states no length.
     """
 
     sampling_rate: str | None = None
@@ -46,13 +46,13 @@ def plan(
     file
         The plan's file, with its limits and goal.
     check
-        In place of a plan: the folder of a campaign whose uncertainties are predicted.
+        Instead of a plan: the folder of a campaign whose uncertainties are predicted.
     init
-        In place of a plan: write a commented example to this file.
+        Instead of a plan: write a commented example to this file.
     output
-        Folder for the campaign.toml of the planned campaign; there must be none yet.
+        Folder for the campaign.toml of the planned campaign; it must not contain one yet.
     figures
-        Folder for figures: the uncertainty against time and the highest rate, and its sources.
+        Folder for figures: uncertainty against total time and highest rate, and its sources.
     """
     from counterspin.campaign.kinds import exact
     from counterspin.planning.figures import FIGURE, FIGURES, save_figures

@@ -36,21 +36,21 @@ def report(
     date: str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of a result: of a calibration the answer, checks, budget, residuals, origin.
+    """Write the report of any result as HTML, PDF or Markdown, or print it.
 
     Parameters
     ----------
     source
-        File that a command has written with --json: of a calibration, plan, study, history and so
-        on; or a campaign's folder or description, which is calibrated first.
+        File written by any command with --json: a calibration, plan, study, history and so on; or a
+        campaign's folder or description, which is calibrated first.
     output
         The report: .html, .pdf or .md; without it, the report is printed.
     identifier
-        What it is known by; else it follows from the result.
+        Identifier of the report; by default derived from the result.
     date
-        When it was made, such as 2026-03-01; else SOURCE_DATE_EPOCH or now.
+        Date of the report, such as 2026-03-01; by default SOURCE_DATE_EPOCH or now.
     overwrite
-        Replace an earlier report of the same kind; never another file.
+        Replace an earlier report of the same kind; other files are never replaced.
     """
     from counterspin.calibration.result import Result
     from counterspin.output import marked, reserve

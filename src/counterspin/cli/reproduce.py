@@ -6,7 +6,7 @@ from counterspin.cli.words import NOT_SAVED, Saved
 
 
 def reproduce(*, saved: Saved = NOT_SAVED) -> None:
-    """Recompute the paper's figures beside what is printed, and say why they differ."""
+    """Compare the paper's numbers with recomputed ones, and explain the differences."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
     from counterspin.reproduction.result import Reproduction

@@ -15,14 +15,14 @@ def rerun(
     folder: Path | None = None,
     saved: Saved = NOT_SAVED,
 ) -> None:
-    """Calibrate again what a result rests on, and say whether it still holds.
+    """Repeat the calibration of a result from the same files, and compare the two.
 
     Parameters
     ----------
     result
         The result's JSON file.
     folder
-        Where its campaign is; otherwise the folder of the result.
+        Folder of its campaign; by default the folder of the result.
     """
     from counterspin.comparisons.rerun import rerun as run
     from counterspin.comparisons.result import Repeated

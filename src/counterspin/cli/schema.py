@@ -10,7 +10,7 @@ def schema(document: Literal["campaign", "plan", "study", "lab", "result"], /) -
 
     Every key has its meaning, its unit and an example. A document names its schema in its first
     line, `#:schema campaign.schema.json`; editors with TOML support then explain keys, complete
-    them and mark mistakes. What several keys must have in common only counterspin checks.
+    them and mark mistakes. Conditions that involve several keys are checked by counterspin only.
 
     Parameters
     ----------

@@ -17,21 +17,21 @@ def serve(
     signer: str | None = None,
     cert: Path | None = None,
 ) -> None:
-    """Open a page that only this machine reaches: campaigns, results, plans, certificates.
+    """Open the application: a web page for this machine only, with campaigns, plans, certificates.
 
     Parameters
     ----------
     directory
-        The folder whose campaigns are shown; nothing outside of it is read or written.
+        Folder of the campaigns; nothing outside it is read or written.
     port
-        Where to listen; 0: any that is free.
+        Port to listen on; 0 chooses a free one.
     browser
         Open the page in the browser.
     signer
-        A command with which the page may sign certificates: it reads bytes on standard input and
-        writes their signature, such as that of a card or token.
+        Command with which the page may sign certificates: it reads bytes on standard input and
+        writes their signature, for example with a smart card or token.
     cert
-        X.509 certificate (PEM) of the key that the command signs with.
+        X.509 certificate (PEM) of the key with which the command signs.
     """
     if (signer is None) != (cert is None):
         raise CampaignError("serve", ["give --signer and --cert together"])

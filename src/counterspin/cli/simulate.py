@@ -8,7 +8,7 @@ from counterspin.cli.words import OutputFolder, say
 
 
 def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False) -> None:
-    """Make the records and readings of a campaign whose coefficients are known.
+    """Simulate the records and readings of a campaign with known coefficients.
 
     Parameters
     ----------
@@ -17,7 +17,7 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     output
         Folder for the records, the readings and the description.
     overwrite
-        Replace the files of an earlier simulation; never others.
+        Replace the files of an earlier simulation; other files are never replaced.
     """
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions

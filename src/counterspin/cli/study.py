@@ -13,16 +13,16 @@ from counterspin.frozen import frozen
 @group
 @frozen
 class TrialSettings:
-    """How many trials, and how they are made.
+    """How many trials are made, and how.
 
     Parameters
     ----------
     trials
-        Number of trials, in place of the study's own.
+        Number of trials; overrides that of the study.
     seed
-        Seed of the random numbers, in place of the study's own.
+        Seed of the random numbers; overrides that of the study.
     engine
-        How trials are made; auto takes the fastest that is valid.
+        How trials are computed; auto chooses the fastest valid engine.
     """
 
     trials: int | None = None
@@ -61,14 +61,14 @@ def study(
     resume: bool = False,
     saved: Saved = NOT_SAVED,
 ) -> None:
-    """Try analyses on many simulated campaigns: bias, scatter and coverage of the intervals.
+    """Test analyses on many simulated campaigns: bias, scatter and coverage of the intervals.
 
     Parameters
     ----------
     campaign
-        Campaign with [truth] and perhaps [study], its folder, or a study's own file.
+        Campaign with [truth] and optionally [study], its folder, or a study's own file.
     output
-        Folder for study.json, figures, and what --resume needs.
+        Folder for study.json, figures, and the files that --resume needs.
     keep_trials
         Write every trial to trials.parquet in that folder.
     resume

@@ -16,9 +16,9 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     output
         The dossier's folder: validation.html, validation.pdf and validation.json.
     schema
-        Folder or file of the schema of DCC: a certificate is held to it too.
+        Folder or file of the DCC schema; a certificate is validated against it too.
     overwrite
-        Replace an earlier dossier; never other files.
+        Replace an earlier dossier; other files are never replaced.
     """
     from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console

@@ -28,23 +28,23 @@ def watch(
     once: bool = False,
     json: Annotated[bool, Parameter(name="--json-lines")] = False,
 ) -> None:
-    """Follow records while they grow: rate, ripple, residuals, and the u reached so far.
+    """Follow records as they grow: rate, ripple, residuals and the uncertainty reached so far.
 
-    Ends when every run is as long as the campaign states, or with Ctrl-C. Nothing is kept beside
-    the records: started again, it reads them and continues.
+    Ends when every run is as long as the campaign states, or with Ctrl-C. Nothing is saved: when
+    started again, it reads the records again and continues.
 
     Parameters
     ----------
     directory
         The campaign's folder, or its campaign.toml.
     goal
-        Say when this is met, such as "K_II 1e-8 g/g^2" or "Qx.K_II 0.01 ug/g^2".
+        Report when this is reached, such as "K_II 1e-8 g/g^2" or "Qx.K_II 0.01 ug/g^2".
     plan
         Take the goals from the target of this PLAN.toml.
     interval
-        Seconds between two looks at the files.
+        Seconds between two readings of the files.
     once
-        Print the state as it is, and end.
+        Print the current state, and end.
     json
         Print each state as one line of JSON.
     """

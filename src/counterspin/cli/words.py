@@ -39,9 +39,9 @@ class Saved:
     Parameters
     ----------
     json
-        Write the result to this file too.
+        Also write the result to this JSON file.
     overwrite
-        Replace files that an earlier run of this command has written; never others.
+        Replace files from an earlier run of this command; other files are never replaced.
     """
 
     json: JsonFile = None
