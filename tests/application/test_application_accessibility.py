@@ -24,6 +24,20 @@ SERIOUS = """async () => {
     .flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`));
 }"""
 
+#: What is folded is a page's too; of a form with many keys the first parts stand for all.
+OPENED = """() => {
+  for (const one of [...document.querySelectorAll("details")].slice(0, 40)) one.open = true;
+}"""
+
+
+def bring_a_record(tab, path):
+    """Bring a file, so that what is guessed of it is shown and mistakes stand at their fields."""
+    tab.get_by_label("Folder of the new campaign").fill("mine")
+    tab.get_by_label("The recorder's files").set_input_files(path)
+    tab.get_by_label("What is gravity").fill("9,81 apples")
+    tab.get_by_label("At which latitude").focus()
+    tab.locator("[aria-invalid]").first.wait_for()
+
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 390], ids=["desk", "phone"])
@@ -34,10 +48,14 @@ def test_no_place_keeps_anybody_out(opened, desk, scheme, width):
     tab.emulate_media(color_scheme=scheme)
     tab.evaluate(AXE.read_text(encoding="utf-8"))
     complaints = {}
-    for place in ("/", *PLACES):
-        tab.evaluate(f"location.hash = {place!r}")
-        tab.locator("main:not([aria-busy]) h1").wait_for()
-        tab.wait_for_function("document.querySelector('main').ariaBusy === null")
+    for place in (*PLACES, "/", "/ with files"):
+        if place == "/ with files":
+            bring_a_record(tab, next(desk.folder.path("three").glob("*.csv")))
+        else:
+            tab.evaluate(f"location.hash = {place!r}")
+            tab.locator("main:not([aria-busy]) h1").wait_for()
+            tab.wait_for_function("document.querySelector('main').ariaBusy === null")
+        tab.evaluate(OPENED)
         if found := tab.evaluate(SERIOUS):
             complaints[place] = found
     assert complaints == {}

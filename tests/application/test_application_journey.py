@@ -223,7 +223,7 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
         hand.fill(wrong, answer)
     hand.click(tab.get_by_role("button", name="Write the campaign"))
     hand.click(tab.get_by_role("button", name="Calibrate"))
-    certificate = tab.get_by_role("link", name="Certificate of this result")
+    certificate = tab.get_by_role("link", name="Certificate", exact=True)
     certificate.wait_for()
     hand.read(*tab.locator(".answers, .warning").all())
     hand.click(certificate)

@@ -85,7 +85,7 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     still = tab.locator("figure:not(.zoomable)").first
     still.scroll_into_view_if_needed()
     still.locator("svg").wait_for()
-    tab.get_by_role("link", name="Certificate of this result").click()
+    tab.get_by_role("link", name="Certificate", exact=True).click()
     tab.get_by_role("button", name="Issue").click()
     with tab.expect_download() as saved:
         tab.get_by_role("button", name="mine/certificate.xml").click()
@@ -499,6 +499,7 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):
 def test_a_try_is_shown_in_its_own_place(opened, desk):
     desk.jobs = InlineJobs()
     tab = opened("/campaign/three")
+    tab.get_by_text("Method, file and command").click()
     tab.get_by_label("Method").select_option("two-stage")
     tab.get_by_label("Result's file").fill("try.json")
     tab.get_by_role("button", name="Calibrate").click()

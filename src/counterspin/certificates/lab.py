@@ -30,7 +30,7 @@ from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 
 #: Where a calibration may take place, in the words of the schema.
-_PLACES: Final = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")
+Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
 _CELSIUS: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
 
@@ -53,18 +53,6 @@ def _code(pattern: str, what: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _place(value: str) -> str:
-    if value not in _PLACES:
-        raise ValueError(f"{value!r} is not one of the places" + did_you_mean(value, _PLACES))
-    return value
-
-
-def _state(value: str) -> str:
-    if value not in ITEM_STATES:
-        raise ValueError(f"{value!r} is not one of {', '.join(ITEM_STATES)}")
-    return value
-
-
 def _temperature(text: object) -> Quantity:
     match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
@@ -79,8 +67,10 @@ def _flat(table: object) -> object:
 
 Words = Annotated[str, AfterValidator(_words)]
 
+ItemState = Literal["as received", "after adjustment", "before repair", "after repair"]
+
 #: States of an item, and what DCC calls them.
-ITEM_STATES: Final = {
+ITEM_STATES: Final[Mapping[ItemState, str]] = {
     "as received": "beforeAdjustment",
     "after adjustment": "afterAdjustment",
     "before repair": "beforeRepair",
@@ -108,8 +98,8 @@ class CertificateSettings(SettingsSection):
     )
     begin: datetime.date = described("first day of the calibration", datetime.date(2026, 3, 2))
     end: datetime.date = described("last day of the calibration", datetime.date(2026, 3, 4))
-    place: Annotated[str, AfterValidator(_place)] = described(
-        '`"laboratory"`, `"customer"`, `"laboratoryBranch"`, `"customerBranch"` or `"other"`',
+    place: Place = described(
+        "where the calibration took place",
         "customer",
         "laboratory",
     )
@@ -184,11 +174,10 @@ class Item(SettingsSection):
     model: Words = described("its type", "IP-3")
     serial_number: Words = described("its own", "0042")
     inventory_number: Words | None = described("of its owner", "INV-7", None)
-    state: Annotated[str, AfterValidator(_state)] | None = described(
+    state: ItemState | None = described(
         "in which it was calibrated",
         "as received",
         None,
-        kind="`as received`, `after adjustment`, `before repair`, `after repair`",
     )
 
 

@@ -3,10 +3,10 @@
 
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, get, send } from "./api.js";
-import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
+import { command, commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { follow } from "./job.js";
-import { pagePart, resultLinks, underAnswer, withContents } from "./result.js";
+import { certificateLink, pagePart, resultLinks, underAnswer, withContents } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
 /** @typedef {import("./job.js").Job} Job */
@@ -23,7 +23,7 @@ async function showResult(campaign, output) {
 }
 
 /**
- * How the campaign is calibrated, and the button.
+ * The button that calibrates the campaign, and below it how: by which method, into which file.
  * @param {any} campaign
  */
 function calibration(campaign) {
@@ -33,7 +33,10 @@ function calibration(campaign) {
     make("option", { value: "two-stage" }, "Two-stage: the paper's"));
   const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
   const reason = make("input", { autocomplete: "off" });
+  const button = make("button", { class: "main", form: "calibration", disabled: campaign.mistakes.length > 0 },
+    campaign.results.length ? "Calibrate again" : "Calibrate");
   const form = make("form", {
+    id: "calibration",
     onsubmit: async (/** @type {Event} */ event) => {
       event.preventDefault();
       try {
@@ -49,16 +52,16 @@ function calibration(campaign) {
       }
     },
   },
-  make("div", { class: "row" },
-    make("button", { class: "main", disabled: campaign.mistakes.length > 0 }, "Calibrate"),
-    labelled("Method", method),
-    labelled("Result's file; an earlier result is replaced", output),
-    campaign.state === "contradicted"
-      ? labelled("Use it although the records contradict it: why", reason) : null));
+  campaign.state === "contradicted"
+    ? labelled("Use it although the records contradict it: why", reason) : null,
+  make("details", { class: "aside" }, make("summary", {}, "Method, file and command"),
+    make("div", { class: "row" }, labelled("Method", method),
+      labelled("Result's file; an earlier result is replaced", output)),
+    command(campaign.command)));
   const running = campaign.jobs.find(/** @param {Job} job */ ({ kind, state }) =>
     kind === "calibration" && (state === "waiting" || state === "running"));
   if (running) follow(running, place, () => showResult(campaign.name, running.output));
-  return [form, place, commandLine(campaign.command)];
+  return { button, below: [place, form] };
 }
 
 /**
@@ -113,22 +116,26 @@ function keeping(name) {
 export async function campaignView(name) {
   const campaign = await get("campaign", { name });
   const result = campaign.results[0];
+  const { button, below } = calibration(campaign);
+  const good = result && result.state !== "damaged";
   /** @type {Node[]} */
   const content = [
-    make("h1", {}, campaign.title),
+    make("div", { class: "head" },
+      make("div", {}, make("h1", {}, campaign.title), name ? make("p", { class: "quiet" }, `Folder ${name}`) : null),
+      make("div", { class: "row" }, stateMark(campaign.state, campaign.words), button,
+        good ? certificateLink(result.name) : null)),
     campaignTabs(name, "campaign"),
-    make("p", {}, stateMark(campaign.state, campaign.words), ` ${campaign.name}`),
     ...campaign.mistakes.map(warning),
     ...(campaign.missing.length
       ? [warning(`Not there: ${campaign.missing.join(", ")}`)] : []),
-    ...calibration(campaign),
+    ...below,
   ];
   if (campaign.results.length > 1) {
     content.push(make("section", {}, make("h2", {}, "Results"),
       make("ul", { class: "cards" }, ...campaign.results.map(/** @param {any} r */ (r) =>
         make("li", { class: "card" }, ...resultLines(r))))));
   }
-  if (result && result.state !== "damaged") {
+  if (good) {
     const { told, part } = await pagePart("result", [result.name]);
     // The campaign's own title stands above.
     part?.querySelector("h1")?.remove();

@@ -35,10 +35,10 @@ export async function compareView() {
     title: "Compare",
     content: [
       make("h1", {}, "Compare results"),
-      make("fieldset", {}, make("legend", {}, "Results"),
-        ...results.map((result, i) => make("label", { class: "choice" }, boxes[i],
-          `${result.name} `, stateMark(result.state, result.words),
-          ...symbols(` ${(result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; ")}`)))),
+      make("fieldset", { class: "choices" }, make("legend", {}, "Results"),
+        ...results.map((result, i) => make("label", { class: "choice" }, make("span", {}, boxes[i], result.name),
+          make("span", {}, ...symbols((result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; "))),
+          stateMark(result.state, result.words)))),
       against,
       place,
     ],
@@ -59,6 +59,8 @@ export async function historyView() {
     title: "History",
     content: [
       make("h1", {}, "History of instruments"),
+      make("p", { class: "quiet" }, "An instrument is followed by its serial number through results that have a date: ",
+        "a campaign's description has both, under Accelerometers and Campaign."),
       make("div", { class: "row" }, labelled("Coefficient", term)),
       place,
     ],

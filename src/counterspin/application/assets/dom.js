@@ -53,15 +53,21 @@ export function inSections(keys) {
 }
 
 /**
- * What a click does, as a command.
- * @param {string} command
+ * A command, of which no option is parted at the end of a line.
+ * @param {string} text
  * @returns {HTMLElement}
  */
-export const commandLine = (command) =>
-  make("details", { class: "command-line" },
-    make("summary", {}, "The same as a command"),
-    make("pre", { class: "command" }, make("code", {}, ...command.split(/( --\S+)/).map((part) =>
-      part.startsWith(" --") ? make("span", {}, " ", make("span", { class: "whole" }, part.slice(1))) : part))));
+export const command = (text) =>
+  make("pre", { class: "command" }, make("code", {}, ...text.split(/( --\S+)/).map((part) =>
+    part.startsWith(" --") ? make("span", {}, " ", make("span", { class: "whole" }, part.slice(1))) : part)));
+
+/**
+ * What a click does, as a command.
+ * @param {string} text
+ * @returns {HTMLElement}
+ */
+export const commandLine = (text) =>
+  make("details", { class: "aside" }, make("summary", {}, "The same as a command"), command(text));
 
 /**
  * A warning that says what is wrong.

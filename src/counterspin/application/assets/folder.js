@@ -29,14 +29,14 @@ function campaignCard(campaign) {
     campaign.runs ? `${campaign.runs} run${campaign.runs === 1 ? "" : "s"}` : "",
     campaign.name,
   ].filter(Boolean).join(" · ");
-  return make("li", { class: "card" },
-    make("h2", {}, make("a", { href: campaignAddress(campaign.name) }, campaign.title)),
-    make("p", { class: "quiet" }, what),
+  return make("li", { class: "card line" },
+    make("div", {}, make("h2", {}, make("a", { href: campaignAddress(campaign.name) }, campaign.title)),
+      make("p", { class: "quiet" }, what)),
+    make("div", {}, ...(result?.answers ?? []).map(/** @param {any} a */ (a) =>
+      make("p", { class: "answer-line" }, ...symbols(`${a.name} = ${a.text}`))),
     make("p", {}, stateMark(campaign.state, campaign.words),
       campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
-      campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : ""),
-    ...(result?.answers ?? []).map(/** @param {any} a */ (a) =>
-      make("p", { class: "answer-line" }, ...symbols(`${a.name} = ${a.text}`))));
+      campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : "")));
 }
 
 /** What campaigns are sorted by -> what a campaign has of it, the first one least. */
@@ -117,12 +117,20 @@ function instruments(names) {
   return place;
 }
 
+/** Go to where a campaign begins, below those that there are. */
+function begin() {
+  const field = /** @type {HTMLElement} */ (document.querySelector(".drop input"));
+  field.closest("section")?.scrollIntoView();
+  field.focus({ preventScroll: true });
+}
+
 /** The list of campaigns. */
 export async function folderView() {
   const folder = await get("folder");
   const results = folder.results.filter(/** @param {any} r */ (r) => r.state !== "damaged");
   const content = [
-    make("h1", {}, folder.folder),
+    make("div", { class: "head" }, make("h1", {}, folder.folder),
+      folder.campaigns.length > 2 ? make("button", { type: "button", class: "main", onclick: begin }, "New campaign") : null),
     ...folder.campaigns.length
       ? campaignList(folder.campaigns)
       : [make("p", {}, "There is no campaign in this folder yet.")],

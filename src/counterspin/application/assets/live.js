@@ -76,7 +76,7 @@ export const columnsOf = (seen) => [
 export async function liveView(name) {
   const campaign = await get("campaign", { name });
   const goal = make("input", { placeholder: "K_II 1e-8 g/g^2", autocomplete: "off", "aria-describedby": "goal-mistake" });
-  const place = make("div", {}, make("p", { class: "quiet" }, "Looking at the records."));
+  const place = make("div", {}, make("p", { class: "quiet" }, "Looking at the records; the first look takes a few seconds."));
   const events = make("ul", { class: "quiet", "aria-live": "polite" });
   const command = make("div");
   const chart = new UncertaintyChart();
@@ -137,7 +137,7 @@ export async function liveView(name) {
     title: `${campaign.title}, live`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live"),
-      make("div", { class: "row" }, labelled("Goal", goal)), wrong, chart.element, place, events, command,
+      make("div", { class: "row" }, labelled("Goal: a coefficient and its standard uncertainty", goal)), wrong, chart.element, place, events, command,
     ],
   };
 }

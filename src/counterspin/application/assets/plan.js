@@ -14,6 +14,8 @@ export async function plansView() {
     title: "Plans",
     content: [
       make("h1", {}, "Plans"),
+      make("p", { class: "quiet" }, "A plan chooses the runs' rates, lengths and attitudes that lead to the smallest uncertainty ",
+        "within limits of time and machine, or to a wanted one in the shortest time."),
       folder.plans.length
         ? make("ul", { class: "cards" }, ...folder.plans.map(/** @param {string} name */ (name) =>
           make("li", { class: "card" }, make("h2", {},
@@ -21,6 +23,7 @@ export async function plansView() {
         : make("p", {}, "There is no plan in this folder yet."),
       ...(folder.plans.includes("PLAN.toml") ? [] : [make("button", {
         type: "button",
+        class: folder.plans.length ? null : "main",
         onclick: async () => {
           await send("POST", "plan", { name: "PLAN.toml" });
           location.hash = "#/plan/PLAN.toml";

@@ -86,14 +86,17 @@ export const saving = (words, name, said) => make("button", {
   onclick: () => save(name, said).catch((error) => say(error.message)),
 }, words);
 
+/** @param {string} name of a result */
+export const certificateLink = (name) =>
+  make("a", { class: "button", href: `#/certificate/${encodeURIComponent(name)}` }, "Certificate");
+
 /**
- * What can be made of a result.
+ * The files that can be had of a result.
  * @param {string} name
  */
 export const resultLinks = (name) => make("p", { class: "links" },
-  make("a", { href: `#/certificate/${encodeURIComponent(name)}` }, "Certificate of this result"),
-  ...["html", "pdf", "md"].map((kind) =>
-    saving(`Report as ${kind === "md" ? "Markdown" : kind.toUpperCase()}`, "report", { name, kind })),
+  ...["HTML", "PDF", "Markdown"].map((kind) => saving(`Report as ${kind}`, "report",
+    { name, kind: kind === "Markdown" ? "md" : kind.toLowerCase() })),
   saving("Result as JSON", "file", { name }));
 
 /**
@@ -142,10 +145,12 @@ export const withContents = (name, part) =>
  */
 export async function resultView(name) {
   const { told, part } = await pagePart("result", [name]);
+  part?.querySelector("h1")?.remove();
   if (part) await underAnswer(part, name, told.accelerometers);
   return {
     title: told.title,
     content: [
+      make("div", { class: "head" }, make("h1", {}, told.title), make("div", { class: "row" }, certificateLink(name))),
       part ? withContents(name, part) : resultLinks(name),
       commandLine(told.command),
     ],

@@ -144,7 +144,7 @@ export async function runsView(name) {
   const place = make("div");
   const select = make("select", {}, ...runs.map(/** @param {any} run */ (run) =>
     make("option", { value: run.name },
-      `${run.name}: ${Number(run.rate.toPrecision(6))} rad/s, ${run.record}`)));
+      `${run.name}, ${Number(run.rate.toPrecision(4))} rad/s`)));
   const judgement = make("div");
   let turn = 0;
   const check = async () => {
@@ -179,10 +179,11 @@ export async function runsView(name) {
       if (mine !== turn) return;
       const plots = new RecordPlots(name, select.value, about);
       const [start, stop] = about.used;
+      const file = runs.find(/** @param {any} run */ (run) => run.name === select.value).record;
       const used = start !== null || stop !== null
         ? `; used from ${start ?? about.first} s to ${stop ?? about.last} s` : "";
       place.replaceChildren(
-        make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows${used}`), plots.element);
+        make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows in ${file}${used}`), plots.element);
       await plots.show(plots.whole);
     } catch (error) {
       if (mine !== turn) return;
@@ -204,7 +205,8 @@ export async function runsView(name) {
         ? [make("div", { class: "row" }, labelled("Run", select),
           make("button", { type: "button", onclick: check }, "Check this run"),
           make("label", { class: "choice" }, fitted, "Data and fit, less the parabola of the bias")), judgement, place]
-        : [make("p", {}, "There is no record to show.")]),
+        : [make("p", {}, "There is no record to show: records that are named in the description, and are there, are drawn here. " +
+          "Single readings stand in their table.")]),
     ],
   };
 }
