@@ -7,12 +7,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 from json_schema import mistakes
 
+import counterspin as cs
 from counterspin.calibration.result import Result
 from counterspin.cli import main
-from counterspin.schemas import SchemaName, schema_of, schema_text
+from counterspin.schemas import RESULTS, SchemaName, schema_of, schema_text
 
 ROOT = Path(__file__).parents[1]
 PAGES = {
@@ -102,7 +104,7 @@ def test_a_schema_says_what_it_is_and_is_printed_as_it_stands(name, capsys):
     assert json.loads(schema_text(name)) == SCHEMAS[name]
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "result"])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in RESULTS])
 def test_every_key_has_an_example_that_its_schema_takes(name):
     shown = 0
     for path, schema in keys(SCHEMAS[name]):
@@ -158,6 +160,14 @@ def test_a_result_is_as_its_schema_has_it():
     document = json.loads(Result.read(file).to_json())
     assert list(mistakes(SCHEMAS["result"], document)) == []
     assert list(mistakes(SCHEMAS["result"], document | {"method": 1}))
+
+
+def test_the_noise_of_a_record_is_as_its_schema_has_it():
+    force = np.random.default_rng(7).normal(0.0, 1e-4, 2000)
+    found = cs.noise({"time_s": np.arange(2000) / 50.0, "f": force}, columns=["f"], unit="m/s^2")
+    document = json.loads(found.to_json())
+    assert list(mistakes(SCHEMAS["noise"], document)) == []
+    assert list(mistakes(SCHEMAS["noise"], document | {"signals": [{"name": "f"}]}))
 
 
 def test_init_writes_the_schema_that_the_description_names(tmp_path):

@@ -12,6 +12,7 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, Final, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel
@@ -40,6 +41,7 @@ from counterspin.campaign.truth import (
     RunTruthSettings,
 )
 from counterspin.certificates.lab import Lab
+from counterspin.monitoring.result_noise import NoiseResult
 from counterspin.planning.plan_sections import (
     GoalSettings,
     LimitsSettings,
@@ -48,6 +50,7 @@ from counterspin.planning.plan_sections import (
     ReadingPlanDocument,
     StationsSettings,
 )
+from counterspin.results import ResultFile
 from counterspin.studies.description import (
     AnalysisSettings,
     DistributionSettings,
@@ -55,7 +58,7 @@ from counterspin.studies.description import (
 )
 
 #: What there is a schema of.
-SchemaName = Literal["campaign", "plan", "study", "lab", "result"]
+SchemaName = Literal["campaign", "plan", "study", "lab", "result", "noise"]
 
 _DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -68,6 +71,9 @@ _OF_TABLE: Final = re.compile(r"(\[+.*?\]+|``\w+``)(?: of [^:]*)?: (.*)", re.DOT
 Json = dict[str, Any]
 
 _TEXT: Final[Json] = {"type": "string"}
+
+#: Kind of result that has a schema -> its class.
+RESULTS: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "noise": NoiseResult}
 
 #: Section of ``campaign.toml`` -> the class of its table, or of each of its tables.
 SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
@@ -92,18 +98,16 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
 def schema_of(name: SchemaName) -> Json:
     """Return the JSON Schema (draft 2020-12) of a document or result."""
     title, make = _SCHEMAS[name]
-    head = {"$schema": _DRAFT, "$id": f"urn:counterspin:schema:{name}:{_version(name)}"}
-    made: Json = _plain(make(), nulls=name == "result")
+    result = RESULTS.get(name)
+    version = 1 if result is None else result.newest_schema()
+    head = {"$schema": _DRAFT, "$id": f"urn:counterspin:schema:{name}:{version}"}
+    made: Json = _plain(make(), nulls=result is not None)
     return head | {"title": title} | {key: v for key, v in made.items() if key != "title"}
 
 
 def schema_text(name: SchemaName) -> str:
     """Return a schema as it is printed and published."""
     return json.dumps(schema_of(name), indent=1, ensure_ascii=False) + "\n"
-
-
-def _version(name: SchemaName) -> int:
-    return Result.newest_schema() if name == "result" else 1
 
 
 class _Definitions:
@@ -241,9 +245,9 @@ def _lab() -> Json:
     return whole
 
 
-def _result() -> Json:
-    made = Result.json_schema()
-    for name, part in parts_of(Result).items():
+def _result(result: type[ResultFile]) -> Json:
+    made = result.json_schema()
+    for name, part in parts_of(result).items():
         properties = made["$defs"].get(name, made)["properties"]
         for key, words in comments_of(part).items():
             properties[name_of(part, key)]["description"] = words
@@ -315,7 +319,8 @@ _SCHEMAS: Final[Mapping[SchemaName, tuple[str, Callable[[], Json]]]] = {
     "plan": ("PLAN.toml: a plan", _plan),
     "study": ("A study of a campaign", _study),
     "lab": ("LAB.toml: a laboratory's data for certificates", _lab),
-    "result": ("The result of a calibration", _result),
+    "result": ("The result of a calibration", partial(_result, Result)),
+    "noise": ("The noise of a record at rest", partial(_result, NoiseResult)),
 }
 
 

@@ -78,11 +78,8 @@ def parse(
             raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
         if not math.isfinite(text):
             raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
-        scales = (usual,) if usual else _SCALES.get(unit, (accepted.split(",")[0],))
-        *others, last = (f'"{text!r} {scale}"' for scale in scales)
-        written = f"{', '.join(others)} or {last}" if others else last
-        which = ", whichever it is" if len(scales) > 1 else ""
-        raise ValueError(f"a number without its unit; write {written}{which} ({kind}: {accepted})")
+        written = _with_unit(repr(text), unit, usual)
+        raise ValueError(f"a number without its unit; write {written} ({kind}: {accepted})")
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"
@@ -91,7 +88,8 @@ def parse(
     if _NOT_FINITE.search(clean):
         raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
     if BARE.fullmatch(clean):
-        raise ValueError(f"{text!r} has no unit; {kind} is wanted ({accepted})")
+        written = _with_unit(clean, unit, usual)
+        raise ValueError(f"{text!r} has no unit; {kind} is wanted ({accepted}); write {written}")
     if re.match(r"[+-]?\d+,\d", clean):
         raise ValueError(f"{text!r} has a comma; decimals are written with a point")
     match = _QUANTITY.fullmatch(clean)
@@ -115,6 +113,13 @@ def parse(
             f"{text!r} is too large or too small to be real; {kind} is wanted ({accepted})"
         )
     return Quantity(value, u, unit)
+
+
+def _with_unit(number: str, unit: str, usual: str | None) -> str:
+    """Say how a number is written with the unit that it is most likely in."""
+    scales = (usual,) if usual else _SCALES.get(unit, (advice(unit)[1].split(",")[0],))
+    *others, last = (f'"{number} {scale}"' for scale in scales)
+    return f"{', '.join(others)} or {last}, whichever it is" if others else last
 
 
 def last_digit(text: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 
-def schema(document: Literal["campaign", "plan", "study", "lab", "result"], /) -> None:
+def schema(document: Literal["campaign", "plan", "study", "lab", "result", "noise"], /) -> None:
     """Print the JSON Schema (draft 2020-12) of a document, for editors and other programs.
 
     Every key has its meaning, its unit and an example. A document names its schema in its first
@@ -15,7 +15,8 @@ def schema(document: Literal["campaign", "plan", "study", "lab", "result"], /) -
     Parameters
     ----------
     document
-        campaign.toml, PLAN.toml, a study's own file, LAB.toml, or the result of `calibrate --json`.
+        campaign.toml, PLAN.toml, a study's own file, LAB.toml, or the result of `calibrate --json`
+        or of `noise --json`.
     """
     from counterspin.schemas import schema_text
 
