@@ -145,7 +145,7 @@ def lists_of_terms(source):
 
 # A choice of terms is no list of terms; each is named here, so that a new one is thought about.
 CHOICES = {
-    "campaign/terms.py": [["K_F", "K_I", "K_II", "K_III"]],  # estimated where none are named
+    "campaign/model.py": [["K_F", "K_I", "K_II", "K_III"]],  # estimated where none are named
     "reproduction/equations.py": [["K_II", "K_III", "K_IP"]],  # the integrals printed under Eq. 13
 }
 TABLE = "physics/terms.py"

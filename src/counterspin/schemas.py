@@ -19,7 +19,6 @@ from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
 from counterspin.campaign.columns import RecordsSettings
-from counterspin.campaign.machine import FixtureSettings
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.settings import (
@@ -27,6 +26,7 @@ from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
     DocumentSettings,
+    FixtureSettings,
     ModelSettings,
     NoiseSettings,
     RunSettings,

@@ -8,9 +8,9 @@ import pytest
 from campaigns import PLACE, changed
 
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.model import DEFAULT_TERMS
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.simulated.simulable import unfit
-from counterspin.campaign.terms import DEFAULT_TERMS
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site

@@ -7,6 +7,7 @@ import pytest
 from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.quantity import Quantity
 from counterspin.errors import CampaignError
 
 HEAD = place() + ACCELEROMETER
@@ -153,7 +154,8 @@ SLIPS = {
     ),
     "held without a prior": (
         HEAD + '[model]\nassume = "all"\nterms = ["K_F"]\nhold = ["head.zero"]\n' + RUN,
-        '"head.zero" is held, but there is no prior for it',
+        'model.hold: "head.zero" is held, but there is no prior for the machine; '
+        'add "head.zero" = "VALUE ± U rad" to [model.priors]',
     ),
     "a head of no angle": (
         HEAD + RUN.replace("30 ± 0.001 deg about north", "level") + 'head = "30 deg"\n',
@@ -213,14 +215,15 @@ def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):
     more = 'stretch = "0 ± 5e-9 s^2/m"\naxis_tilt = "0 ± 5 arcsec"\n'
     turntable = TURNTABLE.split('[[runs]]\nname = "in"', maxsplit=1)[0]
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II", "centrifuge.stretch"]\n'
-    machine = read(tmp_path, HEAD + displacement + ARM + more + model + turntable + RUN).machine
-    assert machine.terms == ("centrifuge.stretch",)
-    assert machine.prior("centrifuge.stretch") == (0.0, 5e-9)
-    assert machine.considered == ()
-    assert machine.prior("centrifuge.axis_tilt.east")[1] == pytest.approx(math.radians(5 / 3600))
+    asked = read(tmp_path, HEAD + displacement + ARM + more + model + turntable + RUN).model
+    assert asked.terms == ("K_F", "K_I", "K_II", "centrifuge.stretch")
+    assert asked.priors["centrifuge.stretch"] == Quantity(0.0, 5e-9, "s^2/m")
+    assert asked.considered == ()
+    known = asked.priors["centrifuge.axis_tilt.east"]
+    assert known.u == pytest.approx(math.radians(5 / 3600))
     terms = model.replace("stretch", "axis_tilt")
-    machine = read(tmp_path, HEAD + ARM + more + terms + ON_ARM).machine
-    assert machine.terms == ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
+    asked = read(tmp_path, HEAD + ARM + more + terms + ON_ARM).model
+    assert asked.terms[3:] == ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
 
 
 # Positions that are set by hand
@@ -238,8 +241,8 @@ def test_readings_of_one_attitude_and_mounting_are_of_one_position(tmp_path):
     campaign = read(tmp_path, HEAD + SET + FACES)
     assert [reading.position for reading in campaign.readings] == ["1", "1", "2", "3"]
     symbols = [f"fixture.position.{k}.{axis}" for axis in ("east", "north") for k in (1, 2, 3)]
-    assert {s for s in campaign.machine.priors if "position" in s} == set(symbols)
-    assert {campaign.machine.priors[s].u for s in symbols} == {math.radians(0.5)}
+    assert {s for s in campaign.model.priors if "position" in s} == set(symbols)
+    assert {campaign.model.priors[s].u for s in symbols} == {math.radians(0.5)}
 
 
 def test_accelerometers_of_one_body_share_their_positions(tmp_path):
@@ -259,12 +262,12 @@ def test_accelerometers_of_one_body_share_their_positions(tmp_path):
 def test_without_a_stated_error_positions_have_no_name(tmp_path):
     campaign = read(tmp_path, HEAD + FACES)
     assert {reading.position for reading in campaign.readings} == {""}
-    assert not any("position" in symbol for symbol in campaign.machine.priors)
+    assert not any("position" in symbol for symbol in campaign.model.priors)
 
 
 def test_what_is_known_of_one_position_takes_precedence(tmp_path):
     known = '[model.priors]\n"fixture.position.2.north" = "3 ± 1 arcmin"\n'
-    priors = read(tmp_path, HEAD + SET + known + FACES).machine.priors
+    priors = read(tmp_path, HEAD + SET + known + FACES).model.priors
     assert priors["fixture.position.2.north"].value == pytest.approx(math.radians(0.05))
     assert priors["fixture.position.2.east"].u == math.radians(0.5)
 

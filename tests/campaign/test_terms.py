@@ -3,9 +3,10 @@ import pytest
 
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.model import Apparatus, resolve_model
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import ModelSettings
-from counterspin.campaign.terms import BARE_NAMES, acts, resolve_model, rows_of
+from counterspin.campaign.terms import BARE_NAMES, acts, rows_of
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
@@ -19,9 +20,8 @@ ARCSEC = np.pi / 648000
 def resolve(mountings, attitudes=(LEVEL,), given=None, **settings):
     problems = Problems({})
     given = {name: {} for name in mountings} | (given or {})
-    model, priors = resolve_model(
-        ModelSettings(**settings), mountings, attitudes, given, {}, problems=problems, gravity=9.8
-    )
+    on = Apparatus(mountings, {}, attitudes, (), 0, None, None)
+    model, priors = resolve_model(ModelSettings(**settings), given, on, problems, 9.8)
     return model, priors, problems.lines
 
 

@@ -186,7 +186,7 @@ def _remarks(campaign: Campaign) -> list[str]:
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
         left_out.append(f"Left out on request: {names}.")
-    if campaign.machine.setting is not None and not any(r.position for r in campaign.readings):
+    if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
         left_out.append(
             "[fixture] position states an error of setting positions, and nothing here is set: it "
             "acts on readings at known attitudes alone, and not on poses whose attitudes are found."

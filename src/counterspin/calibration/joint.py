@@ -165,11 +165,7 @@ def _accelerometer(
     }
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
-        coefficients={
-            symbol: own[symbol]
-            for symbol in (*view.campaign.model.terms, *view.campaign.machine.terms)
-            if symbol in own
-        },
+        coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
         correlation=correlation(view),
         confounded=confounded(view),
         residual=residual(kinds.judged),

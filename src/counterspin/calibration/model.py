@@ -16,10 +16,9 @@ import numpy as np
 
 from counterspin.campaign.conditions import conditions_of, directions_of, origin_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import EVERYTHING
-from counterspin.campaign.terms import acts, shows
+from counterspin.campaign.terms import acts, shows, symbols_shown
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
@@ -39,8 +38,7 @@ def model_of(campaign: Campaign) -> Unknowns:
     asked: list[Unknown] = []
     others: list[Unknown] = []
     held: list[Considered] = []
-    wanted = (*campaign.model.terms, *campaign.machine.terms)
-    kept = (*campaign.model.considered, *campaign.machine.considered)
+    wanted, kept = campaign.model.terms, campaign.model.considered
     for owner, symbol in _acting(campaign):
         known = _stated(campaign, owner, symbol)
         prior, unstated = prior_of(campaign, owner, symbol, known)
@@ -128,7 +126,7 @@ def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
     """Return what the description says of a term of somebody."""
     if owner in campaign.accelerometers and symbol in campaign.accelerometers[owner].priors:
         return campaign.accelerometers[owner].priors[symbol]
-    return campaign.model.priors.get(symbol) or campaign.machine.priors.get(symbol)
+    return campaign.model.priors.get(symbol)
 
 
 def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
@@ -164,7 +162,7 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
     read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
-    known = {*campaign.machine.terms, *campaign.machine.considered, *campaign.machine.priors}
+    known = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
     # Of a mounting whose radius is no term of its own, that of the centrifuge is known.
     read = [(o, s) for o, s in read if s in known or not s.startswith("centrifuge.radius.")]
     return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))

@@ -8,7 +8,8 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `columns`: columns of record files, and how these are read
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
-- `terms`: the error terms of a campaign's model, and their priors
+- `terms`: names of error terms: what each stands for, and where it acts
+- `model`: what is asked for, held and known of terms
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the parts of a campaign as the calculation sees them, in SI
@@ -16,7 +17,6 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `accelerometers`: the tables of the accelerometers: axes, columns, priors
 - `description`: the `Campaign`, and `read_campaign`, from the file to it
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
-- `machine`: what the machine does to them
 - `triads`: three accelerometers of one sensor, in poses whose attitudes nobody knows
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was; readings grouped with theirs

@@ -10,6 +10,7 @@ from typing import Any
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import Channel, RecordsSettings
+from counterspin.campaign.model import about_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import is_reading
 from counterspin.campaign.resolved import Accelerometer
@@ -19,7 +20,6 @@ from counterspin.campaign.settings import (
     AxesSettings,
     StatedNoise,
 )
-from counterspin.campaign.terms import about_nominal
 from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import COMMON_NAMES, TERMS

@@ -12,16 +12,11 @@ from counterspin.campaign.accelerometers import AccelerometersReader
 from counterspin.campaign.checking import M, Problems
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.columns import Channel, Recording, RecordsSettings
-from counterspin.campaign.machine import (
-    FixtureSettings,
-    MachineModel,
-    errors_of_the_path,
-    resolve_machine,
-)
 from counterspin.campaign.memory.changes import change_campaign
 from counterspin.campaign.memory.joining import join_campaigns
 from counterspin.campaign.memory.source import Source, keep, source_of
 from counterspin.campaign.memory.writing import write_campaign
+from counterspin.campaign.model import Apparatus, check_conditions, refuse_encoder, resolve_model
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading, is_reading, positioned, resolve_readings
 from counterspin.campaign.readings_table import read_table
@@ -31,6 +26,7 @@ from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
     DocumentSettings,
+    FixtureSettings,
     ModelSettings,
     NoiseSettings,
     Output,
@@ -39,12 +35,6 @@ from counterspin.campaign.settings import (
 )
 from counterspin.campaign.simulated.truth_of_inputs import recorders_of
 from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.terms import (
-    check_conditions,
-    refuse_encoder,
-    resolve_model,
-    with_errors_of_the_path,
-)
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
@@ -137,7 +127,6 @@ class Campaign:
     details: Mapping[str, str]
     specifications: Specifications | None = None
     readings: tuple[Reading, ...] = ()
-    machine: MachineModel = field(default_factory=MachineModel)
     reference_temperature: float | None = None
     tables: tuple[Path, ...] = ()
     table_checksums: Mapping[Path, str] = field(default_factory=dict)
@@ -418,36 +407,22 @@ class _DescriptionReader:
             given=None if readings or runs else given,
             problems=problems,
         )
-        posed = triad is not None and triad.posed
         reference = centrifuge.reference_temperature if centrifuge else None
-        model, priors, machine = None, given, MachineModel()
+        model, priors = None, given
         if settings is not None:
-            attitudes = [run.attitude for run in runs]
-            if readings or posed:
-                settings, machine = resolve_machine(
-                    settings,
-                    centrifuge,
-                    readings,
-                    problems,
-                    setting=fixture.position,
-                    recorded=bool(runs),
-                    poses=triad.count if triad else 0,
-                )
-            model, priors = resolve_model(
-                settings,
+            apparatus = Apparatus(
                 mountings,
-                attitudes,
-                given,
                 {name: table.grade for name, table in tables.items() if table is not None},
-                problems=problems,
-                gravity=gravity,
+                [run.attitude for run in runs],
+                readings,
+                triad.count if triad else 0,
+                centrifuge,
+                fixture.position,
             )
-            if not readings and not posed and centrifuge is not None:
-                model = with_errors_of_the_path(model, errors_of_the_path(centrifuge), problems)
+            model, priors = resolve_model(settings, given, apparatus, problems, gravity)
             if records is not None and records.angle is None:
                 refuse_encoder(model, problems)
-            also = (*machine.terms, *machine.considered)
-            check_conditions(model, also, self._placed(runs), reference, problems)
+            check_conditions(model, self._placed(runs), reference, problems)
         simulation = None
         if self.simulated:
             simulation = self._simulation(noise, readings, outputs, centrifuge, runs)
@@ -489,7 +464,6 @@ class _DescriptionReader:
             details=info.model_dump(exclude={"title"}, exclude_none=True),
             specifications=specifications,
             readings=readings,
-            machine=machine,
             reference_temperature=reference,
             tables=self._tables(),
             table_checksums=self.table_checksums,

@@ -142,7 +142,7 @@ def _exact_priors(campaign: Campaign) -> Iterator[Question]:
         for name, accelerometer in campaign.accelerometers.items()
         for symbol, prior in accelerometer.priors.items()
     }
-    for subject, prior in {**stated, **campaign.model.priors, **campaign.machine.priors}.items():
+    for subject, prior in {**stated, **campaign.model.priors}.items():
         if prior.u == 0.0:
             value = f"{prior.value:.9g}"
             assumed = campaign.model.assumes(symbol_of(subject))

@@ -145,12 +145,13 @@ class ErrorModel:
     Everything else that acts is an unknown beside what is asked for.
     """
 
-    #: Symbols asked for; bare names are resolved to the components that act.
+    #: Symbols asked for, those of mountings with their names; bare names are resolved to the
+    #: components that act.
     terms: tuple[str, ...]
     #: Symbols that are held: known but not adjusted, their prior's u is carried.
     considered: tuple[str, ...]
-    #: Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
-    #: are in `Accelerometer.priors`.
+    #: Symbol of a shared term -> prior, less nominal, SI (tilt: one of each run). Those of
+    #: accelerometer terms are in `Accelerometer.priors`.
     priors: Mapping[str, Quantity]
     #: Symbol -> largest credible size, and standard uncertainty to assume where none is stated, in
     #: the table's unit: where the campaign states them. `Campaign.limit_of` and
@@ -159,6 +160,7 @@ class ErrorModel:
     typical: Mapping[str, float]
     #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     assume: tuple[str, ...] = ()
+    setting: Quantity | None = None  #: Error of setting a position at rest, where one is stated.
 
     def assumes(self, symbol: str) -> bool:
         """Return whether a term, or an input, is taken as perfect where nothing is stated."""

@@ -35,6 +35,7 @@ from counterspin.campaign.kinds import (
     Temperature,
     Text,
     a_latitude,
+    an_error,
     described,
     exact,
     known,
@@ -167,6 +168,17 @@ class CentrifugeSettings(SettingsSection):
         "23 degC",
         None,
         kind="text",
+    )
+
+
+class FixtureSettings(SettingsSection):
+    """[fixture]: how well positions at rest are set."""
+
+    position: Annotated[Quantity, known("rad"), AfterValidator(an_error)] | None = described(
+        "error of setting a [position at rest](readings.md#positions-that-are-set-by-hand), about"
+        " east and about north each; one for all readings of it",
+        "0 ± 0.5 deg",
+        None,
     )
 
 

@@ -22,7 +22,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     small_rate_error,
 )
-from counterspin.campaign.machine import expand, less_nominal, symbols_shown
+from counterspin.campaign.model import less_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation
@@ -39,6 +39,7 @@ from counterspin.campaign.simulated.truth_of_inputs import (
     TrueRadius,
     true_inputs,
 )
+from counterspin.campaign.terms import expand, symbols_shown
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import (

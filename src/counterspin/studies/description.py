@@ -22,12 +22,11 @@ from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.kinds import SettingsSection, Several, Text, described, exact
-from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.simulated.simulable import require_room, unfit, unfit_readings
 from counterspin.campaign.simulated.truth_of_inputs import recorders_of
-from counterspin.campaign.terms import BARE_NAMES, rows_of
+from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,

@@ -18,7 +18,6 @@ from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.machine import POSITION
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.readings import BLANK, Reading, is_reading
 from counterspin.campaign.readings_table import (
@@ -29,6 +28,7 @@ from counterspin.campaign.readings_table import (
 )
 from counterspin.campaign.resolved import sample_count
 from counterspin.campaign.simulated.true_inputs import at_true_inputs, with_true_inputs
+from counterspin.campaign.terms import POSITION
 from counterspin.campaign.toml_file import load_document
 from counterspin.campaign.triads.declared import is_pose
 from counterspin.campaign.triads.grouped import one_group
@@ -96,7 +96,7 @@ def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> 
 
 def setting_spread(campaign: Campaign) -> dict[str, float]:
     """Return how far off positions may be set, rad, by symbol: one for all that is read there."""
-    priors = campaign.machine.priors.items()
+    priors = campaign.model.priors.items()
     return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION}.")}
 
 

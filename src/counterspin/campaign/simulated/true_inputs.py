@@ -44,8 +44,8 @@ def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
     The radius of a mounting that is a term of its own is no matter of the centrifuge's.
     """
     assert campaign.simulation is not None
-    true, machine = with_true_inputs(campaign), campaign.machine
-    own = {*machine.terms, *machine.considered, *machine.priors}
+    true, model = with_true_inputs(campaign), campaign.model
+    own = {*model.terms, *model.considered, *model.priors}
     own |= campaign.simulation.truth.machine.keys()
     for symbol, (was, stated) in {
         "centrifuge.radius": (true.radius, campaign.radius),
