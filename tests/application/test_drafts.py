@@ -170,3 +170,16 @@ def test_an_upload_has_the_rights_of_the_process(desk, folder):
     finally:
         os.umask(before)
     assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600
+
+
+def test_columns_of_words_are_shown_where_they_are_asked_for(page):
+    table = "side,n_rpm,note,out_V\nin,30,first,1.0\nout,30,second,-1.0\n"
+    name = bring(page, "arm/arm.csv", table.encode()).json()["name"]
+    told = page.post("/api/draft", json={"names": [name]}).json()
+    assert told["test"] == "arm"
+    shown = {column["name"]: column["first"] for column in told["columns"]}
+    assert shown["side"] == ["in", "out"]
+    assert shown["note"] == ["first", "second"]
+    assert [column["extent"] for column in told["columns"]][:2] == [[], []]
+    told = page.post("/api/draft", json={"names": [name], "test": "double-turntable"}).json()
+    assert [column["name"] for column in told["columns"]] == ["n_rpm", "out_V"]

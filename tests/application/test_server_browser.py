@@ -188,6 +188,30 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     assert (folder / "tumble" / "result.json").is_file()
 
 
+def test_from_a_pasted_table_of_an_arm_to_a_result(opened, folder):
+    rows = ["side\trpm\treading_mA", "oben\t0\t1.2532", "unten\t0\t-1.2468"]
+    for rpm in (30, 45, 60, 90, 120):
+        force = 1.25 * (rpm * math.pi / 30.0) ** 2 / 9.8066
+        rows += [f"A\t{rpm}\t{force + 0.003:.5f}", f"B\t{rpm}\t{-force + 0.003:.5f}"]
+    tab = opened()
+    tab.get_by_label("Folder of the new campaign").fill("arm")
+    tab.get_by_text("Type or paste a table").click()
+    tab.get_by_label("Names of the columns").fill("\n".join([*rows, rows[1], rows[2]]))
+    tab.get_by_role("button", name="Look at this table").click()
+    tab.get_by_label("In which sense does the arm turn").select_option("clockwise")
+    known = (*PLACE[:2], ("How far is the proof mass", "1.0 ± 1e-3 m"))
+    for question, said in (*known, ("What is the nominal sensitivity", "1.25 mA/g")):
+        tab.get_by_label(question).fill(said)
+    # What was guessed is shown, of columns of words too.
+    assert tab.get_by_label("What the files are").input_value() == "arm"
+    assert tab.get_by_label("What is column side?").input_value() == "position"
+    assert tab.get_by_label("in the mounting 'B'").input_value() == "outward"
+    tab.get_by_role("button", name="Write the campaign").click()
+    tab.get_by_role("button", name="Calibrate").click()
+    tab.get_by_role("heading", name="Is it good?").wait_for()
+    assert (folder / "arm" / "result.json").is_file()
+
+
 def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=24).values, fmt="%.5f")
     tab = opened()

@@ -66,6 +66,56 @@ columns = { rate = "n", input = "side", pendulous = "below", mounting = "side", 
     assert second.axes.axes[:2] == ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
+ARM = """motion = "arm"
+columns = { rate = "n", mounting = "side", reading = "mA" }
+axes_at_rest = { input = "up", pendulous = "outward" }
+[readings.mountings]
+innen = { input = "inward", pendulous = "up" }
+hinten = { input = "backward", pendulous = "inward" }
+"""
+
+
+def test_a_rate_of_nothing_is_a_reading_at_rest(tmp_path):
+    table = "n,side,mA\n6,innen,5\n0,innen,0\n0,,1.25\n0,hinten,0\n"
+    turning, inward, upright, backward = of_csv(tmp_path, table, ARM)
+    assert (turning.motion, turning.mounting, turning.rate) == ("arm", "innen", 6.0)
+    assert turning.axes.axes[:2] == ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    # At rest the axes are east, north and up: those of an arm that points east.
+    assert (inward.motion, inward.mounting, inward.rate) == ("static", "innen", 0.0)
+    assert inward.axes.axes[:2] == ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert (upright.motion, upright.mounting) == ("static", "")
+    assert upright.axes.axes[:2] == ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    assert backward.axes.axes[:2] == ((0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("unit", "number", "rate"),
+    [
+        ("rad/s", 6.0, 6.0),
+        ("rpm", 60.0, 2.0 * math.pi),
+        ("1/min", 60.0, 2.0 * math.pi),
+        ("Hz", 2.0, 4.0 * math.pi),
+        ("s", 0.5, 4.0 * math.pi),
+        ("ms", 500.0, 4.0 * math.pi),
+        # w^2 R, with the gravity 9.8 m/s^2 and the radius 1 m of the description.
+        ("m/s^2", 36.0, 6.0),
+        ("g", 10.0, math.sqrt(98.0)),
+    ],
+)
+@pytest.mark.parametrize(("sense", "sign"), [("counterclockwise", 1.0), ("clockwise", -1.0)])
+def test_rates_are_told_in_many_ways(tmp_path, unit, number, rate, sense, sign):
+    keys = f'rate_unit = "{unit}"\nsense = "{sense}"\n{ARM}'
+    (reading,) = of_csv(tmp_path, f"n,side,mA\n{number},innen,5\n", keys)
+    assert reading.rate == pytest.approx(sign * rate, rel=1e-12)
+
+
+def test_one_u_is_that_of_readings_without_their_own(tmp_path):
+    keys = 'columns = { attitude = "angle", reading = "mA", u = "u" }\nu = "5 uA"\n'
+    own, other = of_csv(tmp_path, "angle,mA,u\n0,1.25,0.001\n90,0,\n", keys)
+    assert own.u == pytest.approx(0.001 / 1.25)
+    assert other.u == pytest.approx(0.005 / 1.25)
+
+
 def test_repeats_stand_in_columns_and_some_may_be_missing(tmp_path):
     keys = 'columns = { attitude = "angle", reading = ["a", "b", "c"] }'
     first, second = of_csv(tmp_path, "angle,a,b,c\n0,1.25,1.26,1.27\n90,0,0.01,\n", keys)
@@ -208,6 +258,41 @@ SLIPS = {
         'columns = { rate = "w", reading = "mA" }\nmotion = "arm"\n'
         'axes = { input = "inward", pendulous = "up" }',
         'readings."r.csv line 3".rate: is missing: a run with motion arm turns',
+    ),
+    "no such mounting": (
+        "n,side,mA\n6,inen,1.25\n",
+        ARM,
+        'readings."r.csv line 2": readings.mountings has no "inen"; did you mean "innen"?',
+    ),
+    "mountings without their column": (
+        "n,mA\n6,1.25\n",
+        ARM.replace('mounting = "side", ', ""),
+        "readings.columns: mounting is missing: the column with the mounting of each reading",
+    ),
+    "axes of a mounting": (
+        "n,side,mA\n6,innen,1.25\n",
+        ARM.replace('{ input = "inward"', '{ inpt = "inward", input = "inward"'),
+        'readings.mountings.innen.inpt: unknown key; did you mean "input"?',
+    ),
+    "a rate in no unit of it": (
+        "n,side,mA\n6,innen,1.25\n",
+        f'rate_unit = "kg"\n{ARM}',
+        "readings.rate_unit: unknown unit 'kg'; an angular rate is wanted",
+    ),
+    "an acceleration with a sign": (
+        "n,side,mA\n-6,innen,1.25\n",
+        f'rate_unit = "g"\n{ARM}',
+        'readings."r.csv line 2".rate: a centripetal acceleration is positive; the mounting has',
+    ),
+    "no such sense": (
+        "n,side,mA\n6,innen,1.25\n",
+        f'sense = "left"\n{ARM}',
+        "readings.sense: 'left' is none of 'counterclockwise' or 'clockwise'",
+    ),
+    "u in another unit": (
+        "angle,mA\n0,1.25\n",
+        f'u = "5 uV"\n{SIMPLE}',
+        "readings.u: 'uV' is not a unit of quantity in mA",
     ),
     "a rate at rest": (
         "angle,w,mA\n0,0,1.25\n30,6.28,1.1\n",

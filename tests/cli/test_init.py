@@ -1,6 +1,7 @@
 """`init --from`: from a recorder's files to a result, by command."""
 
 import io
+import math
 
 import pytest
 
@@ -10,6 +11,13 @@ from exports import EXPORTS, campaign_folder, write_records
 
 PLACE = ["--answer", "gravity=9.8066 m/s^2", "--answer", "latitude=45.75 deg"]
 ANSWERED = [*PLACE, "--answer", "radius=2.5 m"]
+
+
+class Terminal(io.StringIO):
+    """Somebody who answers, a line each."""
+
+    def isatty(self):
+        return True
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +56,25 @@ def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
     assert abs(found.value - reference.value) < 0.01 * reference.u
 
 
+def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
+    rows = ["side,period_s,out_V", "up,0,1.003", "down,0,-0.997", "up,0,1.0031", "down,0,-0.9971"]
+    for period in (2.0, 1.2, 0.8, 0.6):
+        force = (2.0 * math.pi / period) ** 2 / 9.8066
+        rows += [f"in,{period},{force + 0.003:.5f}", f"out,{period},{-force + 0.003:.5f}"]
+    (tmp_path / "arm.csv").write_text("\n".join(rows) + "\n")
+    words = [str(tmp_path / "a"), "--from", str(tmp_path / "arm.csv"), *PLACE]
+    monkeypatch.setattr("sys.stdin", Terminal("1.0 ± 1e-3 m\nleft\ncw\n1\n1e-4\n"))
+    assert main(["init", *words]) == 0
+    told = capsys.readouterr().out
+    assert "4 readings at rest, where the rate is 0" in told
+    assert "'left' is none of counterclockwise, clockwise. Once more:" in told
+    assert "It is about 1 V/g. (such as 1.25 V/g)" in told
+    assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
+    found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
+    assert found["K_F"].value == pytest.approx(0.003, abs=1e-4)
+    assert found["K_I"].value == pytest.approx(1.0, abs=1e-4)
+
+
 def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys):
     words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
@@ -56,10 +83,6 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     assert "sense: In which sense does the angle grow" in told
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # nobody is there to be asked
-
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
 
     monkeypatch.setattr("sys.stdin", Terminal("2,5 kg\n2,5\nleft\ncw\n"))
     assert main(words) == 0

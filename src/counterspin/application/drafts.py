@@ -14,10 +14,9 @@ from counterspin.application.commands import export_command
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.starter import Test
-from counterspin.exports.description import Draft, guessed_test, write_description
+from counterspin.exports.description import AnyDraft, guessed_test, write_description
 from counterspin.exports.description import drafted as described_as
 from counterspin.exports.looking import FileColumn, look_at
-from counterspin.exports.poses import PosesDraft
 from counterspin.exports.tumble import TumbleDraft
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
@@ -67,7 +66,7 @@ def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
 
 def _draft(
     desk: Desk, names: Sequence[str], answers: dict[str, str] | None, stated: Test | None
-) -> tuple[Draft | TumbleDraft | PosesDraft, Test]:
+) -> tuple[AnyDraft, Test]:
     files = [desk.file(name) for name in names]
     said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     sheet = said.get("sheet", "")
@@ -82,15 +81,24 @@ def drafted(
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> dict[str, Any]:
-    """Return what files show, in sentences and columns, what may be answered, and what is wrong."""
+    """Return what files show, in sentences and columns, what may be answered, and what is wrong.
+
+    Columns of words are among them where it may be answered what they are.
+    """
     found, test = _draft(desk, names, answers, test)
+    asked = {question.key for question in found.questions}
+    asked |= {f"{question.guess} is" for question in found.questions}
+    words = {name: cells for name, cells in found.look.words.items() if f"{name} is" in asked}
     return {
         "test": test,
         "statements": list(found.statements),
         "questions": [vars(question) for question in found.questions],
         "problems": list(found.problems),
         "file": found.look.path.name,
-        "columns": [_preview(column) for column in found.look.columns],
+        "columns": [
+            *({"name": n, "first": c[:_PREVIEW_ROWS], "extent": []} for n, c in words.items()),
+            *map(_preview, found.look.columns),
+        ],
         "directions": found.directions if isinstance(found, TumbleDraft) else [],
     }
 

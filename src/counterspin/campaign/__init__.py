@@ -17,6 +17,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `accelerometers`: the tables of the accelerometers: axes, columns, priors
 - `description`: the `Campaign`, and `read_campaign`, from the file to it
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
+- `cells`: what stands in the cells of such a table
 - `triads`: three accelerometers of one sensor, in poses whose attitudes nobody knows
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was; readings grouped with theirs

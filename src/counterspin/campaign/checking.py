@@ -133,11 +133,14 @@ class Problems:
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
     """Return the keys of the (nested) model at a place."""
     current: Any = model
+    named = False  # whether the next part is a name that a person gave
     for part in loc:
-        if isinstance(part, int) or current is None:
+        if isinstance(part, int) or current is None or named:
+            named = False
             continue
         fields = current.model_fields
         by_key = {field.alias or name: field.annotation for name, field in fields.items()}
+        named = typing.get_origin(by_key.get(part)) is dict
         current = _model_inside(by_key.get(part))
     if current is None:
         return []

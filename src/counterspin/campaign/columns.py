@@ -129,6 +129,10 @@ class TimeChannel(SettingsSection):
         return Channel(self.column, factor, self.unit or "", si_unit="s")
 
 
+#: In which sense something counts, seen from above.
+Sense = Literal["counterclockwise", "clockwise"]
+
+
 class AngleChannel(_Channel):
     """The column that holds the spindle's angle, or the times of its pulses."""
 
@@ -138,7 +142,7 @@ class AngleChannel(_Channel):
     unit: Annotated[str, AfterValidator(angle_unit)] | None = described(
         "of its numbers", "count", None, absent="the file's", kind="unit of angle, `count`"
     )
-    sense: Literal["counterclockwise", "clockwise"] = described(
+    sense: Sense = described(
         "in which the encoder counts up, seen from above", "clockwise", "counterclockwise"
     )
     zero: ZeroDirection = described(

@@ -487,7 +487,7 @@ class _DescriptionReader:
         ]
         if "readings" in self.raw:
             folder, checksums = self.file.parent, self.table_checksums
-            runs += read_table(self.raw["readings"], folder, outputs, self.problems, checksums)
+            runs += read_table(self.raw, folder, outputs, self.problems, checksums)
         return runs
 
     def _tables(self) -> tuple[Path, ...]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import datetime
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -13,10 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator
 
+from counterspin.campaign.cells import (
+    WITH_COMMA,
+    as_number,
+    is_empty,
+    seconds_of,
+    with_points,
+    words_of,
+)
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.columns import TableDialect
+from counterspin.campaign.columns import Sense, TableDialect
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
+from counterspin.campaign.quantity import parse
 from counterspin.campaign.readings import BLANK, ReadingAxes
 from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.campaign.settings import Output
@@ -49,10 +57,8 @@ _COLUMNS: Final = (
     "mounting",
 )
 
-#: A number whose decimals are parted by a comma.
-_WITH_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
-
-_UTC: Final = datetime.UTC
+#: Unit of a rate that counts revolutions -> how it is written where angles are a unit.
+_REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
 
 class _TableFile(SettingsSection):
@@ -73,6 +79,12 @@ class ReadingsSettings(TableDialect, _TableFile):
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
+    u: Text | None = described(
+        "standard uncertainty of the readings that have none in the column `u`",
+        "2 uA",
+        None,
+        absent="estimated",
+    )
     motion: MotionKind = described("of every row, where there is no such column", "arm", "static")
     about: Text = described("the axis of angles in the column `attitude`", "east", "north")
     attitude_unit: Text = described("of these angles, and of the column `head`", "arcmin", "deg")
@@ -82,25 +94,43 @@ class ReadingsSettings(TableDialect, _TableFile):
         None,
         absent="0",
     )
-    rate_unit: Text = described("of the column `rate`", "rpm", "rad/s")
+    rate_unit: Text = described(
+        "of the column `rate`, `1/min` and `Hz` being revolutions; of the time of a revolution "
+        "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
+        "rpm",
+        "rad/s",
+    )
+    sense: Sense = described(
+        "in which the machine turns at a positive rate, seen from above",
+        "clockwise",
+        "counterclockwise",
+    )
     axes: ReadingAxes | None = described(
         "of every row that turns", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
+    axes_at_rest: ReadingAxes | None = described(
+        "of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
+    )
     mounting: str = described("of every row", "in", "")
+    mountings: dict[str, ReadingAxes] = described(
+        "the axes of each mounting, in place of `axes`",
+        {"in": {"input": "inward", "pendulous": "up"}},
+        {},
+    )
     attitude: Literal["unknown"] | None = described(
         "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
     )
 
 
 def read_table(
-    raw: Any,
+    document: Mapping[str, Any],
     folder: Path,
     accelerometers: Mapping[str, Output | None],
     problems: Problems,
     checksums: dict[Path, str],
 ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
     """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands."""
-    settings = problems.check(ReadingsSettings, raw, ("readings",))
+    settings = problems.check(ReadingsSettings, document["readings"], ("readings",))
     if settings is None:
         return
     loaded = problems.attempt(
@@ -119,44 +149,10 @@ def read_table(
             f'is missing: {settings.file} has decimal commas; write decimal = ","',
         )
         return
+    rows = ReadingsTable(settings, accelerometers, problems, document)
     if table.units:
-        ReadingsTable(settings, accelerometers, problems).check_units(table.units)
-    yield from runs_of(
-        settings, frame.columns, frame.iter_rows(named=True), accelerometers, problems, places
-    )
-
-
-def runs_of(
-    settings: ReadingsSettings,
-    names: Sequence[str],
-    rows: Iterable[Mapping[str, Any]],
-    accelerometers: Mapping[str, Output | None],
-    problems: Problems,
-    places: Sequence[str] | None = None,
-) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-    """Yield the rows of a table as runs, with where each stands.
-
-    names: Of the table's columns.
-    places: Where the rows stand; None: they are counted.
-    """
-    before = len(problems.lines)
-    table = ReadingsTable(settings, accelerometers, problems)
-    table.check(names)
-    if len(problems.lines) > before:
-        return
-    for index, row in enumerate(rows):
-        # Rows without anything in them stand below many a table.
-        if all(is_empty(cell) for cell in row.values()):
-            continue
-        place = f"row {index + 1}" if places is None else places[index]
-        path: KeyPath = ("readings", f"{settings.file} {place}")
-        before = len(problems.lines)
-        if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
-            problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
-            continue
-        run = table.run(row, index, path)
-        if len(problems.lines) == before:
-            yield run, path
+        rows.check_units(table.units)
+    yield from rows.runs(frame.columns, frame.iter_rows(named=True), places)
 
 
 def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
@@ -179,7 +175,7 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
             f"{path.name} has {rows} rows; a table of readings has at most {MOST_READINGS}"
         )
     if dialect.decimal == ",":
-        table = replace(table, frame=_with_points(table.frame))
+        table = replace(table, frame=with_points(table.frame))
     return table, places, checksum
 
 
@@ -190,6 +186,37 @@ class ReadingsTable:
     settings: ReadingsSettings  #: The section.
     accelerometers: Mapping[str, Output | None]  #: Names, and what their readings are in.
     problems: Problems  #: Where mistakes are noted.
+    document: Mapping[str, Any]  #: In which it stands.
+
+    def runs(
+        self,
+        names: Sequence[str],
+        rows: Iterable[Mapping[str, Any]],
+        places: Sequence[str] | None = None,
+    ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
+        """Yield the rows of a table as runs, with where each stands.
+
+        names: Of the table's columns.
+        places: Where the rows stand; None: they are counted.
+        """
+        problems = self.problems
+        before = len(problems.lines)
+        self.check(names)
+        if len(problems.lines) > before:
+            return
+        for index, row in enumerate(rows):
+            # Rows without anything in them stand below many a table.
+            if all(is_empty(cell) for cell in row.values()):
+                continue
+            place = f"row {index + 1}" if places is None else places[index]
+            path: KeyPath = ("readings", f"{self.settings.file} {place}")
+            before = len(problems.lines)
+            if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
+                problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
+                continue
+            run = self.run(row, index, path)
+            if len(problems.lines) == before:
+                yield run, path
 
     @property
     def columns(self) -> dict[str, str]:
@@ -220,11 +247,9 @@ class ReadingsTable:
         if not given.get("reading"):
             problems.add(path, "reading is missing: the column that holds the values")
             return
-        if self.settings.u_attitude is not None:
-            problems.attempt(("readings", "u_attitude"), exact, self.settings.u_attitude, "rad")
-        problems.attempt(
-            ("readings", "attitude_unit"), unit_factor, self.settings.attitude_unit, "rad"
-        )
+        self._check_quantities()
+        if self.settings.mountings and not (self.settings.mounting or "mounting" in given):
+            problems.add(path, "mounting is missing: the column with the mounting of each reading")
         static = self.settings.motion == "static" and "motion" not in given
         turns = self.settings.motion != "static" and "motion" not in given
         if turns and "rate" not in given:
@@ -243,6 +268,19 @@ class ReadingsTable:
             if column not in names:
                 said = did_you_mean(column, names)
                 problems.add(path, f'{self.settings.file} has no column "{column}"' + said)
+
+    def _check_quantities(self) -> None:
+        """Note what is wrong with quantities and units of the section."""
+        settings, problems = self.settings, self.problems
+        if settings.u_attitude is not None:
+            problems.attempt(("readings", "u_attitude"), exact, settings.u_attitude, "rad")
+        problems.attempt(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
+        if settings.u is not None:
+            for output in self.accelerometers.values():
+                unit = output.unit if output else "g"
+                problems.attempt(("readings", "u"), exact, settings.u, unit)
+        if "rate" in settings.columns:
+            problems.attempt(("readings", "rate_unit"), self._rate, 1.0)
 
     def check_units(self, units: Mapping[str, str]) -> None:
         """Note columns that are in other units by the table's row of units."""
@@ -272,36 +310,81 @@ class ReadingsTable:
             value = row[columns[key]] if key in columns else None
             return None if is_empty(value) else value
 
-        run: dict[str, Any] = {"name": _words(cell("name")) or f"reading {index + 1}"}
-        motion = run["motion"] = _words(cell("motion")) or settings.motion
+        run: dict[str, Any] = {"name": words_of(cell("name")) or f"reading {index + 1}"}
+        motion, rate = self._moved(cell, (*path, "rate"))
+        run["motion"] = motion
+        if rate is not None:
+            run["rate"] = rate
         shown = self._number(cell("head"), (*path, "head"))
         if shown is not None:
             run["head"] = f"{shown!r} {settings.attitude_unit}"
-        rate = self._number(cell("rate"), (*path, "rate"))
-        if rate:
-            run["rate"] = f"{rate!r} {settings.rate_unit}"
-        axes = {key: _words(cell(key)) for key in ("input", "pendulous") if cell(key)}
+        mounting = run["mounting"] = words_of(cell("mounting")) or settings.mounting
+        axes = {key: words_of(cell(key)) for key in ("input", "pendulous") if cell(key)}
+        stated = self._axes(motion, mounting)
         if axes:
             run["axes"] = axes
-        elif settings.axes is not None and (motion != "static" or "attitude" not in columns):
-            run["axes"] = settings.axes.model_dump()
+        elif stated is not None and (motion != "static" or "attitude" not in columns):
+            run["axes"] = stated.model_dump()
+        elif settings.mountings and motion != "static":
+            hint = did_you_mean(mounting, settings.mountings)
+            self.problems.add(path, f'readings.mountings has no "{mounting}"{hint}')
         attitude = settings.attitude if cell("attitude") is None else cell("attitude")
         if "axes" in run or attitude is None:
             pass
-        elif (angle := _as_number(attitude)) is not None:
+        elif (angle := as_number(attitude)) is not None:
             run["attitude"] = self._turn(angle)
         else:
-            run["attitude"] = _words(attitude)
-        run["mounting"] = _words(cell("mounting")) or settings.mounting
+            run["attitude"] = words_of(attitude)
         for key, unit in (("temperature", "degC"), ("time", "s")):
             if (value := cell(key)) is not None:
                 if key == "time":
-                    value = _since_1970(value)
-                number = _as_number(value)
-                run[key] = _words(value) if number is None else f"{number!r} {unit}"
+                    value = seconds_of(value)
+                number = as_number(value)
+                run[key] = words_of(value) if number is None else f"{number!r} {unit}"
         readings = self.of("reading")
         run["reading"] = {name: self._reading(row, name, path) for name in readings}
         return run
+
+    def _moved(self, cell: Callable[[str], Any], path: KeyPath) -> tuple[str, str | None]:
+        """Return how a row moves, and its rate as it would be written; None where it has none."""
+        stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
+        if rate := self._number(stated, path):
+            return motion, self.problems.attempt(path, self._rate, rate)
+        if motion != "arm" or "motion" in self.columns:
+            return motion, None
+        if stated is None:
+            said = "is missing: a run with motion arm turns; write 0 where the arm rests"
+            self.problems.add(path, said)
+        return "static", None
+
+    def _axes(self, motion: str, mounting: str) -> ReadingAxes | None:
+        """Return the axes that the section states of a row."""
+        settings = self.settings
+        at_rest = settings.axes_at_rest if motion == "static" else None
+        return settings.mountings.get(mounting) or at_rest or settings.axes
+
+    def _rate(self, number: float) -> str:
+        """Return a rate as it would be written, right-handed about up; ValueError if it is none."""
+        unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
+        sign = -1.0 if self.settings.sense == "clockwise" else 1.0
+        if _converts(unit, "s"):
+            return f"{sign / (number * unit_factor(unit, 's'))!r} rev/s"
+        gravity = self._stated("site", "gravity", "m/s^2")
+        if not _converts(unit, "m/s^2", gravity=gravity):
+            unit_factor(unit, "rad/s")
+            return f"{sign * number!r} {unit}"
+        if number < 0.0:
+            raise ValueError("a centripetal acceleration is positive; the mounting has the sign")
+        acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)
+        radius = self._stated("centrifuge", "radius", "m")
+        return f"{sign * math.sqrt(acceleration / radius)!r} rad/s"
+
+    def _stated(self, section: str, key: str, unit: str) -> float:
+        """Return a quantity of another section; what is wrong with it is noted there."""
+        try:
+            return abs(parse(self.document[section][key], unit).value) or 1.0
+        except (KeyError, TypeError, ValueError):
+            return 1.0
 
     def _turn(self, angle: float) -> str:
         """Return the attitude that an angle of the head makes."""
@@ -316,81 +399,46 @@ class ReadingsTable:
         """Return the readings of an accelerometer as they would be written."""
         columns = self.of("reading")[name]
         unit = output.unit if (output := self.accelerometers[name]) else "g"
-        beside = self.of("u").get(name, [])
-        spread = ""
-        if beside and not is_empty(row[beside[0]]):
-            u = self._number(row[beside[0]], (*path, beside[0]))
-            spread = f" ± {u!r}" if u is not None else ""
+        u = self.u(row, name, path)
+        spread = f" ± {u!r}" if u is not None else ""
         written = []
         for column in columns:
             value = row[column]
             if is_empty(value):
                 # Not all readings need have been repeated as often.
                 continue
-            number = _as_number(value)
+            number = as_number(value)
             if number is None:
                 self._refuse_comma(value, (*path, column))
-            written.append(_words(value) if number is None else f"{number!r}{spread} {unit}")
+            written.append(words_of(value) if number is None else f"{number!r}{spread} {unit}")
         written = written or [f"{BLANK}{spread} {unit}"] * len(columns)
         return written[0] if len(columns) == 1 and written else written
 
+    def u(self, row: Mapping[str, Any], name: str, path: KeyPath) -> float | None:
+        """Return the stated uncertainty of an accelerometer's reading, in its output's unit."""
+        beside = self.of("u").get(name, [])
+        if beside and not is_empty(row[beside[0]]):
+            return self._number(row[beside[0]], (*path, beside[0]))
+        output = self.accelerometers[name]
+        return exact(self.settings.u, output.unit if output else "g") if self.settings.u else None
+
     def _number(self, value: Any, path: KeyPath) -> float | None:
-        number = None if value is None else _as_number(value)
+        number = None if value is None else as_number(value)
         if value is not None and number is None and not self._refuse_comma(value, path):
             self.problems.add(path, f"{value!r} is not a number")
         return number
 
     def _refuse_comma(self, value: Any, path: KeyPath) -> bool:
         """Note a number whose decimals are parted by a comma, which nobody has said."""
-        comma = isinstance(value, str) and re.match(_WITH_COMMA, value) is not None
+        comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
         if comma:
             said = 'has a decimal comma; write decimal = "," in [readings]'
             self.problems.add(path, f"{value!r} {said}")
         return comma
 
 
-def _with_points(frame: Any) -> Any:
-    """Return a table whose numbers with a comma have a point; other text stays."""
-    import polars as pl
-
-    text = pl.col(pl.String())
-    return frame.with_columns(
-        pl.when(text.str.contains(_WITH_COMMA)).then(text.str.replace(",", ".")).otherwise(text)
-    )
-
-
-def is_empty(value: Any) -> bool:
-    """Return whether a cell holds nothing, or what stands for a value to come."""
-    if isinstance(value, str):
-        return value.strip().lower() in ("", "nan", BLANK)
-    return value is None or (isinstance(value, float) and math.isnan(value))
-
-
-def _as_number(value: Any) -> float | None:
-    """Return a cell as a number, None if it holds something else."""
-    if isinstance(value, bool):
-        return None
+def _converts(unit: str, wanted: str, *, gravity: float | None = None) -> bool:
     try:
-        number = float(value)
-    except (TypeError, ValueError):
-        return None
-    return number if math.isfinite(number) else None
-
-
-def _words(value: Any) -> str:
-    """Return a cell as text; a whole number without its point."""
-    if isinstance(value, float) and value.is_integer():
-        return str(int(value))
-    return "" if value is None else str(value).strip()
-
-
-def _since_1970(value: Any) -> Any:
-    """Return a date and time in seconds, of which only differences count; else the value."""
-    if isinstance(value, str):
-        try:
-            value = datetime.datetime.fromisoformat(value.strip())
-        except ValueError:
-            return value
-    if isinstance(value, datetime.datetime):
-        return value.replace(tzinfo=value.tzinfo or _UTC).timestamp()
-    return value
+        return unit_factor(unit, wanted, gravity=gravity) > 0.0
+    except ValueError:
+        return False

@@ -33,11 +33,11 @@ def init(
         Folder for campaign.toml; it is created if necessary.
     test
         Kind of test: records of a double turntable, readings of a multi-position tumble, readings
-        on the arm of a centrifuge (example only), or a record of a three-axis sensor in many
-        poses. The default is an example of the first; with --from, what the files show.
+        on the arm of a centrifuge, or a record of a three-axis sensor in many poses. The default
+        is an example of the first; with --from, what the files show.
     from_
-        Files of a recorder, one for each run, or the table of a tumble's readings. Their contents
-        are guessed and printed; what they do not show is asked for.
+        Files of a recorder, one for each run, or one table of readings, of a tumble or on an arm.
+        Their contents are guessed and printed; what they do not show is asked for.
     yes
         Ask nothing: stop with an error if the files leave something open.
     answer

@@ -4,7 +4,9 @@
 - `waves`: the wave that a revolution makes in a column
 - `guessing`: which column is what, of every file
 - `questions`: what is asked, and what an answer means
-- `tumble`: a table of readings of a tumble
+- `readings`: a table of readings: which column is what, and what is read in it
+- `tumble`: such a table of a tumble
+- `arm_table`, `arm`: of readings on the arm of a centrifuge: rates and mountings; its description
 - `triads`: which columns are the axes of a sensor with three, and where it was set down
 - `poses`: records, or a table, of such a sensor set down in many poses
 - `description`: the description that guesses and answers make

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
+from counterspin.exports.arm import ArmDraft, arm_draft, shows_arm
 from counterspin.exports.guessing import FileGuess, agreed, guess_file
 from counterspin.exports.looking import Look
 from counterspin.exports.poses import PosesDraft, poses_draft, shows_poses
@@ -111,29 +112,30 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
     return Draft(statements, questions, taken, problems, guesses, common)
 
 
+#: What the files of a test show.
+AnyDraft = Draft | TumbleDraft | ArmDraft | PosesDraft
+
+
 def guessed_test(looks: Sequence[Look]) -> Test:
     """Return of which kind of test files are, as they show it."""
-    return "poses" if shows_poses(looks) else "double-turntable"
+    # A sensor with three axes may have rates beside them.
+    if shows_poses(looks):
+        return "poses"
+    return "arm" if shows_arm(looks) else "double-turntable"
 
 
-def drafted(
-    looks: Sequence[Look], answers: Mapping[str, str], test: Test
-) -> Draft | TumbleDraft | PosesDraft:
-    """Return what the files of a test show; CampaignError of a test that is not guessed."""
-    if test == "arm":
-        raise CampaignError(
-            "init",
-            [
-                "a table of readings on an arm is described by hand: begin with the example of "
-                "this kind of test, and put your table in the place of its readings.csv"
-            ],
-        )
-    if test == "poses":
-        return poses_draft(looks, answers)
-    return tumble_draft(looks, answers) if test == "tumble" else draft(looks, answers)
+def drafted(looks: Sequence[Look], answers: Mapping[str, str], test: Test) -> AnyDraft:
+    """Return what the files of a test show."""
+    makers: dict[Test, Callable[..., AnyDraft]] = {
+        "double-turntable": draft,
+        "tumble": tumble_draft,
+        "arm": arm_draft,
+        "poses": poses_draft,
+    }
+    return makers[test](looks, answers)
 
 
-def write_description(draft: Draft | TumbleDraft | PosesDraft, folder: Path) -> Path:
+def write_description(draft: AnyDraft, folder: Path) -> Path:
     """Write the description into the campaign's folder, with what was guessed as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():

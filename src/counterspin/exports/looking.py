@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile
@@ -52,6 +53,8 @@ class Look:
     interval: float | None = None  #: Time between rows by the file, s.
     #: Single numbers that stand beside the columns, by name.
     numbers: Mapping[str, float] = field(default_factory=dict)
+    #: Of a small file: column that holds neither numbers nor time stamps -> its cells, row by row.
+    words: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def look_at(
@@ -109,7 +112,17 @@ def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
             sheets,
             file.interval,
             file.single_numbers(),
+            _words(file, others, max(len(column.values) for column in columns)),
         )
+
+
+def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:
+    """Return columns of words of a table that is small enough to be one of readings."""
+    if not names or rows > MOST_READINGS:
+        return {}
+    frame = file.table()
+    there = [name for name in names if name in frame.columns]
+    return {name: ["" if c is None else str(c).strip() for c in frame[name]] for name in there}
 
 
 def _column(file: ColumnFile, name: str) -> FileColumn | None:

@@ -53,6 +53,29 @@ _SYNONYMS: Final = {
     "oben": "up",
     "d": "down",
     "unten": "down",
+    "in": "inward",
+    "inwards": "inward",
+    "inside": "inward",
+    "inboard": "inward",
+    "innen": "inward",
+    "einwärts": "inward",
+    "nach innen": "inward",
+    "out": "outward",
+    "outwards": "outward",
+    "outside": "outward",
+    "outboard": "outward",
+    "außen": "outward",
+    "aussen": "outward",
+    "auswärts": "outward",
+    "nach außen": "outward",
+    "nach aussen": "outward",
+    "tangential": "forward",
+    "forwards": "forward",
+    "vorwärts": "forward",
+    "vorn": "forward",
+    "backwards": "backward",
+    "rückwärts": "backward",
+    "hinten": "backward",
     "position": "displacement",
     "path": "displacement",
     "weg": "displacement",
@@ -104,7 +127,8 @@ class ExportQuestion:
 
     def _chosen(self, answer: str) -> str:
         known = {choice.lower(): choice for choice in self.choices}
-        word = _SYNONYMS.get(answer.lower(), answer).lower()
+        word = answer.lower()
+        word = word if word in known else _SYNONYMS.get(word, word).lower()
         if word in known:
             return known[word]
         close = get_close_matches(word, known, n=1)

@@ -40,7 +40,8 @@ _ON_THE_ARM: Final[Mapping[str, tuple[float, float, float]]] = {
 FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
     "counter-rotating": DIRECTIONS,
     "arm": _ON_THE_ARM,
-    "static": DIRECTIONS,
+    # An arm that stands still is one that points east: gravity is all that acts.
+    "static": {**DIRECTIONS, **_ON_THE_ARM},
 }
 
 #: Angles of a revolution at which the mean is taken: exact for products of degree below this.

@@ -117,6 +117,23 @@ def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
         assert abs(off.mean()) < 5.0 * u / 20.0
 
 
+def test_noise_of_a_table_is_the_one_u_of_its_readings(tmp_path):
+    """Rows that state none of their own have that of the section."""
+    text = TEXT.replace(
+        'columns = { name = "position",', 'u = "4 nA"\ncolumns = { name = "position",'
+    )
+    own = campaign(tmp_path / "own", text)
+    count = 400
+    rows = "".join(f"{i},0,,{'2e-5' if i % 2 else ''}\n" for i in range(count))
+    (own / "tables" / "readings.csv").write_text("position,deg,mA,u\n" + rows, "utf-8")
+    simulate(own, tmp_path / "made")
+    table = pl.read_csv(tmp_path / "made" / "tables" / "readings.csv")
+    off = table["mA"].to_numpy() - 1.25 * (2e-3 + 1.0005 + 15e-6)
+    for part, u in ((off[::2], 4e-6), (off[1::2], 2e-5)):
+        # Five standard errors of the size of half of them.
+        assert abs(np.sqrt(np.mean(part**2)) / u - 1.0) < 5.0 / math.sqrt(count)
+
+
 def test_a_table_that_is_not_plain_is_not_simulated(tmp_path):
     text = TEXT.replace('file = "tables', 'delimiter = ","\nfile = "tables')
     with pytest.raises(CampaignError, match=r"readings\.delimiter: a simulated table is plain"):

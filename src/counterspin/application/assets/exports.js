@@ -19,6 +19,7 @@ import { drawingOf } from "./drawings.js";
 const ROLES = {
   "double-turntable": { parts: ["time", "angle"], others: ["displacement", "velocity", "specific_force", "unused"], blank: "choose" },
   "tumble": { parts: ["position"], others: ["reading", "uncertainty", "temperature", "time", "unused"], blank: "choose" },
+  "arm": { parts: ["rate", "position"], others: ["radius", "reading", "uncertainty", "temperature", "time", "unused"], blank: "choose" },
   "poses": { parts: ["time", "X", "Y", "Z"], others: [], blank: "unused" },
 };
 const NONE = "none";
@@ -32,6 +33,7 @@ export function exportsPart() {
     make("option", { value: "" }, "To be guessed"),
     make("option", { value: "double-turntable" }, "Records of a double turntable"),
     make("option", { value: "tumble" }, "Table of a tumble's readings"),
+    make("option", { value: "arm" }, "Table of readings on an arm"),
     make("option", { value: "poses" }, "Record of a sensor in many poses"));
   const files = make("input", { type: "file", multiple: true, id: "exports" });
   const place = make("div");
@@ -74,8 +76,13 @@ export function exportsPart() {
   };
   files.addEventListener("change", () => take([...files.files ?? []]));
   const pasted = pastedTable(async (file) => {
-    test.value = "tumble";
+    const readings = ["tumble", "arm"];
+    if (!readings.includes(test.value)) test.value = "";
     await take([file]);
+    // What is typed has readings: of a tumble, where it shows no rates.
+    if (!test.value || readings.includes(test.value)) return;
+    test.value = "tumble";
+    await look();
   });
   const zone = make("div", { class: "drop" },
     make("div", { class: "row" }, labelled("Folder of the new campaign", folder), labelled("What the files are", test),
@@ -252,7 +259,7 @@ class Preview {
       rows.is.push(this.kind(name, part, questions, wrong));
       rows.unit.push(unit);
       rows.axis.push(axis);
-      rows.picture.push(picture(name, extent));
+      rows.picture.push(extent.length ? picture(name, extent) : null);
     }
     const line = (/** @type {string} */ head, /** @type {(Node|string|null)[]} */ cells) =>
       make("tr", {}, make("th", { scope: "row" }, head), ...cells.map((cell) => make("td", {}, cell)));
@@ -276,7 +283,7 @@ class Preview {
   kind(name, part, questions, wrong) {
     const value = part ?? this.sent[`${name} is`] ?? questions.get(`${name} is`)?.guess ?? "";
     const { parts, others, blank } = this.roles();
-    const choices = [...parts, ...others];
+    const choices = [...new Set([...parts, ...questions.get(`${name} is`)?.choices ?? others])];
     const control = make("select", {
       "aria-label": `What is column ${name}?`,
       onchange: () => {

@@ -12,7 +12,7 @@ from counterspin.campaign.description import Campaign, resolved_in_memory
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.memory.records import give_records, name_records
 from counterspin.campaign.memory.source import Source
-from counterspin.campaign.readings_table import ReadingsSettings, runs_of
+from counterspin.campaign.readings_table import ReadingsSettings, ReadingsTable
 from counterspin.campaign.settings import Output
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -120,7 +120,8 @@ def _take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> 
     tables = accelerometers if isinstance(accelerometers, Mapping) else {}
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     outputs = {name: _output(table) for name, table in tables.items()}
-    made = [run for run, _ in runs_of(settings, list(columns), rows, outputs, problems)]
+    table = ReadingsTable(settings, outputs, problems, document)
+    made = [run for run, _ in table.runs(list(columns), rows)]
     runs = document.get("runs")
     document["runs"] = [*(runs if isinstance(runs, list) else []), *made]
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.cells import is_empty
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
@@ -23,7 +24,6 @@ from counterspin.campaign.readings import BLANK, Reading, is_reading
 from counterspin.campaign.readings_table import (
     ReadingsSettings,
     ReadingsTable,
-    is_empty,
     load_table,
 )
 from counterspin.campaign.resolved import sample_count
@@ -344,8 +344,8 @@ def filled_table(
         )
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}
-    table = ReadingsTable(settings, outputs, Problems(raw))
-    columns, beside = table.of("reading"), table.of("u")
+    table = ReadingsTable(settings, outputs, Problems(raw), raw)
+    columns = table.of("reading")
     rows = [
         (place, row)
         for place, row in enumerate(frame.iter_rows(named=True))
@@ -365,8 +365,7 @@ def filled_table(
         for name, own in columns.items():
             reading = next(taken)
             output = outputs[name]
-            u: Any = row[beside[name][0]] if name in beside else None
-            stated = 0.0 if is_empty(u) else float(u)
+            stated = table.u(row, name, ()) or 0.0
             for column in [c for c in own if not is_empty(row[c])] or own:
                 scale = (output.sensitivity, output.zero) if output else (1.0, 0.0)
                 values[column][place] = _read(campaign, reading, scale, stated, generator)

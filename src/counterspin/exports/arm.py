@@ -1,0 +1,296 @@
+"""From a table of readings on the arm of a centrifuge to a campaign's description.
+
+A row is a reading at a rate, given as such, as the time of a revolution or as the acceleration, and
+in a mounting; at the rate 0 the arm rests. How the input axis points in a mounting follows from its
+word, or else from the readings: what points inward feels the acceleration, what points outward its
+negative.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.campaign.quantity import parse
+from counterspin.errors import CampaignError
+from counterspin.exports.arm_table import (
+    DIRECTIONS,
+    HORIZONTAL,
+    ArmTable,
+    arm_roles,
+    as_acceleration,
+    direction_of,
+)
+from counterspin.exports.guessing import converts
+from counterspin.exports.looking import FileColumn, Look
+from counterspin.exports.questions import (
+    SENSES,
+    ExportQuestion,
+    place_questions,
+    settled,
+)
+from counterspin.exports.readings import (
+    ReadingsDraft,
+    Sensed,
+    of_role,
+    output_questions,
+    output_unit,
+    part_question,
+    role_questions,
+    table_statements,
+)
+from counterspin.frozen import frozen
+
+#: Usual units of a rate.
+_RATE_UNITS: Final = ("rpm", "rev/s", "rad/s", "deg/s", "1/min", "Hz", "s", "ms", "g", "m/s^2")
+#: A mounting's readings follow the acceleration if by this part of the most that one does.
+_FOLLOWING_PART: Final = 0.5
+#: A reading at rest shows how the input axis points if it is so near to what it then feels, g.
+_NEAR: Final = 0.3
+#: So many readings at rates show their noise: some, and so many more for each mounting.
+_FEWEST: Final = 2
+_OF_A_MOUNTING: Final = 4
+#: Most rows of a table that is guessed to be one of readings on an arm.
+_MOST_ROWS: Final = 500
+
+
+@frozen
+class ArmDraft(ReadingsDraft):
+    """What a table of readings on an arm shows, and what a person has answered."""
+
+    def document(self, folder: Path) -> dict[str, Any]:
+        """Return the description that guesses and answers make; CampaignError if one is missing.
+
+        folder: The campaign's.
+        """
+        said, table = self.complete(), ArmTable.of(self.look, self.roles, self.answers)
+        columns = {"rate": said["rate"]}
+        if table.position is not None:
+            columns["mounting"] = table.position
+        level = {"input_axis": "up", "pendulous_axis": "east"}
+        radius, model = _radius_and_model(table, said)
+        document = self.described(folder, level, columns, {"radius": radius})
+        readings = document["readings"]
+        readings |= {"motion": "arm", "rate_unit": said["rate unit"]}
+        if said["sense"] != SENSES[0]:
+            readings["sense"] = said["sense"]
+        if "u" in said:
+            readings["u"] = said["u"]
+        for key, asked in (("axes", "axis"), ("axes_at_rest", "axis at rest")):
+            if asked in said:
+                readings[key] = _axes(said[asked], said["pendulous axis"])
+        if table.mountings:
+            pointing = {word: said[f"{word} axis"] for word in table.mountings}
+            readings["mountings"] = {
+                word: _axes(axis, said["pendulous axis"]) for word, axis in pointing.items()
+            }
+        return document | ({"model": model} if model else {})
+
+
+def _axes(axis: str, pendulous: str) -> dict[str, str]:
+    """Return the axes of a mounting.
+
+    pendulous: Where the pendulous axis points with the input axis inward; an instrument that is
+        turned about up takes it along.
+    """
+    if axis not in HORIZONTAL:
+        along = "outward"
+    elif pendulous in HORIZONTAL:
+        turned = HORIZONTAL.index(axis) + HORIZONTAL.index(pendulous)
+        along = HORIZONTAL[turned % len(HORIZONTAL)]
+    else:
+        along = pendulous
+    return {"input": axis, "pendulous": along}
+
+
+def _radius_and_model(table: ArmTable, said: Mapping[str, str]) -> tuple[str, dict[str, Any]]:
+    """Return the centrifuge's radius, and that radii are estimated where there are several."""
+    radii = {word: said[f"{word} radius"] for word in table.mountings if f"{word} radius" in said}
+    for word, values in table.radii().items():
+        if len(values) > 1:
+            text = (
+                f"readings of one mounting have {len(values)} radii{f' ({word})' if word else ''}; "
+                "give each a name of its own in the table, in a column of mountings"
+            )
+            raise CampaignError("init", [text])
+    stated = [said["radius"]] if "radius" in said else list(radii.values())
+    model: dict[str, Any] = {}
+    if len(table.turning) > 1 and all(parse(text, "m").u > 0.0 for text in stated):
+        # The proof mass is somewhere else in each mounting.
+        model["terms"] = ["K_F", "K_I", "K_II", "centrifuge.radius"]
+    if radii:
+        model["priors"] = {f"centrifuge.radius.{word}": text for word, text in radii.items()}
+    return stated[0], model
+
+
+def arm_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> ArmDraft:
+    """Return what a table of readings on an arm shows, and what has to be asked.
+
+    answers: By the keys of questions; they stand above what is guessed.
+    """
+    if len(looks) != 1:
+        raise CampaignError("init", ["readings on an arm are one table: name one file"])
+    (look,) = looks
+
+    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
+        return tuple(_questions(ArmTable.of(look, arm_roles(look, taken), taken), taken))
+
+    taken, problems = settled(answers, asked)
+    table = ArmTable.of(look, arm_roles(look, taken), taken)
+    statements = tuple(_statements(table))
+    return ArmDraft(statements, asked(taken), taken, problems, look, table.roles)
+
+
+def shows_arm(looks: Sequence[Look]) -> bool:
+    """Return whether files are one table of outputs beside rates, or beside words for mountings."""
+    if len(looks) != 1 or max(len(c.values) for c in looks[0].columns) > _MOST_ROWS:
+        return False
+    (look,) = looks
+    roles = arm_roles(look, {})
+    rate = next(iter(of_role(look, roles, "rate")), None)
+    if rate is None or not of_role(look, roles, "reading"):
+        return False
+    position = next((name for name, role in roles.items() if role == "position"), None)
+    said = any(map(direction_of, look.words.get(position or "", ())))
+    return said or not as_acceleration(rate)
+
+
+# What is guessed
+
+
+def _followed(table: ArmTable, word: str) -> str | None:
+    """Return whether a mounting's readings follow the acceleration or its negative."""
+    readings = of_role(table.look, table.roles, "reading")
+    if not readings:
+        return None
+    slopes, _ = table.lines(readings[0], 1.0)
+    own = slopes.get(word, math.nan)
+    if not abs(own) > _FOLLOWING_PART * max(map(abs, slopes.values()), default=math.nan):
+        return None
+    return "inward" if own > 0.0 else "outward"
+
+
+def _resting(table: ArmTable, sensed: Sensed) -> str | None:
+    """Return how the input axis points where nothing but the readings at rest tells it."""
+    readings = of_role(table.look, table.roles, "reading")
+    rows = table.rests & np.array([not word for word in table.words])
+    felt = (table.values(readings[0])[rows] - sensed.zero) / sensed.per_g
+    for axis, wanted in (("up", 1.0), ("down", -1.0), ("forward", 0.0)):
+        if np.all(np.abs(felt - wanted) < _NEAR):
+            return axis
+    return None
+
+
+# What is asked, and said
+
+
+def _questions(table: ArmTable, told: Mapping[str, str]) -> Iterator[ExportQuestion]:
+    look, roles = table.look, table.roles
+    yield from place_questions(look)
+    yield from _radius_questions(table)
+    numbers = [column.name for column in look.columns]
+    text = "Which column has the rate, the time of a revolution or the acceleration?"
+    yield part_question("rate", text, numbers, roles, needed=True)
+    if table.rate is not None:
+        text = f"In which unit is column '{table.rate.name}', a rate, a time or an acceleration?"
+        units = tuple(dict.fromkeys([*_RATE_UNITS, *filter(None, [table.unit])]))
+        yield ExportQuestion("rate unit", text, "rpm", units, table.unit)
+    text = "In which sense does the arm turn at a positive rate, seen from above?"
+    yield ExportQuestion("sense", text, SENSES[0], SENSES)
+    text = "Which column says how the accelerometer is mounted?"
+    yield part_question("position", text, [*numbers, *look.words], roles, needed=False)
+    axes: dict[str, str | None] = {}
+    for word in table.mountings:
+        text = f"How does the input axis point in the mounting '{word}'?"
+        axes[word] = direction_of(word) or _followed(table, word)
+        yield ExportQuestion(f"{word} axis", text, "inward", DIRECTIONS, axes[word])
+        axes[word] = told.get(f"{word} axis", axes[word])
+    if "" in table.turning:
+        text = "How does the input axis point while the arm turns?"
+        if table.mountings:
+            text = "How does the input axis point where the table names no mounting?"
+        axes[""] = _followed(table, "")
+        yield ExportQuestion("axis", text, "inward", DIRECTIONS, axes[""])
+        axes[""] = told.get("axis", axes[""])
+    readings = of_role(look, roles, "reading")
+    sensed = {column.name: _sensed(table, column, axes, told) for column in readings}
+    if any(rests and not word for rests, word in zip(table.rests, table.words, strict=True)):
+        text = "How does the input axis point at rest, where the table names no mounting?"
+        guess = _resting(table, sensed[readings[0].name]) if readings else None
+        yield ExportQuestion("axis at rest", text, "up", DIRECTIONS, guess)
+    text = "Where does the pendulous axis point when the input axis points inward?"
+    choices = ("up", "down", "forward", "backward")
+    yield ExportQuestion("pendulous axis", text, "up", choices, "up")
+    yield from role_questions(look, roles, ["rate", "position", "radius"])
+    for column in readings:
+        yield from output_questions(column, told, sensed[column.name])
+    if readings and "uncertainty" not in roles.values() and not _shows_noise(table):
+        unit = output_unit(readings[0], told) or "mA"
+        text = (
+            "What is the standard uncertainty of a reading? They are too few to show their noise."
+        )
+        yield ExportQuestion("u", text, f"2e-6 {unit}", quantity=unit)
+
+
+def _shows_noise(table: ArmTable) -> bool:
+    """Return whether readings show their noise beside what is unknown, at rest and at rates."""
+    at_rest = [word for rests, word in zip(table.rests, table.words, strict=True) if rests]
+    turning = sum(int(table.turns_in(word).sum()) for word in table.turning)
+    repeated = not at_rest or len(at_rest) > len(set(at_rest))
+    return repeated and turning >= _FEWEST + _OF_A_MOUNTING * len(table.turning)
+
+
+def _radius_questions(table: ArmTable) -> Iterator[ExportQuestion]:
+    text = "How far is the proof mass from the spindle's axis"
+    radii = table.radii()
+    known = {radius for own in radii.values() for radius in own}
+    example = "1.0 ± 1e-3 m"
+    if len(known) < 2 or set(radii) != set(table.mountings) & set(table.turning):
+        guess = f"{known.pop():.12g} m" if len(known) == 1 else None
+        yield ExportQuestion("radius", f"{text}?", example, guess=guess, quantity="m")
+        return
+    for word, own in radii.items():
+        guess = f"{own[0]:.12g} m"
+        asked = f"{text} in the mounting '{word}'?"
+        yield ExportQuestion(f"{word} radius", asked, example, guess=guess, quantity="m")
+
+
+def _sensed(
+    table: ArmTable, column: FileColumn, axes: Mapping[str, str | None], told: Mapping[str, str]
+) -> Sensed:
+    """Return what rates and readings show of an output.
+
+    axes: Mounting -> how the input axis points there, None: not known yet.
+    """
+    stated = [told[key] for key in ("radius", *(f"{word} radius" for word in axes)) if key in told]
+    radii = [own[0] for own in table.radii().values()]
+    radius = parse(stated[0], "m").value if stated else next(iter(radii), math.nan)
+    slopes, zero = table.lines(column, radius)
+    signs = {"inward": 1.0, "outward": -1.0}
+    inward = [
+        signs[axis] * slopes[word]
+        for word, axis in axes.items()
+        if axis in signs and word in slopes
+    ]
+    return Sensed(float(np.mean(inward)) if inward else math.nan, zero)
+
+
+def _statements(table: ArmTable) -> Iterator[str]:
+    yield from table_statements(table.look, table.roles)
+    rests = int(table.rests.sum())
+    if table.rate is not None:
+        yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest, where the rate is 0"
+        if converts(table.unit or "", "m/s^2"):
+            yield "accelerations are those at the radius; g is the gravity of the site"
+    for word in table.mountings:
+        meant, seen = direction_of(word), _followed(table, word)
+        if meant in ("inward", "outward") and seen not in (None, meant):
+            yield f"mounting '{word}': {meant} by its name, {seen} if the sensitivity is positive"
+        elif axis := meant or seen:
+            by = "by its name" if meant else "as it reads"
+            yield f"mounting '{word}': input axis {axis}, {by}"
+    yield "the pendulous axis turns with the input axis; with a vertical one it points outward"

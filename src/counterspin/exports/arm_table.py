@@ -1,0 +1,218 @@
+"""A table of readings on the arm of a centrifuge: what its columns show of rates and mountings."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.exports.guessing import STANDARD_GRAVITY, converts
+from counterspin.exports.looking import FileColumn, Look
+from counterspin.exports.questions import ExportQuestion
+from counterspin.exports.readings import of_role, roles_of, usual_role
+from counterspin.frozen import frozen
+from counterspin.units import unit_factor
+
+#: Directions in the frame of the arm; the horizontal ones as a turn about down passes them.
+HORIZONTAL: Final = ("inward", "forward", "outward", "backward")
+DIRECTIONS: Final = (*HORIZONTAL, "up", "down")
+#: What has the rate, the time of a revolution or the acceleration, by name.
+_RATE: Final = re.compile(
+    r"(?i)(.*[^a-z])?(rate|rpm|omega|w|n|speed|drehzahl|drehrate|u.?min|winkelgeschw)([^a-z]|$)"
+)
+_PERIOD: Final = re.compile(r"(?i).*(period|umlauf|t_?rev|rev_?time)")
+_ACCELERATION: Final = re.compile(r"(?i)(.*[^a-z])?(acc|beschl|level|g_?level|last|centri|zentri)")
+_POSITION: Final = re.compile(
+    r"(?i).*(pos|mount|orient|side|richtung|direction|lage|einbau|platz|stell)"
+)
+_RADIUS: Final = re.compile(r"(?i)(r|radi[ui]s?|arm|arm_?length|armlänge)([^a-z]|$)")
+#: How the unit of a rate stands at the end of a name -> the unit.
+_ENDINGS: Final = {
+    r"rpm|u.?min|1.?min|rev.?min": "rpm",
+    r"rad.?s": "rad/s",
+    r"deg.?s|dps": "deg/s",
+    r"rev.?s|rps|hz": "rev/s",
+    r"m.?s2": "m/s^2",
+    r"ms": "ms",
+    r"s": "s",
+    r"g": "g",
+}
+#: A column has a unit of a rate, of a time, of an acceleration.
+_KINDS: Final = ("rad/s", "s", "m/s^2")
+#: What counts revolutions, as `[readings]` reads it.
+_REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
+#: What stands behind the word of a mounting, in "in 1" and "out, 20 g".
+_BEHIND: Final = re.compile(r"[\s_.,;:#-]*\d*([.,]\d+)?\s*g?$")
+
+#: Whether something holds, row by row.
+Rows = npt.NDArray[np.bool_]
+
+
+@frozen(eq=False)
+class ArmTable:
+    """The columns of a table of readings, with what is answered of their units."""
+
+    look: Look
+    roles: Mapping[str, str]
+    rate: FileColumn | None  #: None: not known yet.
+    unit: str | None  #: Of the rate; None: not known yet.
+    position: str | None  #: The column of mountings; None: there is none.
+    words: tuple[str, ...]  #: The mounting of each row, empty where none is said.
+
+    @classmethod
+    def of(cls, look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> ArmTable:
+        """Return a table with columns of these roles."""
+        rate = next(iter(of_role(look, roles, "rate")), None)
+        unit = told.get("rate unit") or (_rate_unit(rate) if rate else None)
+        position = next((name for name, role in roles.items() if role == "position"), None)
+        numbers = next((c.values for c in look.columns if c.name == position), None)
+        words: Sequence[str] = look.words.get(position or "", ())
+        if numbers is not None:
+            words = ["" if math.isnan(value) else f"{value:.12g}" for value in numbers]
+        rows = max(len(column.values) for column in look.columns)
+        return cls(look, roles, rate, unit, position, (*words, *[""] * rows)[:rows])
+
+    def values(self, column: FileColumn | None) -> Array:
+        """Return a column, NaN in rows that it does not have."""
+        values = np.full(len(self.words), np.nan)
+        if column is not None:
+            values[: len(column.values)] = column.values
+        return values
+
+    @property
+    def rests(self) -> Rows:
+        """Whether the arm rests, row by row."""
+        return np.asarray(self.values(self.rate) == 0.0)
+
+    @property
+    def turning(self) -> tuple[str, ...]:
+        """The mountings in which the arm turns."""
+        rows = np.flatnonzero(np.nan_to_num(self.values(self.rate)))
+        return tuple(dict.fromkeys(self.words[row] for row in rows))
+
+    @property
+    def mountings(self) -> tuple[str, ...]:
+        """The words for mountings, at rest too."""
+        return tuple(word for word in dict.fromkeys(self.words) if word)
+
+    def radii(self) -> dict[str, list[float]]:
+        """Return the radii of each mounting by the column, m; empty without one."""
+        columns = of_role(self.look, self.roles, "radius")
+        if not columns:
+            return {}
+        values = self.values(columns[0]) * unit_factor(_radius_unit(columns[0]), "m")
+        turns = np.nan_to_num(self.values(self.rate)) != 0.0
+        found: dict[str, dict[float, None]] = {}
+        for row in np.flatnonzero(turns & np.isfinite(values)).tolist():
+            found.setdefault(self.words[row], {})[float(values[row])] = None
+        return {word: list(radii) for word, radii in found.items()}
+
+    def acceleration(self, radius: float) -> Array:
+        """Return the centripetal acceleration at a radius, m/s^2, row by row; NaN: not known."""
+        unit = _REVOLUTIONS.get(self.unit or "", self.unit or "rad/s")
+        size = np.where(self.rests, 1.0, np.abs(self.values(self.rate)))
+        if self.unit is None:
+            size = size * np.nan
+        if converts(unit, "m/s^2"):
+            felt = size * unit_factor(unit, "m/s^2", gravity=STANDARD_GRAVITY)
+        elif converts(unit, "s"):
+            felt = radius * (2.0 * math.pi / (size * unit_factor(unit, "s"))) ** 2
+        else:
+            felt = radius * (size * unit_factor(unit, "rad/s")) ** 2
+        return np.asarray(np.where(self.rests, 0.0, felt))
+
+    def lines(self, column: FileColumn, radius: float) -> tuple[dict[str, float], float]:
+        """Return how readings change with the acceleration, mounting by mounting, and their zero.
+
+        Per g, and where none is felt, in the column's unit; empty and NaN where nothing is known.
+        """
+        felt, read = self.acceleration(radius) / STANDARD_GRAVITY, self.values(column)
+        rows = np.nan_to_num(felt * read) != 0.0
+        words = [word for word in self.turning if np.any(rows & self.turns_in(word))]
+        if not words:
+            return {}, math.nan
+        each = [np.where(self.turns_in(word), felt, 0.0)[rows] for word in words]
+        zero, *slopes = np.linalg.lstsq(
+            np.column_stack([np.ones(rows.sum()), *each]), read[rows], rcond=None
+        )[0].tolist()
+        return dict(zip(words, slopes, strict=True)), zero
+
+    def turns_in(self, word: str) -> Rows:
+        """Return which rows turn in a mounting."""
+        return np.array([own == word for own in self.words]) & np.logical_not(self.rests)
+
+
+def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
+    """Return what each column is."""
+    rates = [column for column in look.columns if _kind(column) is not None]
+    rates.sort(key=lambda column: _KINDS.index(_kind(column) or _KINDS[-1]))
+    words = [name for name, cells in look.words.items() if any(map(direction_of, cells))]
+    named = [name for name, cells in look.words.items() if _repeat(cells) and _POSITION.match(name)]
+    numbered = [c.name for c in look.columns if _POSITION.match(c.name)]
+    parts = {
+        "rate": rates[0].name if rates else None,
+        "position": next(iter([*words, *named, *numbered]), None),
+    }
+    return roles_of(look, told, _role, parts)
+
+
+def _repeat(cells: Sequence[str]) -> bool:
+    """Return whether words stand in several rows, as those of mountings do and names do not."""
+    return len(set(cells)) < len(cells)
+
+
+def _role(column: FileColumn) -> str:
+    if _kind(column) is not None:
+        return "rate"
+    usual = usual_role(column)
+    if usual != "reading":
+        return usual
+    if converts(column.unit, "m") or _RADIUS.match(column.name):
+        return "radius"
+    return "position" if _POSITION.match(column.name) else usual
+
+
+def _kind(column: FileColumn) -> str | None:
+    """Return as what a column has the rate, of `_KINDS`; None if it does not."""
+    unit = _REVOLUTIONS.get(column.unit, column.unit)
+    if converts(unit, "rad/s") or (not unit and _RATE.match(column.name)):
+        return "rad/s"
+    if _PERIOD.match(column.name) and (not unit or converts(unit, "s")):
+        return "s"
+    accelerates = _ACCELERATION.match(column.name) and (not unit or converts(unit, "m/s^2"))
+    return "m/s^2" if accelerates else None
+
+
+def _rate_unit(column: FileColumn) -> str | None:
+    """Return in what a rate is by the file, or by the end of its name."""
+    if column.unit:
+        return column.unit
+    name = column.name.lower()
+    known = (u for end, u in _ENDINGS.items() if re.fullmatch(rf"(.*[^a-z])?({end})", name))
+    return next(known, None)
+
+
+def _radius_unit(column: FileColumn) -> str:
+    ending = column.name.rpartition("_")[2]
+    return next((unit for unit in (column.unit, ending) if converts(unit, "m")), "m")
+
+
+def as_acceleration(column: FileColumn) -> bool:
+    """Return whether a column has accelerations in the place of rates, by its name and unit."""
+    return _kind(column) == "m/s^2"
+
+
+def direction_of(word: str) -> str | None:
+    """Return the direction that a word means, perhaps with a number behind; None: none."""
+    question = ExportQuestion("axis", "", "", DIRECTIONS)
+    for text in (word, _BEHIND.sub("", word)):
+        try:
+            return question.judged(text)
+        except ValueError:
+            continue
+    return None

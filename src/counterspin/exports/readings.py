@@ -1,0 +1,227 @@
+"""A table of readings, of a tumble or on an arm: which column is what, and what is read in it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from string import ascii_uppercase
+from types import MappingProxyType
+from typing import Any, Final
+
+from counterspin.errors import CampaignError
+from counterspin.exports.guessing import NONE, UNUSED, converts
+from counterspin.exports.looking import FileColumn, Look
+from counterspin.exports.questions import AnsweredExport, ExportQuestion, relative_name
+from counterspin.frozen import frozen
+
+#: What a column of numbers may be in every table, and a column of words.
+ROLES: Final = ("reading", "uncertainty", "temperature", "time", UNUSED)
+WORD_ROLES: Final = ("name", UNUSED)
+_UNCERTAINTY: Final = re.compile(r"(?i)(u|unc|uncertainty|unsicherheit|sigma|std|sd)([^a-z]|$)")
+_TEMPERATURE: Final = re.compile(r"(?i).*(temp|degc|°c)")
+_TIME: Final = re.compile(r"(?i)(t|time|zeit|uhrzeit|stamp|date|datum)([^a-z]|stamp|$)")
+_NAME: Final = re.compile(
+    r"(?i)(name|position|pos|label|stellung|run|point|punkt|messung|(no|nr)([^a-z]|$))"
+)
+_NUMBER: Final = re.compile(r"(?i)(lfd\W*)?(no|nr|number|nummer|#|index|row|zeile)\W*")
+#: Usual units of a reading.
+_OUTPUTS: Final = (
+    *("mA", "uA", "nA", "A", "V", "mV", "uV", "count", "pulse", "count/s", "pulse/s"),
+    *("g", "mg", "ug"),
+)
+
+
+#: What is read without any force, g, above which it is no bias, but the zero of the output.
+_LARGE_BIAS: Final = 0.3
+
+
+@frozen
+class Sensed:
+    """What readings show of an output, in its unit; NaN: not known."""
+
+    per_g: float  #: Reading of 1 g along the input axis, less the zero.
+    zero: float  #: Reading where no force is felt.
+
+
+@frozen
+class ReadingsDraft(AnsweredExport):
+    """What a table of readings shows, and what a person has answered."""
+
+    look: Look  #: The table.
+    roles: Mapping[str, str]  #: Column -> what it is.
+
+    @property
+    def files(self) -> list[Path]:
+        """The table's file."""
+        return [self.look.path]
+
+    @property
+    def said(self) -> dict[str, str]:
+        """Guesses, and answers above them, as far as there are any."""
+        guessed = {q.key: q.guess for q in self.questions if q.guess is not None}
+        return guessed | dict(self.answers)
+
+    def described(
+        self,
+        folder: Path,
+        axes: Mapping[str, str],
+        columns: Mapping[str, str],
+        machine: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
+        """Return the description of what every table of readings says.
+
+        folder: The campaign's.
+        axes: The accelerometers' own, in the level attitude.
+        columns: Key of a reading -> column, beside those of the outputs.
+        machine: What is said of the centrifuge, if there is one.
+        """
+        said, place = self.complete(), folder.resolve()
+        readings = self._of("reading")
+        if not readings:
+            known = ", ".join(column.name for column in self.look.columns)
+            text = f'no column holds readings (known: {known}); say which: "COLUMN is=reading"'
+            raise CampaignError("init", [text])
+        few = len(readings) <= len(ascii_uppercase)
+        names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
+        given: dict[str, Any] = {"reading": dict(zip(names, readings, strict=True))}
+        beside = self._of("uncertainty")
+        if len(beside) == len(readings):
+            given["u"] = dict(zip(names, beside, strict=True))
+        given |= {
+            role: own[0] for role in ("name", "temperature", "time") if (own := self._of(role))
+        }
+        outputs = {}
+        for name, column in zip(names, readings, strict=True):
+            output = {"unit": said[f"{column} unit"]}
+            for key in ("sensitivity", "zero"):
+                if (asked := f"{column} {key}") in said:
+                    output[key] = said[asked]
+            outputs[name] = {**axes, "output": output}
+        return {
+            "schema": 1,
+            "campaign": {"title": place.name},
+            "site": {"gravity": said["gravity"], "latitude": said["latitude"]},
+            **({"centrifuge": machine} if machine else {}),
+            "accelerometers": outputs,
+            "readings": {
+                "file": relative_name(self.look.path, place),
+                **({"sheet": self.look.sheet} if self.look.sheet else {}),
+                **({"decimal": ","} if self.look.decimal == "," else {}),
+                "columns": {**columns, **given},
+            },
+        }
+
+    def _of(self, role: str) -> list[str]:
+        return [name for name, own in self.roles.items() if own == role]
+
+
+# What is guessed
+
+
+def usual_role(column: FileColumn) -> str:
+    """Return what a column of numbers is in any table, by its name and unit."""
+    if column.unit in ("degC", "K") or (_TEMPERATURE.match(column.name) and not column.stamps):
+        return "temperature"
+    if column.stamps or _TIME.match(column.name) or converts(column.unit, "s"):
+        return "time"
+    if _NUMBER.fullmatch(column.name):
+        return UNUSED
+    return "uncertainty" if _UNCERTAINTY.match(column.name) else "reading"
+
+
+def roles_of(
+    look: Look,
+    told: Mapping[str, str],
+    guess: Callable[[FileColumn], str],
+    parts: Mapping[str, str | None],
+) -> dict[str, str]:
+    """Return what each column is, of words too.
+
+    guess: What a column of numbers is.
+    parts: What only one column is -> the column that it seems to be, None if there is none.
+    """
+    named = next((name for name in look.others if _NAME.match(name)), None)
+    roles = {name: "name" if name == named else UNUSED for name in look.others}
+    roles |= {column.name: guess(column) for column in look.columns}
+    roles |= {name: told[f"{name} is"] for name in roles if f"{name} is" in told}
+    for part, seen in parts.items():
+        said = next((name for name in roles if told.get(f"{name} is") == part), seen)
+        taken = told.get(part, said)
+        roles = {name: UNUSED if role == part else role for name, role in roles.items()}
+        if taken in roles:
+            roles[taken] = part
+    return roles
+
+
+def of_role(look: Look, roles: Mapping[str, str], role: str) -> list[FileColumn]:
+    """Return the columns of numbers of a role."""
+    return [column for column in look.columns if roles[column.name] == role]
+
+
+# What is asked, and said
+
+
+def part_question(
+    part: str, text: str, names: Sequence[str], roles: Mapping[str, str], *, needed: bool
+) -> ExportQuestion:
+    """Return the question which column it is that only one can be."""
+    there = next((name for name, role in roles.items() if role == part), None)
+    if needed:
+        return ExportQuestion(part, text, names[0], tuple(names), there)
+    return ExportQuestion(part, text, NONE, (*names, NONE), there or NONE)
+
+
+def role_questions(
+    look: Look, roles: Mapping[str, str], parts: Sequence[str]
+) -> Iterator[ExportQuestion]:
+    """Yield what each other column is.
+
+    parts: What only one column is, and may be said of a column of numbers.
+    """
+    for name, role in roles.items():
+        if role in parts:
+            continue
+        words = name in look.others
+        choices = WORD_ROLES if words else (*parts, *ROLES)
+        text, example = f"What is column '{name}'?", WORD_ROLES[0] if words else ROLES[0]
+        yield ExportQuestion(f"{name} is", text, example, choices, role)
+
+
+def output_questions(
+    column: FileColumn, told: Mapping[str, str], sensed: Sensed
+) -> Iterator[ExportQuestion]:
+    """Yield what a column of readings is in."""
+    name = column.name
+    text = f"In which unit are the readings of column '{name}'?"
+    unit = output_unit(column, told)
+    yield ExportQuestion(f"{name} unit", text, "mA", _OUTPUTS, output_unit(column))
+    if unit is None or converts(unit, "m/s^2"):
+        return
+    text = f"What is the nominal sensitivity of column '{name}'?"
+    if math.isfinite(sensed.per_g):
+        text += f" It is about {sensed.per_g:.4g} {unit}/g."
+    yield ExportQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")
+    if abs(sensed.zero) > _LARGE_BIAS * abs(sensed.per_g):
+        text = f"What is nominally read in column '{name}' where no force is felt?"
+        size = f"{sensed.zero:.4g} {unit}"
+        yield ExportQuestion(f"{name} zero", text, size, guess=size, quantity=unit)
+
+
+def output_unit(column: FileColumn, told: Mapping[str, str] = MappingProxyType({})) -> str | None:
+    """Return what a column of readings is in: as told, by the file, or by the end of its name."""
+    before, _, ending = column.name.rpartition("_")
+    known = (unit for unit in (column.unit, ending if before else "") if unit in _OUTPUTS)
+    return told.get(f"{column.name} unit") or next(known, None)
+
+
+def table_statements(look: Look, roles: Mapping[str, str]) -> Iterator[str]:
+    """Yield what is taken for what."""
+    rows = max(len(column.values) for column in look.columns)
+    yield f"{look.path.name}: {', '.join([f'{rows} rows', *filter(None, [look.found])])}"
+    for column in look.columns:
+        unit = f" in {column.unit}" if column.unit else ""
+        yield f"column '{column.name}': {roles[column.name]}{unit}"
+    for name in look.others:
+        yield f"column '{name}': {roles[name]}, in words"

@@ -1,0 +1,289 @@
+"""From a table of readings on an arm to a description."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from workbooks import write_workbook
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CampaignError
+from counterspin.exports.arm import arm_draft
+from counterspin.exports.description import drafted, guessed_test, write_description
+from counterspin.exports.looking import look_at
+
+EARTH_RATE, GRAVITY, LATITUDE = 7.292115e-5, 9.8066, math.radians(45.75)
+PLACE = {"gravity": "9.8066", "latitude": "45.75"}
+SAID = PLACE | {"radius": "1,0 ± 1e-3", "sense": "cw"}
+TRUE = {"K_F": 2e-3, "K_I": 1.0004, "K_II": 15e-6}
+RPM = (30.0, 42.0, 67.0, 95.0, 116.0, 134.0)
+NOISE = 2e-6  # mA
+
+
+def felt(rpm, radius=1.0):
+    """Return the centripetal force of an arm that turns clockwise, g: the closed form."""
+    w = -rpm * 2.0 * math.pi / 60.0
+    return radius * (w**2 + 2.0 * w * EARTH_RATE * math.sin(LATITUDE)) / GRAVITY
+
+
+def reading(force, seed=None, heated=0.0):
+    """Return what is read at a specific force along the input axis, mA, with noise of a seed."""
+    noise = NOISE * seed.standard_normal() if seed else 0.0
+    indicated = TRUE["K_F"] + TRUE["K_I"] * force + TRUE["K_II"] * force**2 + heated
+    return 1.25 * indicated + noise
+
+
+def table(*, inward="in", outward="out", up="up", down="down"):
+    """Return rows of mounting, rpm and mA."""
+    rows = [[up, 0.0, reading(1.0)], [down, 0.0, reading(-1.0)]] * 2
+    for rpm in RPM * 2:
+        rows += [[inward, rpm, reading(felt(rpm))], [outward, rpm, reading(-felt(rpm))]]
+    return rows
+
+
+def write_table(path, rows, head="side,n_rpm,out_mA"):
+    lines = [head, *(",".join(str(cell) for cell in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def read(path, **answers):
+    return arm_draft(look_at([path]), SAID | {"out_mA sensitivity": "1,25"} | answers)
+
+
+def test_a_german_table(tmp_path):
+    rows = table(inward="innen", outward="außen", up="oben", down="unten")
+    lines = ["Prüfstand 3", "Nr;Lage;Drehzahl;Signal", ";;1/min;mA"]
+    lines += [
+        ";".join([str(n), *(str(c).replace(".", ",") for c in row)]) for n, row in enumerate(rows)
+    ]
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="latin-1")
+    looks = look_at([path])
+    assert guessed_test(looks) == "arm"
+    found = drafted(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
+    assert found.open_questions == []
+    assert "4 readings at rest, where the rate is 0" in found.statements
+    document = found.document(tmp_path / "camp")
+    assert list(document)[2:] == ["site", "centrifuge", "accelerometers", "readings", "model"]
+    horizontal, vertical = {"pendulous": "up"}, {"pendulous": "outward"}
+    assert document["readings"] == {
+        "file": "../arm.csv",
+        "decimal": ",",
+        "columns": {"rate": "Drehzahl", "mounting": "Lage", "reading": {"A": "Signal"}},
+        "motion": "arm",
+        "rate_unit": "1/min",
+        "sense": "clockwise",
+        "mountings": {
+            "oben": {"input": "up"} | vertical,
+            "unten": {"input": "down"} | vertical,
+            "innen": {"input": "inward"} | horizontal,
+            "außen": {"input": "outward"} | horizontal,
+        },
+    }
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    assert [one.rate for one in campaign.readings[:5]] == [0.0] * 4 + [pytest.approx(-math.pi)]
+
+
+def test_a_workbook_with_radii_and_names(tmp_path):
+    radii = {"inside": 1000.0, "outside": 900.0}
+    rows = [["Run", "Side", "Speed", "Radius", "Output", "u", "Temp"]]
+    rows += [[None, None, "rad/s", "mm", "V", "V", "degC"]]
+    for n, (word, radius) in enumerate(radii.items()):
+        force = (1.0 - 2.0 * n) * felt(60.0, radius / 1e3)
+        rows.append([f"no {n}", word, -2.0 * math.pi, radius, reading(force), 2e-6, 23.0])
+    rows += [["rest", "up", 0.0, None, reading(1.0), 2e-6, 23.0]]
+    path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Data": rows})
+    looks = look_at([path])
+    assert guessed_test(looks) == "arm"
+    answers = PLACE | {"sense": "ccw", "inside radius": "1.0002 ± 1e-4 m"}
+    found = arm_draft(looks, answers | {"Output sensitivity": "1.25"})
+    assert found.open_questions == []
+    document = found.document(tmp_path)
+    assert document["centrifuge"] == {"radius": "1.0002 ± 1e-4 m"}
+    assert document["model"] == {
+        "priors": {
+            "centrifuge.radius.inside": "1.0002 ± 1e-4 m",
+            "centrifuge.radius.outside": "0.9 m",
+        }
+    }
+    assert document["readings"]["columns"] == {
+        "rate": "Speed",
+        "mounting": "Side",
+        "reading": {"A": "Output"},
+        "u": {"A": "u"},
+        "name": "Run",
+        "temperature": "Temp",
+    }
+    assert "sense" not in document["readings"]
+
+
+def test_what_the_readings_show_where_nothing_is_named(tmp_path):
+    """One follows the acceleration, one its negative; the only rest reads a g."""
+    path = write_table(tmp_path / "t.csv", [["", *row[1:]] for row in table(inward="")[::2]])
+    found = read(path)
+    guesses = {question.key: question.guess for question in found.questions}
+    assert guesses["axis"] == "inward"
+    assert guesses["axis at rest"] == "up"
+    # K_I, and what K_II adds to the readings of one side.
+    assert "It is about 1.251 mA/g." in next(
+        question.text for question in found.questions if "sensitivity" in question.key
+    )
+    readings = found.document(tmp_path)["readings"]
+    assert readings["axes"] == {"input": "inward", "pendulous": "up"}
+    assert readings["axes_at_rest"] == {"input": "up", "pendulous": "outward"}
+    path = write_table(tmp_path / "ab.csv", table(inward="A", outward="B"))
+    guesses = {question.key: question.guess for question in read(path).questions}
+    assert (guesses["A axis"], guesses["B axis"]) == ("inward", "outward")
+    path = write_table(tmp_path / "level.csv", [*table()[4:], ["x", 134.0, reading(0.0)]])
+    guesses = {question.key: question.guess for question in read(path).questions}
+    assert guesses["x axis"] is None
+
+
+def test_an_output_with_a_zero(tmp_path):
+    rows = [[*row[:2], round(2.5 + 0.1 * row[2], 7)] for row in table(up="", down="")[::2]]
+    found = read(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
+    guesses = {question.key: question.guess for question in found.questions}
+    assert guesses["axis at rest"] == "up"
+    assert guesses["out_V zero"] == "2.5 V"
+    assert "It is about 0.1251 V/g." in " ".join(question.text for question in found.questions)
+
+
+def test_a_name_that_the_readings_contradict_is_said(tmp_path):
+    path = write_table(tmp_path / "t.csv", table(inward="out", outward="in"))
+    said = "mounting 'out': outward by its name, inward if the sensitivity is positive"
+    assert said in read(path).statements
+
+
+@pytest.mark.parametrize(
+    ("pendulous", "along"),
+    [
+        ("up", ["up", "up", "up", "up"]),
+        ("down", ["down", "down", "down", "down"]),
+        ("forward", ["forward", "outward", "backward", "inward"]),
+        ("backward", ["backward", "inward", "forward", "outward"]),
+    ],
+)
+def test_the_pendulous_axis_turns_with_the_input_axis(tmp_path, pendulous, along):
+    words = ["in", "tangential", "out", "backward"]
+    path = write_table(tmp_path / "t.csv", [[word, 30.0, 1.0] for word in words])
+    found = read(path, u="2e-6", **{"pendulous axis": pendulous})
+    mountings = found.document(tmp_path)["readings"]["mountings"]
+    assert [mountings[word]["pendulous"] for word in words] == along
+    # Turned about up, all are the same instrument: the output axes are as the input axes are.
+    readings = read_campaign(write_description(found, tmp_path / "camp")).readings
+    upward = [one.axes.matrix[:, 2] for one in readings]
+    assert np.allclose(upward, upward[0])
+    assert [round(float(np.linalg.det(one.axes.matrix))) for one in readings] == [1, 1, 1, 1]
+
+
+#: Rates in each mounting, how often each, mountings, readings at rest in each position -> whether
+#: they show their noise.
+@pytest.mark.parametrize(
+    ("rates", "times", "sides", "rests", "shown"),
+    [
+        (6, 1, 1, 2, True),
+        (5, 1, 1, 2, False),
+        (5, 1, 2, 2, True),
+        (4, 1, 2, 2, False),
+        (4, 2, 2, 2, True),
+        (6, 1, 2, 0, True),
+        (6, 2, 2, 1, False),
+    ],
+)
+def test_u_is_asked_where_readings_are_too_few_to_show_it(
+    tmp_path, rates, times, sides, rests, shown
+):
+    seed = np.random.default_rng(1)
+    rows = [[word, 0.0, reading(f, seed)] for word, f in [("up", 1.0), ("down", -1.0)] * rests]
+    for rpm in np.repeat(np.linspace(30.0, 130.0, rates), times).tolist():
+        rows += [["in", rpm, reading(felt(rpm), seed)]]
+        rows += [["out", rpm, reading(-felt(rpm), seed)]] * (sides - 1)
+    found = read(write_table(tmp_path / "t.csv", rows))
+    assert [question.key for question in found.open_questions] == ([] if shown else ["u"])
+    if shown:
+        write_description(found, tmp_path / "camp")
+        calibrate(tmp_path / "camp")  # which refuses readings that are too few
+        return
+    assert found.open_questions[0].text.endswith("They are too few to show their noise.")
+    found = read(tmp_path / "t.csv", u="2e-6")
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    assert [one.u for one in campaign.readings] == pytest.approx([2e-6 / 1.25] * len(rows))
+
+
+@pytest.mark.parametrize(
+    ("head", "number", "unit"),
+    [
+        ("side,period_s,out_mA", lambda rpm: 60.0 / rpm, "s"),
+        ("side,accel_m_s2,out_mA", lambda rpm: (rpm * math.pi / 30.0) ** 2, "m/s^2"),
+        ("side,g level [g],out_mA", lambda rpm: (rpm * math.pi / 30.0) ** 2 / GRAVITY, "g"),
+        ("side,omega_rad_s,out_mA", lambda rpm: rpm * math.pi / 30.0, "rad/s"),
+        ("side,Drehrate_deg_s,out_mA", lambda rpm: 6.0 * rpm, "deg/s"),
+    ],
+)
+def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit):
+    rows = [[word, number(rpm) if rpm else 0.0, value] for word, rpm, value in table()]
+    looks = look_at([write_table(tmp_path / "t.csv", rows, head)])
+    assert guessed_test(looks) == "arm"
+    found = arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
+    assert found.document(tmp_path)["readings"]["rate_unit"] == unit
+    assert "It is about 1.25 mA/g." in " ".join(q.text for q in found.questions)
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    rates = [one.rate for one in campaign.readings if one.rate]
+    assert rates == pytest.approx([-rpm * math.pi / 30.0 for _, rpm, _ in table() if rpm])
+
+
+def test_what_cannot_be_described_is_told(tmp_path):
+    path = write_table(tmp_path / "t.csv", table())
+    with pytest.raises(CampaignError, match="are one table: name one file"):
+        drafted(look_at([path, path]), {}, "arm")
+    rows = [["in", 30.0 + n, 1.0 + n, reading(felt(30.0))] for n in range(2)]
+    path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
+    answers = PLACE | {"sense": "cw", "out_mA sensitivity": "1.25", "u": "2e-6"}
+    with pytest.raises(CampaignError, match=r"one mounting have 2 radii \(in\)"):
+        arm_draft(look_at([path]), answers).document(tmp_path)
+    rows = [*table()[:5], ["in", "", reading(felt(42.0))]]
+    found = read(write_table(tmp_path / "e.csv", rows), u="2e-6")
+    with pytest.raises(CampaignError, match=r"line 7.*write 0 where the arm rests"):
+        write_description(found, tmp_path / "camp")
+
+
+def test_estimates_scatter_as_their_u_says(tmp_path):
+    """Truth is drawn from what the description states, or else from the typical sizes."""
+    trials, z = 8, []
+    for trial in range(trials):
+        seed = np.random.default_rng(trial)
+        radius = {
+            "in": 1.0 + 1e-3 * seed.standard_normal(),
+            "out": 1.0 + 1e-3 * seed.standard_normal(),
+        }
+        tilt = {word: 5e-5 * seed.standard_normal() for word in radius}
+        heating = 1e-7 * seed.standard_normal()
+        rows = [
+            [word, 0.0, reading(f, seed), NOISE] for word, f in [("up", 1.0), ("down", -1.0)] * 2
+        ]
+        for rpm in RPM * 2:
+            for word, sign in (("in", 1.0), ("out", -1.0)):
+                force = felt(rpm, radius[word])
+                value = reading(sign * force + tilt[word], seed, heating * force**2)
+                rows.append([word, rpm, value, NOISE])
+        path = write_table(tmp_path / f"{trial}.csv", rows, "side,n_rpm,out_mA,u_mA")
+        write_description(read(path), tmp_path / f"c{trial}")
+        found = calibrate(tmp_path / f"c{trial}").accelerometers["A"].coefficients
+        z.append([(found[name].value - true) / found[name].u for name, true in TRUE.items()])
+    squares = np.sum(np.square(z), axis=0)
+    assert (squares > chi2.ppf(1e-4, trials)).all()
+    assert (squares < chi2.ppf(1.0 - 1e-4, trials)).all()
+
+
+def test_the_wrong_sense_does_not_fit(tmp_path):
+    """The Earth's rate adds 2 w Omega sin(latitude) R: 3e-4 g of difference at 14 rad/s."""
+    rows = [[*row, NOISE] for row in table()]
+    path = write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_mA,u_mA")
+    write_description(read(path), tmp_path / "right")
+    write_description(read(path, sense="ccw"), tmp_path / "wrong")
+    assert calibrate(tmp_path / "right").accelerometers["A"].residual.rms < 1e-8
+    # What is left of it, beside the radii that are fitted, is as large as the noise.
+    assert calibrate(tmp_path / "wrong").accelerometers["A"].residual.rms > NOISE / 1.25

@@ -1,0 +1,119 @@
+"""What the columns of a table of readings on an arm show."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.exports.arm_table import ArmTable, arm_roles, as_acceleration, direction_of
+from counterspin.exports.looking import FileColumn, Look
+
+
+def look(numbers, words=None, units=None):
+    """Return a table with columns of numbers and of words."""
+    columns = tuple(
+        FileColumn(name, (units or {}).get(name, ""), np.array(values, dtype=float))
+        for name, values in numbers.items()
+    )
+    return Look(None, columns, tuple(words or ()), "", words=words or {})
+
+
+def table(numbers, words=None, units=None):
+    found = look(numbers, words, units)
+    return ArmTable.of(found, arm_roles(found, {}), {})
+
+
+@pytest.mark.parametrize(
+    ("word", "direction"),
+    [
+        ("in", "inward"),
+        ("In 2", "inward"),
+        ("out, 20 g", "outward"),
+        ("innen", "inward"),
+        ("AUSSEN", "outward"),
+        ("nach außen", "outward"),
+        ("tangential", "forward"),
+        ("rückwärts", "backward"),
+        ("oben", "up"),
+        ("unten 1", "down"),
+        ("north", None),
+        ("A", None),
+        ("index", None),
+        ("", None),
+    ],
+)
+def test_words_for_directions(word, direction):
+    assert direction_of(word) == direction
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "rate"),
+    [
+        ("rate_rpm", "", "rpm"),
+        ("U/min", "", "rpm"),
+        ("omega [rad/s]", "rad/s", "rad/s"),
+        ("Drehzahl", "1/min", "1/min"),
+        ("n", "", None),
+        ("period_ms", "", "ms"),
+        ("Umlaufzeit", "s", "s"),
+        ("g_level", "", None),
+        ("accel", "m/s^2", "m/s^2"),
+    ],
+)
+def test_what_has_the_rate(name, unit, rate):
+    found = table({"out_V": [1.0, 2.0], name: [30.0, 40.0]}, units={name: unit})
+    assert found.rate.name == name
+    assert found.unit == rate
+
+
+def test_a_rate_comes_before_the_acceleration_that_it_makes():
+    numbers = {"accel_g": [1.0, 2.0], "n_rpm": [30.0, 42.0], "out_V": [1.0, 2.0]}
+    found = look(numbers)
+    assert arm_roles(found, {}) == {"accel_g": "unused", "n_rpm": "rate", "out_V": "reading"}
+    assert arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
+    assert as_acceleration(found.columns[0])
+    assert not as_acceleration(found.columns[1])
+
+
+def test_the_column_of_mountings_has_their_words_or_its_name():
+    numbers = {"n_rpm": [30.0, 30.0, 42.0, 42.0], "out_V": [1.0, -1.0, 2.0, -2.0]}
+    words = {"note": ["first", "second", "third", "last"], "where": ["in", "out", "in", "out"]}
+    assert table(numbers, words).position == "where"
+    words["where"] = ["A", "B", "A", "B"]
+    assert table(numbers, words).position is None
+    assert table(numbers, {"side": words["where"]}).position == "side"
+    numbered = table({**numbers, "mounting": [1.0, 2.0, 1.0, math.nan]})
+    assert numbered.words == ("1", "2", "1", "")
+
+
+def test_rows_turn_or_rest():
+    numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.0, 1.0, 1.0]}
+    found = table(numbers, {"side": ["up", "in", "out", "in"]})
+    assert found.rests.tolist() == [True, False, False, False]
+    assert found.turning == ("in",)
+    assert found.mountings == ("up", "in", "out")
+    assert found.turns_in("in").tolist() == [False, True, False, True]
+    # A column that ends before the others has nothing in their last rows.
+    short = table({"n_rpm": [30.0], "out_V": [1.0, 2.0]})
+    assert short.turning == ("",)
+
+
+def test_accelerations_and_slopes_are_those_of_a_circle():
+    w = np.array([3.0, 6.0])
+    felt = 2.0 * w**2 / 9.80665
+    numbers = {"omega_rad_s": [0.0, *w, *w], "out_V": [9.0, *(2.5 + 1.25 * felt), *(2.5 - felt)]}
+    found = table(numbers, {"side": ["up", "in", "in", "out", "out"]})
+    slopes, zero = found.lines(found.look.columns[1], 2.0)
+    assert slopes == pytest.approx({"in": 1.25, "out": -1.0})
+    assert zero == pytest.approx(2.5)
+    assert found.acceleration(2.0) == pytest.approx([0.0, 18.0, 72.0, 18.0, 72.0])
+    unknown = table({"n": [3.0], "out_V": [1.0]})
+    assert math.isnan(unknown.acceleration(2.0)[0])
+    assert unknown.lines(unknown.look.columns[1], 2.0)[0] == {}
+
+
+def test_radii_are_of_the_rows_that_turn():
+    numbers = {"n_rpm": [0.0, 30.0, 30.0, 42.0], "R_mm": [5.0, 1000.0, 900.0, 1000.0]}
+    found = table({**numbers, "out_V": [1.0] * 4}, {"side": ["up", "in", "out", "in"]})
+    assert found.radii() == {"in": [1.0], "out": [0.9]}
+    assert table({"n_rpm": [30.0], "out_V": [1.0]}).radii() == {}

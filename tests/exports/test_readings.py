@@ -1,0 +1,102 @@
+"""What every table of readings shows."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.exports.looking import FileColumn, Look
+from counterspin.exports.readings import (
+    Sensed,
+    output_questions,
+    output_unit,
+    part_question,
+    role_questions,
+    roles_of,
+    usual_role,
+)
+
+
+def column(name, unit="", values=(1.0, 2.0)):
+    return FileColumn(name, unit, np.array(values))
+
+
+LOOK = Look(None, (column("a"), column("b"), column("c")), ("No", "note"), "")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "role"),
+    [
+        ("T_degC", "", "temperature"),
+        ("Temp", "", "temperature"),
+        ("T", "degC", "temperature"),
+        ("t_s", "", "time"),
+        ("elapsed", "s", "time"),
+        ("u_mA", "", "uncertainty"),
+        ("Unsicherheit", "mA", "uncertainty"),
+        ("Nr.", "", "unused"),
+        ("lfd. Nr", "", "unused"),
+        ("Output", "V", "reading"),
+        ("Uout", "V", "reading"),
+    ],
+)
+def test_what_a_column_usually_is(name, unit, role):
+    assert usual_role(column(name, unit)) == role
+
+
+def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():
+    def roles(**told):
+        return roles_of(LOOK, told, lambda one: "position" if one.name == "a" else "reading", parts)
+
+    parts = {"position": "a"}
+    words = {"No": "name", "note": "unused"}
+    assert roles() == {**words, "a": "position", "b": "reading", "c": "reading"}
+    told = {"b is": "position"}
+    assert roles(**told) == {**words, "a": "unused", "b": "position", "c": "reading"}
+    told = {"position": "c", "b is": "time", "note is": "name", "No is": "unused"}
+    expected = {"No": "unused", "note": "name", "a": "unused", "b": "time", "c": "position"}
+    assert roles(**told) == expected
+    assert "position" not in roles(position="none").values()
+
+
+def test_each_column_is_asked_for_by_what_it_may_be():
+    roles = {"No": "name", "note": "unused", "a": "position", "b": "reading", "c": "time"}
+    asked = {question.key: question for question in role_questions(LOOK, roles, ["position"])}
+    assert list(asked) == ["No is", "note is", "b is", "c is"]
+    assert asked["No is"].choices == ("name", "unused")
+    assert asked["b is"].choices[:2] == ("position", "reading")
+    assert asked["b is"].judged("position") == "position"
+    needed = part_question("position", "Which?", ["b", "c"], {"b": "reading"}, needed=True)
+    assert (needed.guess, needed.choices) == (None, ("b", "c"))
+    other = part_question("position", "Which?", ["b", "c"], {"b": "reading"}, needed=False)
+    assert (other.guess, other.choices) == ("none", ("b", "c", "none"))
+
+
+def test_the_unit_of_an_output_is_told_or_stands_in_the_file_or_its_name():
+    assert output_unit(column("out_V")) == "V"
+    assert output_unit(column("out_V", "mV")) == "mV"
+    assert output_unit(column("out_V", "mV"), {"out_V unit": "uV"}) == "uV"
+    assert output_unit(column("V")) is None
+
+
+def test_the_sensitivity_is_shown_and_a_zero_is_asked_where_it_is_no_bias():
+    def questions(per_g, zero):
+        sensed = Sensed(per_g, zero)
+        return list(output_questions(column("A", "V"), {}, sensed))[1:]
+
+    (sensitivity,) = questions(2.0, 0.5)
+    assert sensitivity.text.endswith("of column 'A'? It is about 2 V/g.")
+    sensitivity, zero = questions(-2.0, 2.5)
+    assert sensitivity.guess is None
+    assert (zero.key, zero.guess) == ("A zero", "2.5 V")
+    (sensitivity,) = questions(math.nan, math.nan)
+    assert sensitivity.text.endswith("of column 'A'?")
+
+
+def test_an_acceleration_has_no_sensitivity():
+    def keys(unit):
+        return [q.key for q in output_questions(column("A", unit), {}, Sensed(1.25, 2.5))]
+
+    assert keys("g") == ["A unit"]
+    assert keys("mA") == ["A unit", "A sensitivity", "A zero"]
+    assert keys("") == ["A unit"]
