@@ -5,7 +5,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
 - `attitude`: directions and platform attitudes
 - `kinds`: kinds of values: how each is read, and what its schema says
-- `columns`: columns of record files, and how these are read
+- `columns`: columns of files, and how these are read
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
 - `terms`: names of error terms: what each stands for, and where it acts
@@ -17,7 +17,6 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `accelerometers`: the tables of the accelerometers: axes, columns, priors
 - `description`: the `Campaign`, and `read_campaign`, from the file to it
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
-- `cells`: what stands in the cells of such a table
 - `triads`: three accelerometers of one sensor, in poses whose attitudes nobody knows
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was; readings grouped with theirs

@@ -40,7 +40,7 @@ from counterspin.physics.terms import (
 #: on a machine.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 _TERMS_AT_REST: Final = ("K_F", "K_I")
-_TERMS_ON_A_MACHINE: Final = (*_TERMS_AT_REST, "K_II")
+TERMS_ON_A_MACHINE: Final = (*_TERMS_AT_REST, "K_II")
 
 #: Fewest poses by which angles between axes are asked for: they are three of nine unknowns.
 _POSES_FOR_ANGLES: Final = 9
@@ -78,7 +78,7 @@ class Apparatus:
         motions = {reading.motion for reading in self.readings}
         if not self.read or self.attitudes or "counter-rotating" in motions:
             return DEFAULT_TERMS
-        terms = _TERMS_AT_REST if motions <= {"static"} else _TERMS_ON_A_MACHINE
+        terms = _TERMS_AT_REST if motions <= {"static"} else TERMS_ON_A_MACHINE
         if self.poses >= _POSES_FOR_ANGLES:
             return (*terms, "delta_O", "delta_P")
         return (*terms, *self._misalignments(len(terms)))

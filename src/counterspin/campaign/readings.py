@@ -20,6 +20,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.attitude import TURN_WORDS, attitude_rows, read_direction
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import BLANK
 from counterspin.campaign.kinds import (
     PositiveRatio,
     Seconds,
@@ -36,10 +37,6 @@ from counterspin.campaign.settings import Output
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES, MotionKind
-
-#: Stands where a reading has no value yet: before it is taken, or simulated.
-BLANK: Final = "?"
-
 
 #: Written for an attitude that nobody knows.
 UNKNOWN: Final = "unknown"

@@ -12,20 +12,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator
 
-from counterspin.campaign.cells import (
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import (
+    BLANK,
     WITH_COMMA,
+    Sense,
+    TableDialect,
     as_number,
     is_empty,
     seconds_of,
     with_points,
     words_of,
 )
-from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.columns import Sense, TableDialect
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.readings import BLANK, ReadingAxes
+from counterspin.campaign.readings import ReadingAxes
 from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.campaign.settings import Output
 from counterspin.errors import RecordError

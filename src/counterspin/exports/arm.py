@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from counterspin.campaign.model import TERMS_ON_A_MACHINE
 from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError
 from counterspin.exports.arm_table import (
@@ -121,7 +122,7 @@ def _radius_and_model(table: ArmTable, said: Mapping[str, str]) -> tuple[str, di
     model: dict[str, Any] = {}
     if len(table.turning) > 1 and all(parse(text, "m").u > 0.0 for text in stated):
         # The proof mass is somewhere else in each mounting.
-        model["terms"] = ["K_F", "K_I", "K_II", "centrifuge.radius"]
+        model["terms"] = [*TERMS_ON_A_MACHINE, "centrifuge.radius"]
     if radii:
         model["priors"] = {f"centrifuge.radius.{word}": text for word, text in radii.items()}
     return stated[0], model

@@ -15,12 +15,12 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.cells import is_empty
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.columns import BLANK, is_empty
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
-from counterspin.campaign.readings import BLANK, Reading, is_reading
+from counterspin.campaign.readings import Reading, is_reading
 from counterspin.campaign.readings_table import (
     ReadingsSettings,
     ReadingsTable,

@@ -17,8 +17,9 @@ import numpy as np
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import BLANK
 from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.campaign.readings import BLANK, Reading
+from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
