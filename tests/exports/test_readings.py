@@ -59,6 +59,13 @@ def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():
     assert "position" not in roles(position="none").values()
 
 
+def test_a_voltage_called_u_is_a_reading_where_nothing_else_is():
+    volts = Look(None, (column("angle_deg"), column("U_V")), (), "")
+    guess = {"angle_deg": "position"}
+    roles = roles_of(volts, {}, lambda c: guess.get(c.name) or usual_role(c), {})
+    assert roles == {"angle_deg": "position", "U_V": "reading"}
+
+
 def test_each_column_is_asked_for_by_what_it_may_be():
     roles = {"No": "name", "note": "unused", "a": "position", "b": "reading", "c": "time"}
     asked = {question.key: question for question in role_questions(LOOK, roles, ["position"])}

@@ -145,6 +145,9 @@ def roles_of(
     named = next((name for name in look.others if _NAME.match(name)), None)
     roles = {name: "name" if name == named else UNUSED for name in look.others}
     roles |= {column.name: guess(column) for column in look.columns}
+    if "reading" not in roles.values():
+        # Of nothing there is no uncertainty: U is a voltage then.
+        roles = {n: "reading" if role == "uncertainty" else role for n, role in roles.items()}
     roles |= {name: told[f"{name} is"] for name in roles if f"{name} is" in told}
     for part, seen in parts.items():
         said = next((name for name in roles if told.get(f"{name} is") == part), seen)
