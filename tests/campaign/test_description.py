@@ -123,7 +123,7 @@ def test_resolves_everything_to_si(tmp_path):
     assert campaign.site == Site(9.8, math.pi / 4)
     assert campaign.gravity == Quantity(9.8, 1e-5, "m/s^2")
     assert campaign.radius == Quantity(2.5, 1e-5, "m")
-    assert (campaign.time.column, campaign.time.factor, campaign.time.unit) == (
+    assert (campaign.time.name, campaign.time.factor, campaign.time.unit) == (
         "time_s",
         1e-3,
         "ms",
@@ -133,7 +133,7 @@ def test_resolves_everything_to_si(tmp_path):
     assert list(campaign.accelerometers) == ["Qx", "Qy"]
     qx, qy = campaign.accelerometers.values()
     assert (qx.mounting, qy.mounting) == (QX, QY)
-    assert (qx.observable, qx.channel.column, qx.channel.factor) == (
+    assert (qx.observable, qx.channel.name, qx.channel.factor) == (
         "displacement",
         "east_m",
         1e-3,

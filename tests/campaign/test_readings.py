@@ -203,7 +203,7 @@ def test_records_of_the_arm_have_a_column_beside_those_of_the_turntable(tmp_path
     force = 'specific_force = { column = "i", unit = "mA" }\n'
     campaign = read(tmp_path, HEAD + displacement + force + ARM + TURNTABLE)
     a = campaign.accelerometers["A"]
-    assert (a.observable, a.channel.column, a.force.column) == ("displacement", "m", "i")
+    assert (a.observable, a.channel.name, a.force.name) == ("displacement", "m", "i")
     assert a.force.factor == pytest.approx(9.8 / 1.25)
     (line,) = problems(tmp_path, HEAD + displacement + ARM + TURNTABLE)
     assert "has no specific_force: the column of its records on an arm or at rest" in line

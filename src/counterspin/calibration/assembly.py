@@ -173,7 +173,7 @@ def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
         count, runs = removed_of({run.run.name: run.record.polynomials[name] for run in observed})
         if count:
             remarks.append(
-                f"A {REMOVED[count]} was removed from column '{accelerometer.channel.column}' "
+                f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
                 f"({name}) before it was written ({', '.join(runs)}). It does no harm: the start "
                 "offset and start velocity of each record are unknowns."
             )

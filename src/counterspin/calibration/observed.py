@@ -102,7 +102,7 @@ def _refuse_removed(campaign: Campaign, name: str, parts: Mapping[str, Array]) -
     count, runs = removed_of(parts)
     if count <= observation.ORDERS[observable]:
         return
-    column = campaign.accelerometers[name].channel.column
+    column = campaign.accelerometers[name].channel.name
     powers = ", ".join(("1", "t", "t^2")[:count])
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
@@ -174,11 +174,11 @@ def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing 
 
 def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
     """Return the columns of a run's record, how its file is written, and the part to be used."""
-    gravity, recording = campaign.gravity.value, campaign.recording_of(run)
+    recording = campaign.recording_of(run)
     return RecordColumns(
-        recording.time.spec(gravity),
-        recording.angle.spec(gravity) if recording.angle else None,
-        {name: a.channel.spec(gravity) for name, a in campaign.accelerometers.items()},
+        recording.time,
+        recording.angle,
+        {name: a.channel for name, a in campaign.accelerometers.items()},
         recording.dialect,
         run.part,
         run.continued_in,

@@ -289,9 +289,7 @@ def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]
         channel = campaign.accelerometers[reading.accelerometer].force
         assert channel is not None
         source = campaign.record_at(reading.record)
-        mean = mean_of_record(
-            source, campaign.time.spec(g), channel.spec(g), reading.rate, campaign.dialect
-        )
+        mean = mean_of_record(source, campaign.time, channel, reading.rate, campaign.dialect)
         earlier = first_with.setdefault(mean.digest, reading) if mean.digest else reading
         if earlier.record is not None and earlier.name != reading.name:
             raise recorded_twice(campaign, earlier, reading)

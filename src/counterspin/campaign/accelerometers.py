@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.columns import Channel, RecordsSettings
+from counterspin.campaign.columns import RecordsSettings, spec_of
 from counterspin.campaign.model import about_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import is_reading
@@ -23,6 +23,7 @@ from counterspin.campaign.settings import (
 from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import COMMON_NAMES, TERMS
+from counterspin.records.record import ColumnSpec
 from counterspin.units import unit_factor
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -161,29 +162,31 @@ class AccelerometersReader:
             priors[symbol] = priors[symbol] if value is None else value
         return {symbol: prior for symbol, prior in priors.items() if prior is not None}
 
-    def _recorded(self, name: str, table: Any, observable: str) -> Channel:
+    def _recorded(self, name: str, table: Any, observable: str) -> ColumnSpec:
         """Return the column of an accelerometer; an output such as a current as m/s^2."""
-        settings, output = getattr(table, observable), table.output
-        path = ("accelerometers", name, observable, "unit")
-        if settings is None or observable != "specific_force":
-            return self._channel(settings, OBSERVABLES[observable])
+        column, output = getattr(table, observable), table.output
+        if column is None:
+            return ColumnSpec("", wanted=OBSERVABLES[observable])
+        if observable != "specific_force":
+            return spec_of(column, OBSERVABLES[observable])
         try:
-            channel = self._channel(settings, "m/s^2")
+            spec = spec_of(column, "m/s^2", self.gravity)
         except ValueError as error:
+            path = ("accelerometers", name, observable, "unit")
             if output is None:
                 self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
-                return Channel("", 1.0, "")
-            factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
+                return ColumnSpec("")
+            factor = self.problems.attempt(path, unit_factor, column.unit, output.unit) or 1.0
             factor *= self.gravity / output.sensitivity
-            channel = Channel(settings.column, factor, settings.unit)
+            spec = ColumnSpec(column.column, factor, 0.0, column.unit, "", self.gravity)
         if output is not None and output.zero != 0.0:
             # Of a column that is in m/s^2 already another unit's zero says nothing.
             with suppress(ValueError):
-                unit_factor(settings.unit or "", output.unit, gravity=self.gravity)
-                channel = replace(channel, offset=self.gravity * output.in_g(0.0))
-        return channel
+                unit_factor(column.unit, output.unit, gravity=self.gravity)
+                spec = replace(spec, offset=self.gravity * output.in_g(0.0))
+        return spec
 
-    def _force(self, name: str, table: Any) -> Channel | None:
+    def _force(self, name: str, table: Any) -> ColumnSpec | None:
         """Return the column that records on an arm or at rest are read from, if there are any."""
         if not self.carried:
             return None
@@ -195,12 +198,6 @@ class AccelerometersReader:
             return None
         return self._recorded(name, table, "specific_force")
 
-    def _channel(self, settings: Any, si_unit: str) -> Channel:
-        if settings is None:
-            return Channel("", 1.0, si_unit)
-        factor = unit_factor(settings.unit, si_unit, gravity=self.gravity) if settings.unit else 1.0
-        return Channel(settings.column, factor, settings.unit or "", si_unit=si_unit)
-
     def check_columns(
         self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
     ) -> None:
@@ -208,7 +205,7 @@ class AccelerometersReader:
         seen = {records.time.column or "": "records.time"}
         others = {"records.angle": records.angle.column} if records.angle else {}
         others |= {
-            f"accelerometers.{a.name}.{a.observable}": a.channel.column
+            f"accelerometers.{a.name}.{a.observable}": a.channel.name
             for a in accelerometers.values()
         }
         for key, column in others.items():

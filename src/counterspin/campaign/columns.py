@@ -9,7 +9,6 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from counterspin.arrays import Array
 from counterspin.campaign.kinds import (
     STAMPS,
     Part,
@@ -32,58 +31,16 @@ from counterspin.campaign.kinds import (
 from counterspin.campaign.quantity import Quantity
 from counterspin.frozen import frozen
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.record import ColumnKind, ColumnSpec
-from counterspin.units import base_unit, unit_factor
-
-
-@frozen
-class Channel:
-    """One column of the record files."""
-
-    column: str  #: Its name in the file.
-    #: Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g it
-    #: is the site's gravity.
-    factor: float
-    unit: str  #: The unit in the file, as the campaign writes it; empty text: the file says it.
-    offset: float = 0.0  #: What is added then, SI: the direction of an encoder's zero, rad.
-    #: The SI unit of what comes out; empty text: an output such as a current, as m/s^2.
-    si_unit: str = ""
-    #: As of `counterspin.records.record.ColumnSpec`.
-    kind: ColumnKind = "numbers"
-    per_revolution: float = 1.0
-
-    @property
-    def in_g(self) -> bool:
-        """Whether the gravity assumed is in its numbers: recorded in g, or as a current."""
-        if self.si_unit:
-            return bool(self.unit) and base_unit(self.unit)[1]["[gravity]"] != 0.0
-        return bool(self.column)
-
-    def filed(self, values: Array) -> Array:
-        """Return values in SI as the column has them."""
-        filed: Array = (values - self.offset) / self.factor
-        return filed
-
-    def spec(self, gravity: float) -> ColumnSpec:
-        """Return the column as the records know it; `gravity` is the site's, m/s^2."""
-        return ColumnSpec(
-            self.column,
-            self.factor,
-            self.offset,
-            self.unit or None,
-            self.si_unit,
-            gravity,
-            self.kind,
-            self.per_revolution,
-        )
+from counterspin.records.record import ColumnSpec
+from counterspin.units import unit_factor
 
 
 @frozen
 class Recording:
     """How a record is read: its time, its angle (or None), and how its file is written."""
 
-    time: Channel
-    angle: Channel | None
+    time: ColumnSpec
+    angle: ColumnSpec | None
     dialect: Dialect = TO_BE_FOUND
     recorder: str = ""  #: Whose clock it has; empty: that of all runs that name no other.
     clock: Quantity | None = None  #: By how much of itself that is fast; None: not stated.
@@ -91,6 +48,15 @@ class Recording:
 
 class _Channel(SettingsSection):
     column: Text = described("name of the column in the file", "channel 1")
+
+
+def spec_of(column: Any, wanted: str, gravity: float | None = None) -> ColumnSpec:
+    """Return the column that a table with `column` and `unit` names, in an SI unit.
+
+    gravity: The site's, m/s^2, of what may be recorded in g.
+    """
+    factor = unit_factor(column.unit, wanted, gravity=gravity) if column.unit else 1.0
+    return ColumnSpec(column.column, factor, 0.0, column.unit, wanted, gravity)
 
 
 class TimeChannel(SettingsSection):
@@ -119,15 +85,14 @@ class TimeChannel(SettingsSection):
         return self
 
     @property
-    def channel(self) -> Channel:
+    def spec(self) -> ColumnSpec:
         """The column, s."""
         if self.column is None:
             step = 1.0 / self.sampling_rate if self.sampling_rate else math.nan
-            return Channel("", step, "s", si_unit="s", kind="rows")
+            return ColumnSpec("", step, unit="s", wanted="s", kind="rows")
         if self.unit == STAMPS:
-            return Channel(self.column, 1.0, STAMPS, si_unit="s", kind="stamps")
-        factor = unit_factor(self.unit, "s") if self.unit else 1.0
-        return Channel(self.column, factor, self.unit or "", si_unit="s")
+            return ColumnSpec(self.column, unit=STAMPS, wanted="s", kind="stamps")
+        return spec_of(self, "s")
 
 
 #: In which sense something counts, seen from above.
@@ -167,17 +132,18 @@ class AngleChannel(_Channel):
         return self
 
     @property
-    def channel(self) -> Channel:
+    def spec(self) -> ColumnSpec:
         """The column, rad; of pulses, their times in s."""
-        sign, unit = -1.0 if self.sense == "clockwise" else 1.0, self.unit or ""
         if self.pulses:
-            factor, turn = unit_factor(unit, "s") if unit else 1.0, self.per_revolution or 1.0
-            return Channel(self.column, factor, unit, self.zero, "s", "pulses", turn)
-        if self.per_revolution is not None:
-            factor = sign * unit_factor(unit, "count") * 2.0 * math.pi / self.per_revolution
-            return Channel(self.column, factor, unit, self.zero)
-        factor = sign * (unit_factor(unit, "rad") if unit else 1.0)
-        return Channel(self.column, factor, unit, self.zero, "rad")
+            turn, pulses = self.per_revolution or 1.0, spec_of(self, "s")
+            return replace(pulses, offset=self.zero, kind="pulses", per_revolution=turn)
+        sense = -1.0 if self.sense == "clockwise" else 1.0
+        if self.per_revolution is None:
+            angle = spec_of(self, "rad")
+            return replace(angle, factor=sense * angle.factor, offset=self.zero)
+        counts = spec_of(self, "count")
+        factor = sense * counts.factor * 2.0 * math.pi / self.per_revolution
+        return replace(counts, factor=factor, offset=self.zero, wanted="")
 
 
 class TableDialect(SettingsSection):
@@ -257,7 +223,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
     def recording(self) -> Recording:
         """How every run's file is read, where the run itself says nothing else."""
         fast = 1.0 if self.clock is None else 1.0 + self.clock.value
-        time, angle = self.time.channel, None if self.angle is None else self.angle.channel
+        time, angle = self.time.spec, None if self.angle is None else self.angle.spec
         if angle is not None and angle.kind == "pulses":
             angle = replace(angle, factor=angle.factor / fast)
         time = replace(time, factor=time.factor / fast)

@@ -11,7 +11,7 @@ from typing import Any, Final
 from counterspin.campaign.accelerometers import AccelerometersReader
 from counterspin.campaign.checking import M, Problems
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.columns import Channel, Recording, RecordsSettings
+from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.memory.changes import change_campaign
 from counterspin.campaign.memory.joining import join_campaigns
 from counterspin.campaign.memory.source import Source, keep, source_of
@@ -51,9 +51,10 @@ from counterspin.physics.terms import term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
+from counterspin.records.record import ColumnSpec
 
 #: Of a campaign without records.
-NOT_RECORDED: Final = Recording(Channel("", 1.0, "s"), None)
+NOT_RECORDED: Final = Recording(ColumnSpec("", unit="s"), None)
 
 
 @frozen
@@ -116,8 +117,8 @@ class Campaign:
     gravity: Quantity
     latitude: Quantity
     radius: Quantity
-    time: Channel
-    angle: Channel | None
+    time: ColumnSpec
+    angle: ColumnSpec | None
     timing_offset: Quantity | None
     accelerometers: Mapping[str, Accelerometer]
     noise: NoiseSettings | None

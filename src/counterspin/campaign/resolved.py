@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Final
 
 from counterspin.arrays import Array
-from counterspin.campaign.columns import Channel, Recording
+from counterspin.campaign.columns import Recording
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import Output, StatedNoise
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE
 from counterspin.physics.spindle import Spindle
+from counterspin.records.record import ColumnSpec
 
 #: Most rows, those of all accelerometers together, that are computed at once of records that exist
 #: only on paper. A line of a description can state any length, and what is made from it takes
@@ -55,7 +56,7 @@ class Accelerometer:
     #: Its axes while the platform is level; `Mounting.turned` gives those of a run's attitude.
     mounting: Mounting
     observable: str  #: ``displacement``, ``velocity`` or ``specific_force``.
-    channel: Channel  #: The column with it.
+    channel: ColumnSpec  #: The column with it.
     #: Term symbol -> what is known beforehand, in g-units (`bias` is K_F, `scale_factor` K_I);
     #: those of [model.priors] that apply to this accelerometer are included. u = 0 means known
     #: exactly. A term here that the model neither estimates nor considers has this value.
@@ -63,7 +64,7 @@ class Accelerometer:
     serial_number: str | None = None  #: Free text, or None.
     output: Output | None = None  #: What its readings are in; None: g or m/s^2.
     #: The column of specific force in records on an arm or at rest; None if there are none.
-    force: Channel | None = None
+    force: ColumnSpec | None = None
     #: One of `counterspin.physics.grades.GRADES`: how large its terms may be.
     grade: str = DEFAULT_GRADE
 

@@ -242,13 +242,13 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
             time, angle, signal = simulate_mean_record(campaign, reading, error)
             if not columns:
                 stamps = _noisy(generator, time, noise.timing)
-                columns[campaign.time.column] = stamps / campaign.time.factor
+                columns[campaign.time.name] = stamps / campaign.time.factor
                 if campaign.angle is not None:
                     angle = _noisy(generator, angle, noise.angle)
-                    columns[campaign.angle.column] = campaign.angle.filed(angle)
+                    columns[campaign.angle.name] = campaign.angle.filed(angle)
             signal = _measured(generator, time, signal, accelerometer, noise)
             channel = accelerometer.channel
-            columns[channel.column] = channel.filed(signal * stated_over_true(campaign, channel))
+            columns[channel.name] = channel.filed(signal * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -262,7 +262,7 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
         columns: dict[str, Array] = {}
         if campaign.time.kind != "rows":
             stamps = _noisy(generator, time, noise.timing)
-            columns[campaign.time.column] = stamps / campaign.time.factor
+            columns[campaign.time.name] = stamps / campaign.time.factor
         indicated = indicated_forces(with_true_inputs(campaign), record, time, force)
         for name, signal in indicated.items():
             accelerometer = campaign.accelerometers[name]
@@ -270,7 +270,7 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             assert channel is not None
             felt = replace(accelerometer, observable="specific_force", channel=channel)
             noisy = _measured(generator, time, signal, felt, noise)
-            columns[channel.column] = channel.filed(noisy * stated_over_true(campaign, channel))
+            columns[channel.name] = channel.filed(noisy * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -344,12 +344,12 @@ def simulate_run(
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = true_noise(campaign)
     stamps = _noisy(generator, times * stamped_over_true(campaign, run), noise.timing)
-    columns = {recording.time.column: stamps / recording.time.factor}
+    columns = {recording.time.name: stamps / recording.time.factor}
     if recording.angle is not None:
         late = true.timing_offset.value if true.timing_offset else 0.0
         angle = run.truth.spindle.angle(times + late)
         angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
-        columns[recording.angle.column] = recording.angle.filed(angle)
+        columns[recording.angle.name] = recording.angle.filed(angle)
     indicated = _indicated(true, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
         signal = indicated[name]
@@ -365,7 +365,7 @@ def simulate_run(
             )
         signal = _measured(generator, times, signal, accelerometer, noise)
         channel = accelerometer.channel
-        columns[channel.column] = channel.filed(signal * stated_over_true(campaign, channel))
+        columns[channel.name] = channel.filed(signal * stated_over_true(campaign, channel))
     return columns
 
 

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
 from counterspin.records.amplitude import Swing
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.report import RecordReport
-from counterspin.units import same_unit, unit_factor
+from counterspin.units import base_unit, same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.column_file import ColumnFile
@@ -35,7 +36,8 @@ class ColumnSpec:
     factor: float = 1.0
     offset: float = 0.0
     #: The unit that is stated of it (None: the file's own is taken), and the SI unit wanted;
-    #: without the latter nothing is compared with what the file says.
+    #: without the latter, as of an output such as a current, nothing is compared with what the
+    #: file says.
     unit: str | None = None
     wanted: str = ""
     gravity: float | None = None  #: m/s^2, where g and m/s^2 are to be converted.
@@ -45,6 +47,18 @@ class ColumnSpec:
     kind: ColumnKind = "numbers"
     #: Of pulses; negative where they are counted against the run's sense.
     per_revolution: float = 1.0
+
+    @property
+    def in_g(self) -> bool:
+        """Whether the gravity assumed is in its numbers: recorded in g, or as a current."""
+        if self.wanted:
+            return self.unit is not None and base_unit(self.unit)[1]["[gravity]"] != 0.0
+        return bool(self.name)
+
+    def filed(self, values: Array) -> Array:
+        """Return values in SI as the column has them."""
+        filed: Array = (values - self.offset) / self.factor
+        return filed
 
     @property
     def is_made(self) -> bool:

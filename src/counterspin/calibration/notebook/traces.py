@@ -90,7 +90,7 @@ def _left_out(view: AccelerometerView, index: int, run: ObservedRun) -> list[tup
     """
     series, outliers = view.estimate.series[index], view.estimate.outliers[index]
     kept, residual = view.fit.prepared[index].series, view.fit.residuals[index].plain
-    column = view.accelerometer.channel.column
+    column = view.accelerometer.channel.name
     listed = [outlier for outlier in run.record.report.listed if outlier.column == column]
     while_reading = np.array([outlier.time - run.record.start_time for outlier in listed])
     values = np.array([outlier.value for outlier in listed])

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from counterspin.campaign.columns import Channel
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.frozen import frozen
 from counterspin.records.poses import Poses, read_poses
-from counterspin.records.record import RecordColumns
+from counterspin.records.record import ColumnSpec, RecordColumns
 from counterspin.records.report import RecordReport
 
 
@@ -62,12 +61,10 @@ def noise_within(poses: Sequence[FoundPose], gravity: float) -> float:
 
 def columns_of_poses(campaign: Campaign) -> RecordColumns:
     """Return the columns of records with poses, and how their files are written."""
-    g, channels = campaign.gravity.value, _channels(campaign)
-    signals = {name: channel.spec(g) for name, channel in channels.items()}
-    return RecordColumns(campaign.time.spec(g), None, signals, campaign.dialect)
+    return RecordColumns(campaign.time, None, _channels(campaign), campaign.dialect)
 
 
-def _channels(campaign: Campaign) -> dict[str, Channel]:
+def _channels(campaign: Campaign) -> dict[str, ColumnSpec]:
     """Return the columns of specific force of a triad's accelerometers."""
     names = campaign.triad.accelerometers if campaign.triad else ()
     forces = {name: campaign.accelerometers[name].force for name in names}

@@ -148,13 +148,12 @@ def _analysed(asked: _Asked) -> Mapping[str, RestNoise]:
 
 def rest_signals(campaign: Campaign, record: Path | MemoryTable) -> list[RestSignal]:
     """Return the columns of a campaign's accelerometers in a record at rest."""
-    gravity = campaign.gravity.value
-    used = [a for a in campaign.accelerometers.values() if a.channel.column]
-    specs = [campaign.time.spec(gravity), *(a.channel.spec(gravity) for a in used)]
+    used = [a for a in campaign.accelerometers.values() if a.channel.name]
+    specs = [campaign.time, *(a.channel for a in used)]
     time, *signals = read_scaled(record, specs, campaign.dialect)
     return [
         RestSignal(
-            a.name, a.channel.column, observation.ORDERS[a.observable], a.channel.in_g, time, values
+            a.name, a.channel.name, observation.ORDERS[a.observable], a.channel.in_g, time, values
         )
         for a, values in zip(used, signals, strict=True)
     ]

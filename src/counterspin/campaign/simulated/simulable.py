@@ -131,14 +131,14 @@ def refuse_unwritable(campaign: Campaign) -> None:
         said = [key for key, value in vars(one.dialect).items() if value is not None]
         problems += [f"{where}.{key}: simulated records are plain; leave it out" for key in said]
         for key, channel in (("time", one.time), ("angle", one.angle)):
-            if channel is not None and channel.column and (channel.kind != "numbers"):
+            if channel is not None and channel.name and (channel.kind != "numbers"):
                 problems.append(f"{where}.{key}: simulated records have numbers in every row")
-            elif channel is not None and channel.column and not channel.unit:
+            elif channel is not None and channel.name and not channel.unit:
                 problems.append(f"{where}.{key}.unit: is missing, to simulate records")
         if one.time.kind == "rows" and campaign.runs:
             problems.append(f"{where}.time: simulated records have a column of the time")
     for name, accelerometer in campaign.accelerometers.items():
-        if accelerometer.channel.column and not accelerometer.channel.unit:
+        if accelerometer.channel.name and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
             problems.append(f"{key}: is missing, to simulate records")
     problems += _unfit_clock(campaign)

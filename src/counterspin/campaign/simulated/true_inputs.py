@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from counterspin.campaign.columns import Channel
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Run
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.linear_readings import Readings, with_input
+from counterspin.records.record import ColumnSpec
 
 
 def with_true_inputs(campaign: Campaign) -> Campaign:
@@ -65,7 +65,7 @@ def stamped_over_true(campaign: Campaign, run: Run) -> float:
     return (1.0 + true) / (1.0 + stated)
 
 
-def stated_over_true(campaign: Campaign, channel: Channel) -> float:
+def stated_over_true(campaign: Campaign, channel: ColumnSpec) -> float:
     """Return the gravity that a column is read with over the true one, in whose g an output is."""
     true = with_true_inputs(campaign).gravity.value
     return campaign.gravity.value / true if channel.in_g else 1.0
