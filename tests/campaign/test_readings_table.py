@@ -88,6 +88,14 @@ def test_a_rate_of_nothing_is_a_reading_at_rest(tmp_path):
     assert backward.axes.axes[:2] == ((0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
 
 
+def test_a_merged_cell_has_the_mounting_above(tmp_path):
+    table = "n,side,mA\n6,innen,5\n6,,5\n\n6,hinten,0\n6,,0\n"
+    found = of_csv(tmp_path, table, "merged = true\n" + ARM)
+    assert [one.mounting for one in found] == ["innen", "innen", "hinten", "hinten"]
+    assert found[1].axes == found[0].axes
+    assert len(problems(tmp_path, table, ARM)) == 2
+
+
 @pytest.mark.parametrize(
     ("unit", "number", "rate"),
     [

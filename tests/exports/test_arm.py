@@ -142,6 +142,28 @@ def test_what_the_readings_show_where_nothing_is_named(tmp_path):
     assert guesses["x axis"] is None
 
 
+def test_a_name_for_across_is_a_way_of_mounting_where_the_acceleration_is_read(tmp_path):
+    path = write_table(tmp_path / "t.csv", table(inward="forward", outward="backward"))
+    found = read(path)
+    guesses = {question.key: question.guess for question in found.questions}
+    assert (guesses["forward axis"], guesses["backward axis"]) == ("inward", "outward")
+    assert "mounting 'forward': input axis inward, as it reads" in found.statements
+
+
+def test_readings_at_rest_show_what_a_name_does_not(tmp_path):
+    rows = [*table(up="P1", down="P2"), ["P3", 0.0, reading(0.0)]]
+    guesses = {q.key: q.guess for q in read(write_table(tmp_path / "t.csv", rows)).questions}
+    assert [guesses[f"P{n} axis"] for n in (1, 2, 3)] == ["up", "down", "forward"]
+
+
+def test_a_time_brings_a_slope_with_it(tmp_path):
+    """Two readings at rest in each of two positions are enough, and one too few beside a drift."""
+    rows = [[n, *row] for n, row in enumerate(table())]
+    for drift, rest in ((True, rows[:2] + rows[3:]), (False, rows)):
+        path = write_table(tmp_path / "t.csv", rest, "time_s,side,n_rpm,out_mA")
+        assert [q.key for q in read(path).open_questions] == (["u"] if drift else [])
+
+
 def test_an_output_with_a_zero(tmp_path):
     rows = [[*row[:2], round(2.5 + 0.1 * row[2], 7)] for row in table(up="", down="")[::2]]
     found = read(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
@@ -168,7 +190,8 @@ def test_a_name_that_the_readings_contradict_is_said(tmp_path):
 )
 def test_the_pendulous_axis_turns_with_the_input_axis(tmp_path, pendulous, along):
     words = ["in", "tangential", "out", "backward"]
-    path = write_table(tmp_path / "t.csv", [[word, 30.0, 1.0] for word in words])
+    rows = [[word, 30.0, value] for word, value in zip(words, [1.0, 0.0, -1.0, 0.0], strict=True)]
+    path = write_table(tmp_path / "t.csv", rows)
     found = read(path, u="2e-6", **{"pendulous axis": pendulous})
     mountings = found.document(tmp_path)["readings"]["mountings"]
     assert [mountings[word]["pendulous"] for word in words] == along

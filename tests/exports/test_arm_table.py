@@ -33,6 +33,10 @@ def table(numbers, words=None, units=None):
         ("AUSSEN", "outward"),
         ("nach außen", "outward"),
         ("tangential", "forward"),
+        ("IA up", "up"),
+        ("radial innen, 3", "inward"),
+        ("in or out", None),
+        ("mount d", None),
         ("rückwärts", "backward"),
         ("oben", "up"),
         ("unten 1", "down"),
@@ -56,7 +60,10 @@ def test_words_for_directions(word, direction):
         ("n", "", None),
         ("period_ms", "", "ms"),
         ("Umlaufzeit", "s", "s"),
-        ("g_level", "", None),
+        ("g_level", "", "g"),
+        ("G-Level", "", "g"),
+        ("level", "", None),
+        ("Drehfrequenz", "Hz", "Hz"),
         ("accel", "m/s^2", "m/s^2"),
     ],
 )
@@ -75,6 +82,37 @@ def test_a_rate_comes_before_the_acceleration_that_it_makes():
     assert not as_acceleration(found.columns[1])
 
 
+def test_a_measured_rate_comes_before_the_one_that_was_set_and_a_unit_before_none():
+    numbers = {"N": [100.0, 99.0], "set_rpm": [30.0, 40.0], "rpm actual": [30.1, 40.2]}
+    assert table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "rpm actual"
+    del numbers["rpm actual"]
+    assert table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "set_rpm"
+
+
+def test_a_time_that_becomes_less_is_that_of_a_revolution():
+    found = table({"T_s": [0.0, 2.0, 1.5], "out_V": [1.0, 2.0, 3.0]})
+    assert (found.rate.name, found.unit) == ("T_s", "s")
+    assert table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate is None
+    clock = table({"n_rpm": [0.0, 30.0], "t_s": [9.0, 2.0], "out_V": [1.0, 2.0]})
+    assert clock.roles["t_s"] == "time"
+
+
+@pytest.mark.parametrize(
+    ("rates", "words", "gaps", "meant"),
+    [
+        ([0.0, 30.0, 40.0, 30.0], ["up", "in", "", "out"], "the one above", "in"),
+        ([30.0, 40.0, 0.0, 30.0], ["in", "in", "", "out"], "none", ""),
+        ([30.0, 40.0, 40.0, 30.0], ["", "in", "", "out"], "none", ""),
+        ([30.0, 40.0, 40.0, 30.0], ["in", "in", "out", "out"], None, "out"),
+    ],
+)
+def test_a_row_that_turns_without_a_mounting_has_the_one_above(rates, words, gaps, meant):
+    """As merged cells of a spreadsheet have; an arm at rest needs none."""
+    found = table({"n_rpm": rates, "out_V": [1.0] * 4}, {"side": words})
+    assert found.gaps == gaps
+    assert found.words[2] == meant
+
+
 def test_the_column_of_mountings_has_their_words_or_its_name():
     numbers = {"n_rpm": [30.0, 30.0, 42.0, 42.0], "out_V": [1.0, -1.0, 2.0, -2.0]}
     words = {"note": ["first", "second", "third", "last"], "where": ["in", "out", "in", "out"]}
@@ -82,8 +120,8 @@ def test_the_column_of_mountings_has_their_words_or_its_name():
     words["where"] = ["A", "B", "A", "B"]
     assert table(numbers, words).position is None
     assert table(numbers, {"side": words["where"]}).position == "side"
-    numbered = table({**numbers, "mounting": [1.0, 2.0, 1.0, math.nan]})
-    assert numbered.words == ("1", "2", "1", "")
+    numbered = table({**numbers, "mounting": [math.nan, 1.0, 2.0, 1.0]})
+    assert numbered.words == ("", "1", "2", "1")
 
 
 def test_rows_turn_or_rest():

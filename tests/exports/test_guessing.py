@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.exports.guessing import agreed, guess_file
+from counterspin.exports.guessing import agreed, guess_file, unit_in_name
 from counterspin.exports.looking import FileColumn, Look
 
 TIME = np.arange(1500) * 0.02
@@ -95,6 +95,25 @@ def test_a_sampling_rate_beside_the_columns_shows_the_unit_of_the_time():
     counted = replace(seen(angle=RATE * TIME, east_m=signal()), interval=0.02)
     assert guess_file(counted).sampling == 50.0
     assert guess_file(counted).rate == pytest.approx(RATE)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("time_s", "s"),
+        ("Reading mV", "mV"),
+        ("Output, mA", "mA"),
+        ("U/mV", "mV"),
+        ("Speed 1/min", "1/min"),
+        ("mV", "mV"),
+        ("out_A", "A"),
+        ("sensor A", ""),
+        ("s", ""),
+        ("Output", ""),
+    ],
+)
+def test_a_unit_may_stand_at_the_end_of_a_name(name, unit):
+    assert unit_in_name(name) == unit
 
 
 def test_amplitudes_at_two_rates_show_the_observable():

@@ -10,9 +10,11 @@ from counterspin.exports.readings import (
     Sensed,
     output_questions,
     output_unit,
+    outputs_of,
     part_question,
     role_questions,
     roles_of,
+    several_question,
     usual_role,
 )
 
@@ -34,6 +36,10 @@ LOOK = Look(None, (column("a"), column("b"), column("c")), ("No", "note"), "")
         ("elapsed", "s", "time"),
         ("u_mA", "", "uncertainty"),
         ("Unsicherheit", "mA", "uncertainty"),
+        ("Messunsicherheit", "mA", "uncertainty"),
+        ("Std dev", "V", "uncertainty"),
+        ("Stddev", "V", "uncertainty"),
+        ("combined uncertainty", "V", "uncertainty"),
         ("Nr.", "", "unused"),
         ("lfd. Nr", "", "unused"),
         ("Output", "V", "reading"),
@@ -42,6 +48,46 @@ LOOK = Look(None, (column("a"), column("b"), column("c")), ("No", "note"), "")
 )
 def test_what_a_column_usually_is(name, unit, role):
     assert usual_role(column(name, unit)) == role
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "role"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], "", "unused"),
+        ([0.0, 1.0, 2.0], "", "unused"),
+        ([1.0, 2.0, 3.0], "V", "reading"),
+        ([2.0, 3.0, 4.0], "", "reading"),
+        ([1.0, 2.0, 4.0], "", "reading"),
+        ([1.0, 2.0], "", "reading"),
+    ],
+)
+def test_what_counts_the_rows_is_no_reading(values, unit, role):
+    assert usual_role(column("Test", unit, values)) == role
+
+
+@pytest.mark.parametrize(
+    ("names", "apart", "meant"),
+    [
+        (["Reading 1", "Reading 2"], 0.01, "repeats"),
+        (["Messung 1", "Messung 2"], 0.05, "accelerometers"),
+        (["QA1", "QA2"], 0.01, "accelerometers"),
+        (["QA1", "QA2"], 1e-4, "repeats"),
+        (["Reading", "QA2"], 0.01, "accelerometers"),
+    ],
+)
+def test_columns_are_repeats_by_their_names_and_by_how_near_they_are(names, apart, meant):
+    values = np.array([-1.0, 0.0, 1.0])
+    columns = [column(n, "V", values + 2.0 * apart * k) for k, n in enumerate(names)]
+    look = Look(None, tuple(columns), (), "")
+    roles = dict.fromkeys(names, "reading")
+    (question,) = several_question(columns)
+    assert question.guess == meant
+    (first, *_), *others = outputs_of(look, roles, {})
+    assert first.name == names[0]
+    assert len(others) == (meant == "accelerometers")
+    assert len(outputs_of(look, roles, {question.key: "repeats"})) == 1
+    assert len(outputs_of(look, roles, {question.key: "accelerometers"})) == 2
+    assert list(several_question(columns[:1])) == []
 
 
 def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():
@@ -83,6 +129,8 @@ def test_the_unit_of_an_output_is_told_or_stands_in_the_file_or_its_name():
     assert output_unit(column("out_V")) == "V"
     assert output_unit(column("out_V", "mV")) == "mV"
     assert output_unit(column("out_V", "mV"), {"out_V unit": "uV"}) == "uV"
+    assert output_unit(column("Reading mV")) == "mV"
+    assert output_unit(column("counts")) == "count"
     assert output_unit(column("V")) is None
 
 

@@ -135,5 +135,7 @@ def test_the_usual_layout_is_taken_where_nothing_shows_another():
 def test_units_as_files_write_them():
     written = ["[s]", "(m/s²)", "Seconds", "°", "µs", "degrees", "counts"]
     assert [file_unit(text) for text in written] == ["s", "m/s^2", "s", "deg", "us", "deg", "count"]
+    written = ["U/min", "RPM", "min-1", "VDC", "LSB"]
+    assert [file_unit(text) for text in written] == ["rpm", "rpm", "1/min", "V", "count"]
     assert [file_unit(text) for text in ("", "raw", "East", "x" * 30)] == [None] * 4
     assert [bracketed_unit(name) for name in ("t [ms]", "t", "t (raw)")] == ["ms", "", ""]

@@ -114,6 +114,12 @@ class ReadingsSettings(TableDialect, _TableFile):
         "of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
     )
     mounting: str = described("of every row", "in", "")
+    merged: bool = described(
+        "whether an empty cell of the column `mounting` has what stands above it, as merged cells "
+        "of a spreadsheet do",
+        True,
+        False,
+    )
     mountings: dict[str, ReadingAxes] = described(
         "the axes of each mounting, in place of `axes`",
         {"in": {"input": "inward", "pendulous": "up"}},
@@ -206,6 +212,8 @@ class ReadingsTable:
         self.check(names)
         if len(problems.lines) > before:
             return
+        mounting = self.columns.get("mounting") if self.settings.merged else None
+        above = None
         for index, row in enumerate(rows):
             # Rows without anything in them stand below many a table.
             if all(is_empty(cell) for cell in row.values()):
@@ -216,7 +224,9 @@ class ReadingsTable:
             if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
                 problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
                 continue
-            run = self.run(row, index, path)
+            if mounting is not None and not is_empty(row[mounting]):
+                above = row[mounting]
+            run = self.run(row if mounting is None else {**row, mounting: above}, index, path)
             if len(problems.lines) == before:
                 yield run, path
 

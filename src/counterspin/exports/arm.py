@@ -19,6 +19,7 @@ from counterspin.campaign.model import TERMS_ON_A_MACHINE
 from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError
 from counterspin.exports.arm_table import (
+    ABOVE,
     DIRECTIONS,
     HORIZONTAL,
     ArmTable,
@@ -26,7 +27,7 @@ from counterspin.exports.arm_table import (
     as_acceleration,
     direction_of,
 )
-from counterspin.exports.guessing import converts
+from counterspin.exports.guessing import NONE, converts
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import (
     SENSES,
@@ -40,8 +41,10 @@ from counterspin.exports.readings import (
     of_role,
     output_questions,
     output_unit,
+    outputs_of,
     part_question,
     role_questions,
+    several_question,
     table_statements,
 )
 from counterspin.frozen import frozen
@@ -77,6 +80,8 @@ class ArmDraft(ReadingsDraft):
         document = self.described(folder, level, columns, {"radius": radius})
         readings = document["readings"]
         readings |= {"motion": "arm", "rate_unit": said["rate unit"]}
+        if said.get("empty mounting") == ABOVE:
+            readings["merged"] = True
         if said["sense"] != SENSES[0]:
             readings["sense"] = said["sense"]
         if "u" in said:
@@ -156,8 +161,7 @@ def shows_arm(looks: Sequence[Look]) -> bool:
     if rate is None or not of_role(look, roles, "reading"):
         return False
     position = next((name for name, role in roles.items() if role == "position"), None)
-    said = any(map(direction_of, look.words.get(position or "", ())))
-    return said or not as_acceleration(rate)
+    return position in look.words or not as_acceleration(rate)
 
 
 # What is guessed
@@ -175,10 +179,17 @@ def _followed(table: ArmTable, word: str) -> str | None:
     return "inward" if own > 0.0 else "outward"
 
 
-def _resting(table: ArmTable, sensed: Sensed) -> str | None:
+def _pointing(table: ArmTable, word: str) -> str | None:
+    """Return how the input axis points in a mounting, by its name or else by its readings."""
+    meant = direction_of(word)
+    # What lies across does not read the acceleration: "forward" is then the way of mounting.
+    return meant if meant in ("inward", "outward") else _followed(table, word) or meant
+
+
+def _resting(table: ArmTable, sensed: Sensed, word: str) -> str | None:
     """Return how the input axis points where nothing but the readings at rest tells it."""
     readings = of_role(table.look, table.roles, "reading")
-    rows = table.rests & np.array([not word for word in table.words])
+    rows = table.rests & np.array([own == word for own in table.words])
     felt = (table.values(readings[0])[rows] - sensed.zero) / sensed.per_g
     for axis, wanted in (("up", 1.0), ("down", -1.0), ("forward", 0.0)):
         if np.all(np.abs(felt - wanted) < _NEAR):
@@ -204,12 +215,16 @@ def _questions(table: ArmTable, told: Mapping[str, str]) -> Iterator[ExportQuest
     yield ExportQuestion("sense", text, SENSES[0], SENSES)
     text = "Which column says how the accelerometer is mounted?"
     yield part_question("position", text, [*numbers, *look.words], roles, needed=False)
-    axes: dict[str, str | None] = {}
-    for word in table.mountings:
+    if table.gaps:
+        text = "Which mounting is meant where the table names none?"
+        yield ExportQuestion("empty mounting", text, ABOVE, (ABOVE, NONE), table.gaps)
+    axes = {w: told.get(f"{w} axis") or _pointing(table, w) for w in table.mountings}
+    readings = of_role(look, roles, "reading")
+    for word, axis in axes.items():
         text = f"How does the input axis point in the mounting '{word}'?"
-        axes[word] = direction_of(word) or _followed(table, word)
-        yield ExportQuestion(f"{word} axis", text, "inward", DIRECTIONS, axes[word])
-        axes[word] = told.get(f"{word} axis", axes[word])
+        rests = axis is None and readings and word not in table.turning
+        seen = _resting(table, _sensed(table, readings[0], axes, told), word) if rests else axis
+        yield ExportQuestion(f"{word} axis", text, "inward", DIRECTIONS, seen)
     if "" in table.turning:
         text = "How does the input axis point while the arm turns?"
         if table.mountings:
@@ -217,17 +232,17 @@ def _questions(table: ArmTable, told: Mapping[str, str]) -> Iterator[ExportQuest
         axes[""] = _followed(table, "")
         yield ExportQuestion("axis", text, "inward", DIRECTIONS, axes[""])
         axes[""] = told.get("axis", axes[""])
-    readings = of_role(look, roles, "reading")
     sensed = {column.name: _sensed(table, column, axes, told) for column in readings}
     if any(rests and not word for rests, word in zip(table.rests, table.words, strict=True)):
         text = "How does the input axis point at rest, where the table names no mounting?"
-        guess = _resting(table, sensed[readings[0].name]) if readings else None
+        guess = _resting(table, sensed[readings[0].name], "") if readings else None
         yield ExportQuestion("axis at rest", text, "up", DIRECTIONS, guess)
     text = "Where does the pendulous axis point when the input axis points inward?"
     choices = ("up", "down", "forward", "backward")
     yield ExportQuestion("pendulous axis", text, "up", choices, "up")
     yield from role_questions(look, roles, ["rate", "position", "radius"])
-    for column in readings:
+    yield from several_question(readings)
+    for column, *_ in outputs_of(look, roles, told):
         yield from output_questions(column, told, sensed[column.name])
     if readings and "uncertainty" not in roles.values() and not _shows_noise(table):
         unit = output_unit(readings[0], told) or "mA"
@@ -241,8 +256,10 @@ def _shows_noise(table: ArmTable) -> bool:
     """Return whether readings show their noise beside what is unknown, at rest and at rates."""
     at_rest = [word for rests, word in zip(table.rests, table.words, strict=True) if rests]
     turning = sum(int(table.turns_in(word).sum()) for word in table.turning)
-    repeated = not at_rest or len(at_rest) > len(set(at_rest))
-    return repeated and turning >= _FEWEST + _OF_A_MOUNTING * len(table.turning)
+    # Each of these brings a slope with it, which is unknown too.
+    slopes = len({"time", "temperature"} & set(table.roles.values()))
+    repeated = not at_rest or len(at_rest) > len(set(at_rest)) + slopes
+    return repeated and turning >= _FEWEST + slopes + _OF_A_MOUNTING * len(table.turning)
 
 
 def _radius_questions(table: ArmTable) -> Iterator[ExportQuestion]:
@@ -288,10 +305,10 @@ def _statements(table: ArmTable) -> Iterator[str]:
         if converts(table.unit or "", "m/s^2"):
             yield "accelerations are those at the radius; g is the gravity of the site"
     for word in table.mountings:
-        meant, seen = direction_of(word), _followed(table, word)
-        if meant in ("inward", "outward") and seen not in (None, meant):
+        meant, seen, axis = direction_of(word), _followed(table, word), _pointing(table, word)
+        if axis == meant and seen not in (None, meant):
             yield f"mounting '{word}': {meant} by its name, {seen} if the sensitivity is positive"
-        elif axis := meant or seen:
-            by = "by its name" if meant else "as it reads"
+        elif axis:
+            by = "by its name" if axis == meant else "as it reads"
             yield f"mounting '{word}': input axis {axis}, {by}"
     yield "the pendulous axis turns with the input axis; with a vertical one it points outward"

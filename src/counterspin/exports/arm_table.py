@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.exports.guessing import STANDARD_GRAVITY, converts
+from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, converts, unit_in_name
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import ExportQuestion
 from counterspin.exports.readings import of_role, roles_of, usual_role
@@ -21,9 +22,11 @@ from counterspin.units import unit_factor
 #: Directions in the frame of the arm; the horizontal ones as a turn about down passes them.
 HORIZONTAL: Final = ("inward", "forward", "outward", "backward")
 DIRECTIONS: Final = (*HORIZONTAL, "up", "down")
+#: The answer that a row without a mounting has the one above.
+ABOVE: Final = "the one above"
 #: What has the rate, the time of a revolution or the acceleration, by name.
 _RATE: Final = re.compile(
-    r"(?i)(.*[^a-z])?(rate|rpm|omega|w|n|speed|drehzahl|drehrate|u.?min|winkelgeschw)([^a-z]|$)"
+    r"(?i)(.*[^a-z])?(rate|rpm|omega|w|n|speed|drehzahl|drehrate|drehfrequenz|u.?min|winkelgeschw)([^a-z]|$)"
 )
 _PERIOD: Final = re.compile(r"(?i).*(period|umlauf|t_?rev|rev_?time)")
 _ACCELERATION: Final = re.compile(r"(?i)(.*[^a-z])?(acc|beschl|level|g_?level|last|centri|zentri)")
@@ -40,8 +43,10 @@ _ENDINGS: Final = {
     r"m.?s2": "m/s^2",
     r"ms": "ms",
     r"s": "s",
-    r"g": "g",
+    r"g|g.?levels?|g.?load": "g",
 }
+#: Of two columns the one that was measured, not set.
+_MEASURED: Final = re.compile(r"(?i)(.*[^a-z])?(meas|actual|act|ist|gemessen|true)")
 #: A column has a unit of a rate, of a time, of an acceleration.
 _KINDS: Final = ("rad/s", "s", "m/s^2")
 #: What counts revolutions, as `[readings]` reads it.
@@ -63,6 +68,8 @@ class ArmTable:
     unit: str | None  #: Of the rate; None: not known yet.
     position: str | None  #: The column of mountings; None: there is none.
     words: tuple[str, ...]  #: The mounting of each row, empty where none is said.
+    #: What a row has that names no mounting, by its cells; None: each names one, or none does.
+    gaps: str | None
 
     @classmethod
     def of(cls, look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> ArmTable:
@@ -75,7 +82,11 @@ class ArmTable:
         if numbers is not None:
             words = ["" if math.isnan(value) else f"{value:.12g}" for value in numbers]
         rows = max(len(column.values) for column in look.columns)
-        return cls(look, roles, rate, unit, position, (*words, *[""] * rows)[:rows])
+        words = (*words, *[""] * rows)[:rows]
+        gaps = _gaps(rate, words)
+        if told.get("empty mounting", gaps) == ABOVE:
+            words = tuple(accumulate(words, lambda above, own: own or above))
+        return cls(look, roles, rate, unit, position, words, gaps)
 
     def values(self, column: FileColumn | None) -> Array:
         """Return a column, NaN in rows that it does not have."""
@@ -150,7 +161,9 @@ class ArmTable:
 def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
     """Return what each column is."""
     rates = [column for column in look.columns if _kind(column) is not None]
-    rates.sort(key=lambda column: _KINDS.index(_kind(column) or _KINDS[-1]))
+    rates.sort(key=_preference)
+    # The time of a revolution, whatever it is called, does not go on from row to row.
+    rates += [column for column in look.columns if usual_role(column) == "time" and _falls(column)]
     words = [name for name, cells in look.words.items() if any(map(direction_of, cells))]
     named = [name for name, cells in look.words.items() if _repeat(cells) and _POSITION.match(name)]
     numbered = [c.name for c in look.columns if _POSITION.match(c.name)]
@@ -159,6 +172,27 @@ def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
         "position": next(iter([*words, *named, *numbered]), None),
     }
     return roles_of(look, told, _role, parts)
+
+
+def _preference(column: FileColumn) -> tuple[int, bool, bool]:
+    """Return how far behind others a column stands of which one has the rate."""
+    kind = _KINDS.index(_kind(column) or _KINDS[-1])
+    return kind, not _MEASURED.match(column.name), _rate_unit(column) is None
+
+
+def _falls(column: FileColumn) -> bool:
+    """Return whether numbers are smaller in a later row."""
+    values = column.values[np.isfinite(column.values)]
+    return not column.stamps and bool(np.any(np.diff(values) < 0.0))
+
+
+def _gaps(rate: FileColumn | None, words: Sequence[str]) -> str | None:
+    """Return what rows have that name no mounting: in a spreadsheet cells may be merged."""
+    if not any(words) or all(words):
+        return None
+    rates = [] if rate is None else rate.values.tolist()
+    turning = any(rate and not word for rate, word in zip(rates, words, strict=False))
+    return ABOVE if words[0] and turning else NONE
 
 
 def _repeat(cells: Sequence[str]) -> bool:
@@ -198,8 +232,8 @@ def _rate_unit(column: FileColumn) -> str | None:
 
 
 def _radius_unit(column: FileColumn) -> str:
-    ending = column.name.rpartition("_")[2]
-    return next((unit for unit in (column.unit, ending) if converts(unit, "m")), "m")
+    units = (column.unit, unit_in_name(column.name))
+    return next((unit for unit in units if converts(unit, "m")), "m")
 
 
 def as_acceleration(column: FileColumn) -> bool:
@@ -208,11 +242,17 @@ def as_acceleration(column: FileColumn) -> bool:
 
 
 def direction_of(word: str) -> str | None:
-    """Return the direction that a word means, perhaps with a number behind; None: none."""
-    question = ExportQuestion("axis", "", "", DIRECTIONS)
+    """Return the direction that a word means, perhaps with a number behind or a word before."""
     for text in (word, _BEHIND.sub("", word)):
-        try:
-            return question.judged(text)
-        except ValueError:
-            continue
-    return None
+        if found := _direction(text):
+            return found
+    parts = (_direction(part) for part in re.split(r"[\W\d_]+", word) if len(part) > 1)
+    known = set(filter(None, parts))
+    return known.pop() if len(known) == 1 else None
+
+
+def _direction(text: str) -> str | None:
+    try:
+        return ExportQuestion("axis", "", "", DIRECTIONS).judged(text)
+    except ValueError:
+        return None

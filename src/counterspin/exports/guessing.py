@@ -412,12 +412,24 @@ def _axis(name: str) -> str | None:
 
 
 def _unit_of(column: FileColumn, wanted: str) -> str | None:
-    """Return the unit of a column by the file, or else by the end of its name, `time_s`."""
-    ending = column.name.rpartition("_")[2] if "_" in column.name else ""
-    for text in (column.unit, file_unit(ending) or ""):
+    """Return the unit of a column by the file, or else by its name."""
+    for text in (column.unit, unit_in_name(column.name)):
         if text:
             return text if converts(text, wanted) else None
     return None
+
+
+def unit_in_name(name: str) -> str:
+    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty: there is none.
+
+    A single letter alone is a name, and so is A behind a blank: sensor A.
+    """
+    *before, ending = re.split(r"[_\s,]+", name.strip())
+    if "A" == ending != name.rpartition("_")[2]:
+        return ""
+    if not before and len(ending) < 2:
+        return ""
+    return file_unit(ending) or file_unit(ending.partition("/")[2]) or ""
 
 
 def converts(unit: str, wanted: str) -> bool:

@@ -10,8 +10,10 @@ from string import ascii_uppercase
 from types import MappingProxyType
 from typing import Any, Final
 
+import numpy as np
+
 from counterspin.errors import CampaignError
-from counterspin.exports.guessing import NONE, UNUSED, converts
+from counterspin.exports.guessing import NONE, UNUSED, converts, unit_in_name
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import AnsweredExport, ExportQuestion, relative_name
 from counterspin.frozen import frozen
@@ -19,13 +21,17 @@ from counterspin.frozen import frozen
 #: What a column of numbers may be in every table, and a column of words.
 ROLES: Final = ("reading", "uncertainty", "temperature", "time", UNUSED)
 WORD_ROLES: Final = ("name", UNUSED)
-_UNCERTAINTY: Final = re.compile(r"(?i)(u|unc|uncertainty|unsicherheit|sigma|std|sd)([^a-z]|$)")
+_UNCERTAINTY: Final = re.compile(
+    r"(?i)((u|unc|sigma|std|stddev|stdev|sd)([^a-z]|$)|.*(uncertain|unsicher|standardabw))"
+)
 _TEMPERATURE: Final = re.compile(r"(?i).*(temp|degc|°c)")
 _TIME: Final = re.compile(r"(?i)(t|time|zeit|uhrzeit|stamp|date|datum)([^a-z]|stamp|$)")
 _NAME: Final = re.compile(
     r"(?i)(name|position|pos|label|stellung|run|point|punkt|messung|(no|nr)([^a-z]|$))"
 )
 _NUMBER: Final = re.compile(r"(?i)(lfd\W*)?(no|nr|number|nummer|#|index|row|zeile)\W*")
+#: More numbers than so many that rise by one are no readings.
+_FEWEST_COUNTED: Final = 2
 #: Usual units of a reading.
 _OUTPUTS: Final = (
     *("mA", "uA", "nA", "A", "V", "mV", "uV", "count", "pulse", "count/s", "pulse/s"),
@@ -35,6 +41,18 @@ _OUTPUTS: Final = (
 
 #: What is read without any force, g, above which it is no bias, but the zero of the output.
 _LARGE_BIAS: Final = 0.3
+
+
+#: What several columns of readings are, and the key by which it is asked.
+_SEVERAL: Final = "columns of readings"
+ACCELEROMETERS: Final = "accelerometers"
+REPEATS: Final = "repeats"
+#: How repeats are called; they differ by less than this part of what is read, or of other names.
+_REPEAT: Final = re.compile(
+    r"(?i)(.*[^a-z])?(reading|repeat|rep|run|pass|trial|sample|cycle|messung|wdh|lauf|ablesung)"
+)
+_REPEATED: Final = 0.02
+_SAME: Final = 2e-4
 
 
 @frozen
@@ -78,14 +96,17 @@ class ReadingsDraft(AnsweredExport):
         machine: What is said of the centrifuge, if there is one.
         """
         said, place = self.complete(), folder.resolve()
-        readings = self._of("reading")
+        readings = [
+            [column.name for column in own] for own in outputs_of(self.look, self.roles, said)
+        ]
         if not readings:
             known = ", ".join(column.name for column in self.look.columns)
             text = f'no column holds readings (known: {known}); say which: "COLUMN is=reading"'
             raise CampaignError("init", [text])
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]
-        given: dict[str, Any] = {"reading": dict(zip(names, readings, strict=True))}
+        written = (own if len(own) > 1 else own[0] for own in readings)
+        given: dict[str, Any] = {"reading": dict(zip(names, written, strict=True))}
         beside = self._of("uncertainty")
         if len(beside) == len(readings):
             given["u"] = dict(zip(names, beside, strict=True))
@@ -93,7 +114,7 @@ class ReadingsDraft(AnsweredExport):
             role: own[0] for role in ("name", "temperature", "time") if (own := self._of(role))
         }
         outputs = {}
-        for name, column in zip(names, readings, strict=True):
+        for name, (column, *_) in zip(names, readings, strict=True):
             output = {"unit": said[f"{column} unit"]}
             for key in ("sensitivity", "zero"):
                 if (asked := f"{column} {key}") in said:
@@ -126,9 +147,17 @@ def usual_role(column: FileColumn) -> str:
         return "temperature"
     if column.stamps or _TIME.match(column.name) or converts(column.unit, "s"):
         return "time"
-    if _NUMBER.fullmatch(column.name):
+    if _NUMBER.fullmatch(column.name) or _counts_rows(column):
         return UNUSED
     return "uncertainty" if _UNCERTAINTY.match(column.name) else "reading"
+
+
+def _counts_rows(column: FileColumn) -> bool:
+    """Return whether a column has the numbers of rows or tests: 1, 2, 3."""
+    steps = column.values - np.arange(len(column.values))
+    return (
+        not column.unit and len(steps) > _FEWEST_COUNTED and set(steps.tolist()) in ({0.0}, {1.0})
+    )
 
 
 def roles_of(
@@ -163,7 +192,35 @@ def of_role(look: Look, roles: Mapping[str, str], role: str) -> list[FileColumn]
     return [column for column in look.columns if roles[column.name] == role]
 
 
+def outputs_of(
+    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
+) -> list[list[FileColumn]]:
+    """Return the columns of readings of each accelerometer; several are repeats."""
+    columns = of_role(look, roles, "reading")
+    if columns and (told.get(_SEVERAL) or _kind_of_columns(columns)) == REPEATS:
+        return [columns]
+    return [[column] for column in columns]
+
+
+def _kind_of_columns(columns: Sequence[FileColumn]) -> str:
+    """Return what several columns of readings are, by their names and how far they differ."""
+    if len(columns) < 2 or len({len(column.values) for column in columns}) > 1:
+        return ACCELEROMETERS
+    values = np.array([column.values for column in columns])
+    spread = np.nanmax(np.abs(values - values[0])) / (np.nanmax(values) - np.nanmin(values))
+    called = all(_REPEAT.match(column.name) for column in columns)
+    return REPEATS if spread < (_REPEATED if called else _SAME) else ACCELEROMETERS
+
+
 # What is asked, and said
+
+
+def several_question(columns: Sequence[FileColumn]) -> Iterator[ExportQuestion]:
+    """Yield what several columns of readings are."""
+    if len(columns) > 1:
+        text = "Are the columns of readings one accelerometer each, or repeats at one setting?"
+        choices = (ACCELEROMETERS, REPEATS)
+        yield ExportQuestion(_SEVERAL, text, REPEATS, choices, _kind_of_columns(columns))
 
 
 def part_question(
@@ -214,8 +271,7 @@ def output_questions(
 
 def output_unit(column: FileColumn, told: Mapping[str, str] = MappingProxyType({})) -> str | None:
     """Return what a column of readings is in: as told, by the file, or by the end of its name."""
-    before, _, ending = column.name.rpartition("_")
-    known = (unit for unit in (column.unit, ending if before else "") if unit in _OUTPUTS)
+    known = (unit for unit in (column.unit, unit_in_name(column.name)) if unit in _OUTPUTS)
     return told.get(f"{column.name} unit") or next(known, None)
 
 

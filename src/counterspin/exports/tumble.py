@@ -25,9 +25,11 @@ from counterspin.exports.readings import (
     Sensed,
     of_role,
     output_questions,
+    outputs_of,
     part_question,
     role_questions,
     roles_of,
+    several_question,
     table_statements,
     usual_role,
 )
@@ -152,7 +154,8 @@ def _questions(
     text = "How does the input axis point at the position 0, for a head that turns about north?"
     yield ExportQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
     yield from role_questions(look, roles, ["position"])
-    for column in readings:
+    yield from several_question(readings)
+    for column, *_ in outputs_of(look, roles, told):
         yield from output_questions(column, told, _sensed(column, angles))
 
 
