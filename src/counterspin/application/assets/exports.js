@@ -173,6 +173,16 @@ class Preview {
     this.asked = 0;
     /** @type {HTMLElement[]} of the machine, once its kind is known */
     this.drawing = [];
+    /** @type {any} what the server says of the files */
+    this.told = null;
+    /** @type {Promise<void>} the last look after a change */
+    this.last = Promise.resolve();
+    this.above = make("div");
+    this.asks = make("div");
+    this.below = make("div");
+    // The button stays where it is: who presses it while files are looked at anew has pressed it.
+    this.form = make("form", { onsubmit: (/** @type {Event} */ event) => this.write(event), novalidate: true },
+      this.asks, make("button", { class: "main" }, "Write the campaign"));
   }
 
   /** What is said of the files so far. */
@@ -223,16 +233,16 @@ class Preview {
     const table = this.table(told, questions, wrong);
     const shown = new Set(table.keys);
     const rest = [...questions.values()].filter((one) => !shown.has(one.key) && !one.key.endsWith(" is"));
-    this.place.replaceChildren(
+    this.told = told;
+    this.above.replaceChildren(
       make("h3", {}, `What is in ${told.file}${this.names.length > 1 ? " and the others" : ""}`),
       make("div", { class: "scroll", tabindex: "0" }, table.element),
-      ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing,
-      make("form", { onsubmit: (/** @type {Event} */ event) => this.write(event, told), novalidate: true },
-        make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
-        wrong.has("") ? warning(/** @type {string} */ (wrong.get(""))) : null,
-        make("button", { class: "main" }, "Write the campaign")),
-      make("details", {}, make("summary", {}, "What is guessed, in words"),
-        make("ul", {}, ...told.statements.map((/** @type {string} */ one) => make("li", {}, one)))));
+      ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing);
+    this.asks.replaceChildren(make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
+      ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
+    this.below.replaceChildren(make("details", {}, make("summary", {}, "What is guessed, in words"),
+      make("ul", {}, ...told.statements.map((/** @type {string} */ one) => make("li", {}, one)))));
+    if (!this.form.isConnected) this.place.replaceChildren(this.above, this.form, this.below);
     if (active?.isConnected) active.focus();
   }
 
@@ -296,7 +306,7 @@ class Preview {
         }
         delete this.answers[`${name} is`];
         if (control.value && !parts.includes(control.value)) this.answers[`${name} is`] = control.value;
-        this.changed();
+        this.last = this.changed();
       },
     }, ...(value ? [] : [""]).concat(choices).map((one) =>
       make("option", { value: one }, one.replace("_", " ") || blank)));
@@ -320,11 +330,16 @@ class Preview {
     if (!kept) {
       this.fields.set(key, made);
       made.value = this.sent[key] ?? "";
-      made.addEventListener("change", () => {
-        if (made.value.trim()) this.answers[key] = made.value;
+      const take = () => {
+        const said = made.value.trim();
+        if (said === (this.answers[key] ?? this.questions.find((one) => one.key === key)?.guess ?? "")) return;
+        if (said) this.answers[key] = said;
         else delete this.answers[key];
-        this.changed();
-      });
+        this.last = this.changed();
+      };
+      made.addEventListener("change", take);
+      // Drawn again while it was typed in, a field tells no change.
+      made.addEventListener("blur", take);
     }
     if (!(key in this.sent) && made !== document.activeElement) made.value = guess ?? "";
     if (bare) made.setAttribute("aria-label", text);
@@ -336,19 +351,18 @@ class Preview {
     try {
       await this.update();
     } catch (error) {
-      this.place.append(warning(/** @type {Error} */ (error).message));
+      this.asks.append(warning(/** @type {Error} */ (error).message));
     }
   }
 
-  /**
-   * @param {Event} event
-   * @param {any} told
-   */
-  async write(event, told) {
+  /** @param {Event} event */
+  async write(event) {
     event.preventDefault();
+    // What that look brings up would take the place of what is missing.
+    await this.last;
     // What has just been typed counts, though its field was not left.
     for (const [key, field] of this.fields) {
-      const guess = told.questions.find((/** @type {Question} */ one) => one.key === key)?.guess;
+      const guess = this.questions.find((one) => one.key === key)?.guess;
       if (field.isConnected && field.value.trim() && field.value !== guess) this.answers[key] = field.value;
     }
     try {
@@ -357,8 +371,8 @@ class Preview {
       location.hash = campaignAddress(made.name);
     } catch (error) {
       const lines = error instanceof Refused ? error.told.problems : null;
-      if (lines) this.show(told, lines);
-      else this.place.append(warning(/** @type {Error} */ (error).message));
+      if (lines) this.show(this.told, lines);
+      else this.asks.append(warning(/** @type {Error} */ (error).message));
     }
   }
 }
