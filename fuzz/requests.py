@@ -174,6 +174,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST rename": [{"name": "three", "to": "new/three"}],
         "POST put-away": [{"name": "three"}],
         "POST campaign": [{"name": "new", "test": "tumble"}, {"name": "new"}],
+        "GET manual": [{"name": "campaign"}],
         "GET description": [{"name": "three"}, {"name": "tumble"}],
         "GET lab": [{"file": "LAB.toml", "result": result}, {"file": "new.toml", "result": result}],
         "POST check": [

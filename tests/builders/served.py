@@ -34,6 +34,7 @@ PLACES = (
     "/history",
     "/result/three%2Fresult.json",
     "/certificate/three%2Fresult.json",
+    "/manual/campaign#records",
     "/nowhere",
 )
 

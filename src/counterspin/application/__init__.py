@@ -12,6 +12,7 @@ is done by a click is a command too, and the page says which.
 - `keeping`: campaigns copied, renamed and put away
 - `form`, `editing`, `descriptions`: a form made of the models' keys, the text beside it, and both
   of a campaign or a laboratory
+- `manual`: the documentation, and which of its pages explains what
 - `processes`: work in a process of its own, told through a pipe
 - `jobs`: what takes longer than a moment, one thing after the other: calibrations, studies,
   simulations, forecasts, plans

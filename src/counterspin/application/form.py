@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
+from counterspin.application.manual import address, explained
 from counterspin.campaign.kinds import (
     OUTPUTS,
     STAMPS,
@@ -56,6 +57,8 @@ _KINDS: Final[Mapping[Any, str]] = {
     tuple: "list",
 }
 
+_LINK: Final = re.compile(r"\[([^\]]+)\]\(([^)]*)\)")
+
 Field = dict[str, Any]
 
 
@@ -64,14 +67,16 @@ def campaign_form() -> tuple[Field, ...]:
     """Return the sections of ``campaign.toml``, each with its fields."""
     sections = []
     for key, model in SECTIONS.items():
-        section = _section(key, model)
+        section = _section(key, model, "campaign")
         if key == "runs":
-            section["of_readings"] = _fields(ReadingRunSettings)
+            section["of_readings"] = _fields(ReadingRunSettings, "campaign")
         if key == "specification":
             section["of_names"] = _limits()
             section["fields"] = section["of_names"] + section["fields"]
         if key == "truth":
-            section["of_tables"] = {name: _fields(model) for name, model in TRUE_TABLES.items()}
+            section["of_tables"] = {
+                name: _fields(model, "campaign") for name, model in TRUE_TABLES.items()
+            }
         sections.append(section)
     return tuple(sections)
 
@@ -83,7 +88,7 @@ def lab_form() -> tuple[Field, ...]:
     for name, field in Lab.model_fields.items():
         model = _model_inside(field.annotation)
         if model is not None:
-            sections.append(_section(field.alias or name, model))
+            sections.append(_section(field.alias or name, model, "certificate"))
     return tuple(sections)
 
 
@@ -101,6 +106,7 @@ def _limits() -> list[Field]:
             "key": symbol,
             "label": _label(symbol),
             "help": "",
+            "links": [],
             "required": False,
             "kind": "text",
             "example": f"abs <= … {row.unit}",
@@ -109,34 +115,38 @@ def _limits() -> list[Field]:
     ]
 
 
-def _section(key: str, model: type[BaseModel]) -> Field:
+def _section(key: str, model: type[BaseModel], page: str) -> Field:
+    """Return a section; page: of the documentation, where the class has no table of its own."""
     words = (model.__doc__ or "").partition("\n")[0]
     # "[site]: where the centrifuge stands."
     said = words.partition("]: ")[2]
     return {
         "key": key,
         "words": (said[:1].upper() + said[1:]).replace("`", ""),
+        "explained": explained(model) or page,
         "repeat": _REPEATED.get(key),
-        "fields": _fields(model),
+        "fields": _fields(model, page),
     }
 
 
-def _fields(model: type[BaseModel]) -> list[Field]:
-    return [_field(field.alias or name, field) for name, field in model.model_fields.items()]
+def _fields(model: type[BaseModel], page: str) -> list[Field]:
+    page = (explained(model) or page).partition("#")[0]
+    return [_field(field.alias or name, field, page) for name, field in model.model_fields.items()]
 
 
-def _field(key: str, field: FieldInfo) -> Field:
+def _field(key: str, field: FieldInfo, page: str) -> Field:
     base, metadata = _unwrapped(field.annotation, field.metadata)
     extra: Any = field.json_schema_extra or {}
     absent = extra.get("x-absent")
     meaning = "" if key in OWN_TERMS else (field.description or "").removesuffix("; see below")
-    said = [meaning, f"if left out: {absent}" if absent else ""]
+    said = "; ".join(filter(None, [meaning, f"if left out: {absent}" if absent else ""]))
     asked = {
         "key": key,
         "label": extra.get("x-label") or _label(key),
-        "help": unlinked("; ".join(filter(None, said))).replace("`", ""),
+        "help": unlinked(said).replace("`", ""),
+        "links": _links(said, page),
         "required": field.is_required(),
-        **_kind(base, metadata),
+        **_kind(base, metadata, page),
     }
     words = extra.get("x-kind", "")
     if words.startswith("date") or words in ("country", "language"):
@@ -150,6 +160,12 @@ def _field(key: str, field: FieldInfo) -> Field:
         if asked["kind"] == "quantity" and usual is not None:
             asked["units"] = list(dict.fromkeys([usual[1], *asked["units"]]))
     return asked
+
+
+def _links(said: str, page: str) -> list[tuple[str, str]]:
+    """Return words of a help, one after the other, and the page that they lead to."""
+    found = ((words.replace("`", ""), address(to, page)) for words, to in _LINK.findall(said))
+    return [(words, to) for words, to in found if to is not None]
 
 
 def _label(key: str) -> str:
@@ -197,7 +213,7 @@ def _a_table(some: Sequence[Any]) -> bool:
     return any(typing.get_origin(part) is dict for part in some)
 
 
-def _kind(base: Any, metadata: Sequence[Any]) -> Field:
+def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
     """Return how a value is asked for: its choices or suggestions, its unit and others of it."""
     if typing.get_origin(base) is Literal:
         return {"kind": "choice", "choices": list(typing.get_args(base))}
@@ -213,7 +229,7 @@ def _kind(base: Any, metadata: Sequence[Any]) -> Field:
         named = [choice for part in _parts(written) for choice in _choices(part)]
         return asked | ({"suggestions": named} if named else {})
     if isinstance(base, type) and issubclass(base, BaseModel):
-        return {"kind": "group", "fields": _fields(base)}
+        return {"kind": "group", "fields": _fields(base, page)}
     checks = [said.func for said in metadata if isinstance(said, AfterValidator)]
     wanted = next((found for check in checks if (found := _units_wanted(check))), ())
     if wanted:

@@ -22,6 +22,7 @@ from counterspin.application import (
     improving,
     judging,
     keeping,
+    manual,
     pages,
     plans,
     record_plots,
@@ -58,6 +59,10 @@ def _page(desk: Desk, kind: pages.Kind, names: str, term: str = "K_II") -> Any:
 def _picture(desk: Desk, kind: pages.Kind, names: str, place: int, term: str = "K_II") -> Answer:
     drawn = pages.picture_of(desk, kind, names.split("\n"), term, place)
     return Answer(200, drawn, "image/svg+xml")
+
+
+def _manual(_: Desk, name: str) -> Any:
+    return manual.manual_page(name)
 
 
 def _report(desk: Desk, name: str, kind: Literal["html", "md", "pdf"]) -> Answer:
@@ -97,6 +102,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "check"): descriptions.check_text,
     ("POST", "change"): descriptions.change_text,
     ("PUT", "text"): descriptions.save_text,
+    ("GET", "manual"): _manual,
     ("GET", "page"): _page,
     ("GET", "picture"): _picture,
     ("POST", "what-if"): improving.uncertainty_if,

@@ -4,13 +4,14 @@
 import { Refused, send } from "./api.js";
 import { labelled, make, say, warning } from "./dom.js";
 import { drawingOf } from "./drawings.js";
+import { linked, manualLink } from "./manual.js";
 
 /**
  * @typedef {string | number} Part
- * @typedef {{key: string, label: string, help: string, kind: string, required: boolean, unit?: string,
+ * @typedef {{key: string, label: string, help: string, links: [string, string][], kind: string, required: boolean, unit?: string,
  *   units?: string[], example?: string, choices?: any[], suggestions?: string[],
  *   rows?: {key: string, words: string}[], fields?: Field[]}} Field
- * @typedef {{key: string, words: string, repeat: string | null, fields: Field[],
+ * @typedef {{key: string, words: string, explained: string, repeat: string | null, fields: Field[],
  *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
  * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
  *   questions: string[], run_kinds: string[], example: string[]}} Edited
@@ -291,7 +292,7 @@ export class Editor {
     const here = value !== undefined;
     const details = make("details", { id: `s-${key}`, open: here },
       make("summary", {}, key[0].toUpperCase() + key.slice(1).replaceAll("_", " ")),
-      section.words ? make("p", { class: "quiet" }, section.words) : null);
+      make("p", { class: "quiet" }, section.words, " ", manualLink("Documentation", section.explained, key)));
     this.places?.set(key, details);
     const shown = machineOf(key, this.now.document);
     if (shown) details.append(drawingOf(shown));
@@ -393,7 +394,8 @@ export class Editor {
   field(field, path, value) {
     const key = keyPath(path);
     const id = `f-${key}`;
-    const help = field.help ? make("p", { class: "help", id: `h-${key.replace(/\s/g, "_")}` }, field.help) : null;
+    const help = field.help
+      ? make("p", { class: "help", id: `h-${key.replace(/\s/g, "_")}` }, ...linked(field.help, field.links)) : null;
     /** @type {HTMLElement} */
     let place;
     if (field.kind === "group") {

@@ -12,13 +12,14 @@ import { make, warning } from "./dom.js";
 import { liveView } from "./live.js";
 import { planView, plansView } from "./plan.js";
 import { resultView } from "./result.js";
+import { manualView } from "./manual.js";
 import { runsView } from "./runs.js";
 import { tryView } from "./try.js";
 
 /**
  * A place: its address, its name in the list of places, and what is shown there.
  * @typedef {{path: RegExp, name?: string, address?: string,
- *   view: (...words: string[]) => Promise<{title: string, content: Node[]}>}} Place
+ *   view: (...words: string[]) => Promise<{title: string, content: Node[], begin?: string}>}} Place
  */
 
 /** @type {Place[]} */
@@ -27,6 +28,7 @@ const PLACES = [
   { path: /^\/plans$/, name: "Plans", address: "#/plans", view: plansView },
   { path: /^\/compare$/, name: "Compare", address: "#/compare", view: compareView },
   { path: /^\/history$/, name: "History", address: "#/history", view: historyView },
+  { path: /^\/manual\/([^#]*)#?(.*)$/, name: "Help", address: "#/manual/application", view: manualView },
   { path: /^\/plan\/(.*)$/, view: planView },
   { path: /^\/live\/(.*)$/, view: liveView },
   { path: /^\/runs\/(.*)$/, view: runsView },
@@ -50,12 +52,14 @@ async function show() {
     make("a", { href: address, "aria-current": `#${path}` === address ? "page" : null }, name)));
   main.setAttribute("aria-busy", "true");
   let title = "counterspin";
+  /** @type {string | undefined} */
+  let begin;
   /** @type {Node[]} */
   let content;
   try {
     if (!found) throw new Error("There is no such place on this page.");
     const words = /** @type {RegExpExecArray} */ (found.match).slice(1).map(decodeURIComponent);
-    ({ title, content } = await found.place.view(...words));
+    ({ title, content, begin } = await found.place.view(...words));
   } catch (error) {
     const keyless = error instanceof Refused && error.status === 401;
     content = [make("h1", {}, keyless ? "This window has no key" : "That did not work"),
@@ -66,7 +70,11 @@ async function show() {
   main.removeAttribute("aria-busy");
   document.title = `${title} – counterspin`;
   globalThis.counterspin.draw(main);
+  return begin;
 }
+
+/** @param {string|undefined} heading of what is shown */
+const goTo = (heading) => { if (heading) document.getElementById(heading)?.scrollIntoView({ behavior: "instant" }); };
 
 let shownAt = location.hash;
 addEventListener("hashchange", () => {
@@ -79,6 +87,10 @@ addEventListener("hashchange", () => {
     return;
   }
   shownAt = location.hash;
-  show().then(() => { main.focus(); scrollTo(0, 0); });
+  show().then((begin) => {
+    main.focus();
+    scrollTo(0, 0);
+    goTo(begin);
+  });
 });
-enter().finally(() => { shownAt = location.hash; return show(); });
+enter().finally(() => { shownAt = location.hash; return show().then(goTo); });
