@@ -192,11 +192,20 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     (tmp_path / "tumble.csv").write_text("\n".join(["angle_deg,reading_mA,u_mA", *rows]) + "\n")
     tab = opened()
     tab.get_by_label("Folder of the new campaign").fill("tumble")
-    tab.get_by_label("What the files are").select_option("tumble")
-    tab.get_by_label("The recorder's files").set_input_files(tmp_path / "tumble.csv")
+    files = tab.get_by_label("The recorder's files")
+    files.set_input_files(tmp_path / "tumble.csv")
     for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
         tab.get_by_label(question).fill(said)
     assert tab.get_by_label("How does the input axis point").input_value() == "up"
+    # What is guessed of one file is none of another.
+    kind = tab.get_by_label("What the files are")
+    assert kind.input_value() == "tumble"
+    files.set_input_files(folder / "three" / "slow.csv")
+    tab.get_by_label("How far is the platform").wait_for()
+    assert kind.input_value() == "double-turntable"
+    files.set_input_files(tmp_path / "tumble.csv")
+    tab.get_by_label("What is the nominal sensitivity").wait_for()
+    assert tab.get_by_label("At which latitude").input_value() == PLACE[1][1]
     # A slow finger: the last answer is taken up, and shown, before the button is let go.
     tab.get_by_role("button", name="Write the campaign").hover()
     tab.mouse.down()

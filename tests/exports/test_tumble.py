@@ -6,7 +6,7 @@ from workbooks import write_workbook
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.errors import CampaignError
-from counterspin.exports.description import drafted, write_description
+from counterspin.exports.description import drafted, guessed_test, write_description
 from counterspin.exports.looking import look_at
 from counterspin.exports.tumble import tumble_draft
 
@@ -44,6 +44,39 @@ def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
     assert values["K_F"].value == pytest.approx(0.002, abs=1e-6)
     assert values["K_I"].value == pytest.approx(1.0, abs=1e-6)
     assert abs(values["delta_O"].value) < 1e-5
+
+
+@pytest.mark.parametrize("start", [0.0, 45.0, 180.0])
+def test_a_short_table_that_follows_its_positions_is_guessed_to_be_a_tumble(tmp_path, start):
+    path = write_table(tmp_path / "t.csv", table(start))
+    assert guessed_test(look_at([path])) == "tumble"
+
+
+def spindle(rows):
+    """Return the first rows of a record, 30 deg apart: name, deg, value, s."""
+    return [
+        [f"{angle:g}", angle, np.cos(np.radians(angle)), 0.05 * n]
+        for n, angle in enumerate(30.0 * np.arange(rows))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rows", "head", "units"),
+    [
+        # A time that runs evenly, a path, more rows than anybody sets by hand, noise.
+        (spindle(12), ("Name", "Angle", "Signal", "Time"), ("", "deg", "V", "s")),
+        (spindle(12), ("Name", "Angle", "East", "u"), ("", "deg", "m", "m")),
+        (spindle(101), ("Name", "Angle", "Signal", "u"), ("", "deg", "V", "V")),
+        (
+            [[f"{n}", 30.0 * n, value, 1e-6] for n, value in enumerate([1, -1, 3, 0, 2, 2, -3, 1])],
+            ("Name", "Angle", "Signal", "u"),
+            ("", "deg", "V", "V"),
+        ),
+    ],
+)
+def test_what_is_no_tumble_is_not_guessed_to_be_one(tmp_path, rows, head, units):
+    path = write_table(tmp_path / "t.csv", rows, head, units)
+    assert guessed_test(look_at([path])) == "double-turntable"
 
 
 @pytest.mark.parametrize("start", [0.0, 90.0, 180.0, -90.0])

@@ -29,7 +29,7 @@ from counterspin.exports.questions import (
     relative_name,
     settled,
 )
-from counterspin.exports.tumble import TumbleDraft, tumble_draft
+from counterspin.exports.tumble import TumbleDraft, shows_tumble, tumble_draft
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.toml_text import write_document
@@ -121,7 +121,9 @@ def guessed_test(looks: Sequence[Look]) -> Test:
     # A sensor with three axes may have rates beside them.
     if shows_poses(looks):
         return "poses"
-    return "arm" if shows_arm(looks) else "double-turntable"
+    if shows_arm(looks):
+        return "arm"
+    return "tumble" if shows_tumble(looks) else "double-turntable"
 
 
 def drafted(looks: Sequence[Look], answers: Mapping[str, str], test: Test) -> AnyDraft:

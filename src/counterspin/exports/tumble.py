@@ -47,6 +47,10 @@ _UP_AT: Final = {"up": 0.0, "west": 90.0, "down": 180.0, "east": -90.0}
 _PENDULOUS: Final = {"up": "west", "west": "down", "down": "east", "east": "up"}
 #: An axis is guessed if the wave points there within, deg.
 _POINTING: Final = 20.0
+#: Fewest and most rows of a table that is guessed to be a tumble's.
+_ROWS: Final = (4, 100)
+#: It is one if its readings are so nearly, in part of their square, the wave of a revolution.
+_WAVE_PART: Final = 0.99
 
 
 @frozen
@@ -97,6 +101,43 @@ def tumble_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None
     roles, questions = _roles(look, taken), asked(taken)
     statements = tuple(_statements(look, roles, questions))
     return TumbleDraft(statements, questions, taken, problems, look, roles)
+
+
+def shows_tumble(looks: Sequence[Look]) -> bool:
+    """Return whether files are one short table of readings that follow the positions of a head."""
+    if len(looks) != 1:
+        return False
+    (look,) = looks
+    roles = _roles(look, {})
+    position = next(iter(of_role(look, roles, "position")), None)
+    readings = of_role(look, roles, "reading")
+    if position is None or not readings or look.interval is not None:
+        return False
+    if not _ROWS[0] <= len(position.values) <= _ROWS[1]:
+        return False
+    # A record of a spindle has times that run evenly, or paths.
+    times = of_role(look, roles, "time")
+    if any(map(_is_even, times)) or any(converts(column.unit, "m") for column in readings):
+        return False
+    angles = position.values * unit_factor(_angle_unit(position), "rad")
+    return all(_follows(angles, column.values) for column in readings)
+
+
+def _is_even(time: FileColumn) -> bool:
+    steps = np.diff(time.values)
+    return bool(steps.size and np.ptp(steps) <= 1e-2 * abs(float(np.mean(steps))))
+
+
+def _follows(angles: Array, values: Array) -> bool:
+    """Return whether values are the wave of a revolution, beside a constant; angles in rad."""
+    good = np.isfinite(angles) & np.isfinite(values)
+    design = np.column_stack([np.cos(angles), np.sin(angles), np.ones(angles.size)])[good]
+    y = values[good]
+    if y.size <= design.shape[1]:
+        return False
+    rest = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    total = float(np.sum((y - y.mean()) ** 2))
+    return total > 0.0 and float(np.sum(rest**2)) <= (1.0 - _WAVE_PART) * total
 
 
 # What is guessed

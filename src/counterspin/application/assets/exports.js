@@ -42,13 +42,17 @@ export function exportsPart() {
   let names = [];
   /** @type {Preview|null} */
   let preview = null;
+  let guessed = "";
   const look = async () => {
     preview?.end();
     place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
     try {
+      const stated = test.value;
       const own = preview = new Preview(place, names, () => folder.value, test.value, preview?.answers);
       await own.update();
-      if (own === preview) test.value = own.test;
+      if (own !== preview) return;
+      test.value = own.test;
+      guessed = stated ? "" : own.test;
     } catch (error) {
       place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
@@ -62,6 +66,8 @@ export function exportsPart() {
       folder.focus();
       return;
     }
+    // What other files are is guessed anew.
+    if (test.value === guessed) test.value = "";
     try {
       names = [];
       for (const file of some) {
