@@ -103,9 +103,6 @@ COUNTED: Final = {
     "`lack-of-fit`": ("lack-of-fit",),
 }
 
-#: No blame, but what the records cannot show.
-NO_BLAME: Final = "hidden-noise"
-
 
 @dataclass(frozen=True)
 class Row:
@@ -148,11 +145,10 @@ def row_of(case: Case, trials: int) -> Row:
         found = set(_codes(result.findings))
         for code in found:
             every[code] = every.get(code, 0) + 1
-        blamed = found - {NO_BLAME}
-        counts["anything"] += bool(blamed)
+        counts["anything"] += bool(found)
         for name, codes in COUNTED.items():
-            counts[name] += not blamed.isdisjoint(codes)
-        counts["a cause"] += bool(blamed - checks)
+            counts[name] += not found.isdisjoint(codes)
+        counts["a cause"] += bool(found - checks)
         counts["contradicted"] += result.state == "contradicted"
     return Row(case.words, len(case.rates), trials, counts, dict(sorted(every.items())))
 

@@ -88,7 +88,7 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
     truth: dict[str, dict[str, float]] = {}
     tables = []
     for axis in axes:
-        own = {s: term(s).nominal + size * rng.standard_normal() for s, size in SIZES.items()}
+        own = {s: term(s).nominal + size * _credible(rng, s) for s, size in SIZES.items()}
         truth[f"Q{axis}"] = own
         known = []
         for symbol, u, key in (("K_F", 2e-6, "bias"), ("K_I", 5e-6, "scale_factor")):
@@ -137,6 +137,14 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
         [_frame(wrong), *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
     )
     return Drawn(described, simulated + "\n", truth, int(rng.integers(0, 3)))
+
+
+def _credible(rng: np.random.Generator, symbol: str) -> float:
+    """Draw a normal variable until an instrument with so many of a term's sizes is credible."""
+    while True:
+        drawn = float(rng.standard_normal())
+        if abs(drawn) * SIZES[symbol] < term(symbol).limit:
+            return drawn
 
 
 def _frame(inputs: dict[str, float]) -> str:

@@ -46,6 +46,24 @@ def test_u_is_not_too_small():
             assert size < 1.0 + ALLOWED / np.sqrt(2.0 * count), (row.words, symbol)
 
 
+def test_noise_that_no_record_shows_is_no_blame():
+    """Two thirds of u^2 of K_II: u holds it."""
+    errors, result = STUDY["tried"](40094, unstated=False)
+    assert result.state == "good"
+    assert [remark for remark in result.warnings if "of u^2 of K_II is white noise" in remark]
+    assert all(covered for symbol, _, covered in errors if symbol == "K_II")
+
+
+def test_what_is_drawn_is_credible():
+    """Four standard deviations of K_II, drawn once in 16,000, are beyond 1e-4 g/g^2."""
+    drawn = STUDY["draw"](np.random.default_rng(40130), unstated=False)
+    assert all(
+        abs(own[symbol] - STUDY["term"](symbol).nominal) < STUDY["term"](symbol).limit
+        for own in drawn.truth.values()
+        for symbol in STUDY["TERMS"]
+    )
+
+
 @pytest.mark.parametrize("unstated", KINDS.values(), ids=KINDS)
 def test_a_campaign_is_drawn_tried_and_found(unstated):
     drawn = STUDY["draw"](np.random.default_rng(STUDY["FIRST"]), unstated=unstated)

@@ -11,6 +11,7 @@ import pytest
 from campaigns import SMALL, campaign_of, changed, without, write
 from scipy.special import chdtrc, stdtrit
 
+from counterspin.calibration import joint_parts
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import command_words
@@ -281,6 +282,19 @@ def test_noise_that_does_not_show_is_in_u(tmp_path):
         assert c.u_noise > without.u_noise
         assert c.dof is not None
     assert found.coefficients["K_F"].u_noise > 1.05 * none.coefficients["K_F"].u_noise
+
+
+def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
+    folder = made(tmp_path, ('[noise]\ndisplacement = "0.01 m"\n', ESTIMATED[0]))
+    u = qx(calibrate(folder, method="two-stage")).coefficients["K_II"].u
+    known = qx(result_of(tmp_path / "known")).coefficients["K_II"].u
+    share = 1.0 - (known / u) ** 2
+    for part, count in ((0.9, 1), (1.1, 0)):
+        monkeypatch.setattr(joint_parts, "_HIDDEN_SHARE", part * share)
+        result = calibrate(folder, method="two-stage")
+        remarks = [remark for remark in result.warnings if "of K_II is white noise" in remark]
+        assert len(remarks) == count
+        assert "hidden-noise" not in {finding.code for finding in result.findings}
 
 
 def test_a_prior_that_the_runs_contradict_is_named(tmp_path):

@@ -44,9 +44,6 @@ CONTRADICTION_SIGMAS: Final = 6.0
 #: Residuals so many times as large as the noise: the uncertainty is not of these records.
 RESIDUAL_RATIO_LIMIT: Final = 2.0
 
-#: Share of u^2 above which noise that the records do not show is mentioned.
-_HIDDEN_SHARE: Final = 0.5
-
 #: From the best to the worst.
 _STATES: Final[tuple[State, ...]] = ("good", "reservations", "contradicted")
 
@@ -271,18 +268,6 @@ def _misfit(name: str, residual: Residual, accelerometers: int) -> Iterator[Find
     )
     text = f"The residuals {what} (p = {format_number(p, 2)})."
     yield lack_of_fit(name, [text], residual)
-
-
-def hidden_noise(name: str, share: float) -> list[Finding]:
-    """Return a finding where noise that the records do not show is most of u^2 of K_II."""
-    if share < _HIDDEN_SHARE:
-        return []
-    text = (
-        f"{share:.0%} of u^2 of K_II is white noise of the accelerometer that the records do not "
-        "show and cannot exclude. If it is known, or known to be none, state it as acceleration "
-        "in [noise]; else record longer runs."
-    )
-    return [Finding(code="hidden-noise", subject=f"{name}.K_II", text=text, size=share)]
 
 
 def not_determined(subject: str, symbol: str, data: str = "records", more: str = "") -> Finding:

@@ -21,7 +21,6 @@ from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
     compare,
-    hidden_walk,
     residual_findings,
     run_fits,
     unseen_ripple,
@@ -31,6 +30,7 @@ from counterspin.calibration.joint_parts import (
     confounded,
     confounded_platform,
     correlation,
+    hidden_walk,
     knowledge,
     noise_lines,
     residual,
@@ -119,7 +119,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
             *beyond_typical(rests_on),
         ],
         causes=causes_of(views, accelerometers, mountings),
-        remarks=(*unseen_axes(mountings), *no_more_than_rounded(views)),
+        remarks=(*unseen_axes(mountings), *no_more_than_rounded(views), *hidden_walk(views)),
         residuals=residuals_of(estimated.fit, units),
     )
 
@@ -182,7 +182,6 @@ def _accelerometer(
             *kinds.findings,
             *residual_findings(kinds.judged),
             *outliers_of_means(name, view.readings),
-            *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(view, own),
             *incredible(view.campaign.limit_of, name, own),

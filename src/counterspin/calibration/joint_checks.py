@@ -11,7 +11,6 @@ from counterspin.calibration.diagnosis.pose_findings import pose_findings
 from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
     equivalent_deviations,
-    hidden_noise,
     lack_of_fit,
 )
 from counterspin.calibration.joint_parts import coefficient, residual
@@ -185,15 +184,6 @@ def _considered(fit: JointFit, index: int) -> dict[str, tuple[float, float]]:
         if other.symbol not in (*encoder.SYMBOLS, *INPUTS)
         and (other.symbol in OWN_TERMS or not shown_by_readings(other.symbol))
     }
-
-
-def hidden_walk(view: AccelerometerView) -> list[Finding]:
-    """Return a finding where most of K_II's variance is noise that the records do not show."""
-    index, name = view.k_ii, view.name
-    if index is None or name not in view.fit.unseen:
-        return []
-    variance = float(view.fit.unseen[name][1][index, index])
-    return hidden_noise(name, variance / float(view.fit.solution.u[index]) ** 2)
 
 
 def unseen_ripple(view: AccelerometerView) -> list[Finding]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
+
+#: Share of u^2 above which noise that the records do not show is mentioned.
+_HIDDEN_SHARE: Final = 0.5
 
 
 def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
@@ -161,6 +165,25 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     noise, observable = view.fit.noise[view.name], view.accelerometer.observable
     of_records = record_noise(noise, components, observable)
     return from_rest(of_records, view.campaign, noise, observable) | of_readings
+
+
+def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
+    """Yield a remark where most of u^2 of K_II is noise that the records do not show.
+
+    u holds it, so nothing speaks against the result.
+    """
+    for view in views:
+        index, name = view.k_ii, view.name
+        if index is None or name not in view.fit.unseen:
+            continue
+        variance = float(view.fit.unseen[name][1][index, index])
+        share = variance / float(view.fit.solution.u[index]) ** 2
+        if share > _HIDDEN_SHARE:
+            yield (
+                f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the "
+                "records do not show and cannot exclude. If it is known, or known to be none, "
+                "state it as acceleration in [noise]; else record longer runs."
+            )
 
 
 def from_rest(

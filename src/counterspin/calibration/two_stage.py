@@ -15,6 +15,7 @@ from counterspin.calibration.joint_parts import (
     confounded,
     correlation,
     from_rest,
+    hidden_walk,
     record_noise,
 )
 from counterspin.calibration.joint_problem import noise_of, series_of
@@ -64,6 +65,7 @@ class TwoStageOutcome:
     result: AccelerometerResult
     parabolas: Mapping[str, ParabolaResult]
     second: SecondStage
+    view: AccelerometerView
 
 
 def two_stage(
@@ -116,7 +118,7 @@ def two_stage(
         part.run: _parabola(parabola)
         for part, parabola in zip(second.fit.prepared, second.parabolas, strict=True)
     }
-    return TwoStageOutcome(result, parabolas, second)
+    return TwoStageOutcome(result, parabolas, second, view)
 
 
 def in_two_stages(
@@ -139,6 +141,7 @@ def in_two_stages(
             )
             for run in observed
         },
+        remarks=tuple(hidden_walk(outcome.view for outcome in found.values())),
     )
 
 

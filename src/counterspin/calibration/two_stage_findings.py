@@ -11,7 +11,6 @@ from counterspin.calibration.diagnosis.words import Explanation
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
-    hidden_noise,
     not_determined,
 )
 from counterspin.calibration.joint_view import AccelerometerView
@@ -111,9 +110,6 @@ def findings(
         gathered += [finding.model_copy(update={"explains": misfit}) for finding in wrong]
         misfit = [] if wrong else misfit
     gathered += misfit
-    unseen = second.fit.solution.covariance_unseen
-    if unseen is not None:
-        gathered += hidden_noise(name, float(unseen[0, 0] / second.fit.solution.u[0] ** 2))
     lost = sum(parabola.strobes.lost for parabola in second.parabolas)
     if lost:
         text = f"{lost} strobes fell into gaps of the record and were left out."
