@@ -238,7 +238,7 @@ def _path_errors() -> Iterator[Term[PathError]]:
     yield from _harmonics(
         "encoder.harmonic",
         (1, 2, 3, 4),
-        ("rad", 1e-3, ARCSEC, f"{_NO_SOURCE}: 1 arcsec, a good angle encoder as mounted"),
+        ("rad", 1e-3, ARCSEC, "Lu et al.: 1 arcsec, the best angle encoders, properly mounted"),
         "error of an eccentric encoder, {} a revolution",
     )
 
@@ -298,7 +298,10 @@ def _displacements() -> Iterator[Term[Displacement]]:
         turned = symbol.startswith("fixture.")
         effect = Displacement("misalignment", about) if turned else Displacement(of)
         yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
-    graduated = (1e-3, 1e-5, f"{_NO_SOURCE}: a head of ±5 arcsec, shared out among its waves")
+    arcseconds = (
+        "order of magnitude: mounting errs by arcseconds (Lu et al.), ±5 shared out among the waves"
+    )
+    graduated = (1e-3, 1e-5, arcseconds)
     for n, quadrature, called in _waves((1, 2), "error of the dividing head, {} a turn"):
         effect = Displacement("wave", "", n, quadrature)
         symbol = f"head.harmonic.{n}.{quadrature}"
