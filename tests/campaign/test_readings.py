@@ -148,6 +148,12 @@ SLIPS = {
         HEAD + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.droop"]\n' + RUN,
         'no reading shows "centrifuge.droop"',
     ),
+    "the zero of a head where no reading has one": (
+        HEAD
+        + '[model.priors]\n"head.zero" = "0 ± 1 arcsec"\n'
+        + RUN.replace("30 ± 0.001 deg about north", "level"),
+        'no reading shows "head.zero"',
+    ),
     "a mounting that is not there": (
         HEAD + ARM + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.radius.inn"]\n' + ON_ARM,
         'did you mean "centrifuge.radius.in"?',

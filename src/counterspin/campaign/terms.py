@@ -159,7 +159,9 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
     for row in READING_TERMS.values():
         if not motions & set(row.motions):
             continue
-        if row.symbol.startswith(HEAD_WAVES) and len(shown) < 2:
+        # A zero needs a head, a wave another angle of it.
+        fewest = 2 if row.symbol.startswith(HEAD_WAVES) else 1
+        if row.symbol.startswith("head.") and len(shown) < fewest:
             continue
         if row.scope == "position":
             positions = dict.fromkeys(r.position for r in readings if r.position)
