@@ -26,7 +26,7 @@ def parts_of(t, x, pieces=1):
     sums = PolynomialParts(1)
     for rows in np.array_split(np.arange(len(t)), pieces):
         sums.add(t[rows], [x[rows]])
-    return sums.of(0)
+    return np.append(sums.of(0), sums.ends(0))
 
 
 @pytest.mark.parametrize("pieces", [1, 7])
@@ -37,7 +37,7 @@ def test_the_parts_are_those_of_a_dense_factorisation(pieces):
     q, r = np.linalg.qr(np.vander(t[good] / 400.0, 3, increasing=True))
     dense = (q * np.sign(np.diag(r))).T @ x[good]
     # Sums of t^4 and the root of their matrix, whose condition is 1e3, cost three digits.
-    np.testing.assert_allclose(parts_of(t, x, pieces), dense, rtol=1e-11)
+    np.testing.assert_allclose(parts_of(t, x, pieces)[:3], dense, rtol=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -62,21 +62,61 @@ def test_the_mean_over_neighbours_keeps_what_was_removed():
     assert removed(parts) == 3
 
 
+def through_ends(t, x):
+    """Take off the line through the first row and the last."""
+    return x - np.interp(t, [t[0], t[-1]], [x[0], x[-1]])
+
+
+@pytest.mark.parametrize("decimals", [4, 17])
+@pytest.mark.parametrize("pieces", [1, 7])
+def test_a_line_through_the_ends_is_found_in_three_records_and_not_in_one(decimals, pieces):
+    rng = np.random.default_rng(6)
+    parts = []
+    for _ in range(3):
+        t, x = wave(rng)
+        parts.append(parts_of(t, np.round(through_ends(t, x), decimals), pieces) / 0.01)
+    assert removed(parts) == 2
+    assert removed(parts[:1]) == 0
+
+
+def test_records_that_begin_at_zero_are_not_blamed():
+    """A recorder that is set to zero when it begins, and in one of three comes back to zero."""
+    rng = np.random.default_rng(7)
+    parts = []
+    for run in range(3):
+        t, x = wave(rng)
+        x -= x[0]
+        x[-1] *= float(run != 1)
+        parts.append(parts_of(t, x) / 0.01)
+    assert removed(parts) == 0
+
+
+def test_records_that_begin_and_end_at_rest_are_not_blamed():
+    """Rounded, all rows of the rest are zero."""
+    rng = np.random.default_rng(8)
+    parts = []
+    for _ in range(3):
+        t, x = wave(rng)
+        x[:100] = x[-100:] = 0.0
+        parts.append(parts_of(t, x) / 0.01)
+    assert removed(parts) == 0
+
+
 def test_noise_alone_is_not_orthogonal_to_anything():
     # 3000 campaigns of three records: by chance 0.003 of them would be blamed.
     rng = np.random.default_rng(4)
-    assert not any(removed(parts) for parts in rng.normal(size=(3000, 3, 3)))
-    assert not any(removed([part]) for part in rng.normal(size=(3000, 3)))
+    assert not any(removed(parts) for parts in rng.normal(size=(3000, 3, 4)))
+    assert not any(removed([part]) for part in rng.normal(size=(3000, 4)))
 
 
 def test_a_record_from_which_less_was_removed_is_not_blamed_for_more():
     rng = np.random.default_rng(5)
     for _ in range(1000):
-        parts = rng.normal(size=(3, 3))
+        parts = rng.normal(size=(3, 4))
         parts[:, 0] = 1e-9
         assert removed(parts) == 1
 
 
 def test_a_record_without_noise_says_nothing():
-    assert removed([np.array([np.nan, np.inf, 0.0])]) == 0
+    assert removed([np.array([np.nan, np.inf, 0.0, np.inf])]) == 0
     assert removed([]) == 0

@@ -33,6 +33,9 @@ from counterspin.records.removed import removed
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
 _HORIZONTAL_PART: Final = 0.05
 
+#: How many of 1, t and t^2 a line is.
+_LINE: Final = 2
+
 #: rad, over which a change with the latitude is taken.
 _LATITUDE_STEP: Final = 1e-5
 
@@ -104,12 +107,13 @@ def _refuse_removed(campaign: Campaign, name: str, parts: Mapping[str, Array]) -
         return
     column = campaign.accelerometers[name].channel.name
     powers = ", ".join(("1", "t", "t^2")[:count])
+    ends = ", or zero at both ends in every run" if count == _LINE else ""
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
-        f"it was written: to the last digit its rows are orthogonal to {powers}, as no record "
-        f"is. With it went what K_F and K_II do to {observable.replace('_', ' ')}. Switch that off "
-        "in the recorder or in the export (detrend, remove offset, zero mean), and record or "
-        "export again."
+        f"it was written: to the last digit its rows are orthogonal to {powers}{ends}, as no "
+        "record is. With it went what K_F and K_II do to "
+        f"{observable.replace('_', ' ')}. Switch that off in the recorder or in the export "
+        "(detrend, remove offset, zero mean), and record or export again."
     )
 
 

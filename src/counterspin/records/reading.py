@@ -345,7 +345,9 @@ class _RecordReader:
             if not self._motion.steady:
                 fitted = self._check_amplitude(name, blocks.time, phase, signal)
                 noise = noise_of(fitted) * np.sqrt(np.median(blocks.count))
-                parts[name] = self._polynomials.of(place) * (spec.factor / noise)
+                ends = self._polynomials.ends(place)
+                own = np.append(self._polynomials.of(place), ends)
+                parts[name] = own * (spec.factor / noise)
             signals[name] = signal
         return Record(
             blocks.time,

@@ -170,5 +170,5 @@ class Record:
     #: Likewise of further files: those in which it goes on, and that of its pulses.
     others: Mapping[Path, FileIdentity] = field(default_factory=dict)
     #: Accelerometer -> parts of its whole column along 1, t and t^2, over the noise of one row,
-    #: shape (3,); NaN where nothing tells it. See `counterspin.records.removed`.
+    #: shape (4,); NaN where nothing tells it. See `counterspin.records.removed`.
     polynomials: Mapping[str, np.ndarray] = field(default_factory=dict)
