@@ -37,6 +37,14 @@ def test_the_table_is_what_is_found(kept):
         assert row.shifts == pytest.approx(known.shifts, abs=0.05)
 
 
+@pytest.mark.parametrize(("wave", "times"), [("1.sin", "once"), ("2.cos", "twice")])
+def test_a_head_that_errs_is_named_in_two_mountings(wave, times):
+    usual = STUDY["description"](*WAYS["12 positions in two mountings"])
+    (violation,) = (v for v in STUDY["violations"]() if v.symbol == f"head.harmonic.{wave}")
+    assuming, _ = STUDY["calibrated"](STUDY["world_of"](violation, usual))
+    assert f"are what a head makes that errs {times} a turn" in assuming.findings[0].text
+
+
 def test_what_waves_of_the_head_look_like(kept):
     """Turned by d more, cos phi reads less by d sin phi; d = e sin phi is e (1 - cos 2 phi)/2 less.
 

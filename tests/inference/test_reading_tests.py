@@ -10,7 +10,9 @@ from scipy import stats
 
 from counterspin.inference.reading_tests import (
     DRIFT,
+    HEAD,
     HYSTERESIS,
+    STEP,
     TERM,
     WAVE,
     Group,
@@ -71,6 +73,36 @@ def test_columns_are_those_that_the_model_lacks():
     assert (DRIFT, "time") in names
     # All positions were approached from one side.
     assert HYSTERESIS not in {kind for kind, _ in names}
+
+
+def test_what_a_head_makes_that_errs_is_a_column_where_it_was_mounted_on_in_two_ways():
+    """Turned by d more, cos phi reads less by d sin phi; d is a wave of what the head shows."""
+    angle = np.arange(24) * math.pi / 12
+    shown = angle - np.where(np.arange(24) < 12, 0.0, 0.5 * math.pi)
+    own = readings(tumble(24), np.zeros(24), 1e-6)
+    group = Group(replace(own, head_angle=shown), 0, np.ones(24), np.ones(24), 0.0, 1.0, False, 0.0)
+    columns = {c.symbol: c.columns[0] for c in candidates(group, (), ()) if c.kind == HEAD}
+    assert len(columns) == 4
+    for times, n in (("once", 1), ("twice", 2)):
+        for name, wave in (("cos", np.cos), ("sin", np.sin)):
+            expected = -np.sin(angle) * wave(n * shown)
+            np.testing.assert_allclose(columns[f"{name} {times}"], expected, atol=1e-8)
+    there = {c.symbol for c in candidates(group, ("head.harmonic.2.sin",), ()) if c.kind == HEAD}
+    assert there == {"cos once", "sin once", "cos twice"}
+    alone = replace(group, readings=replace(own, head_angle=angle - 1.0))
+    assert not [column for column in candidates(alone, (), ()) if column.kind == HEAD]
+
+
+@pytest.mark.parametrize(("count", "tried"), [(3, 0), (4, 1), (12, 9), (100, 24)])
+def test_steps_leave_two_readings_on_each_side(count, tried):
+    own = readings(tumble(count), np.zeros(count), 1e-6)
+    ones = np.ones(count)
+    group = Group(own, 0, ones, ones, 0.0, 1.0, False, 0.0)
+    steps = [column.columns[0] for column in candidates(group, (), ()) if column.kind == STEP]
+    assert len(steps) == tried
+    for step in steps:
+        assert 2 <= step.sum() <= count - 2
+        assert np.all(np.diff(step) >= 0.0)
 
 
 def test_the_gain_is_that_of_a_fit_with_the_column():

@@ -1,8 +1,9 @@
 """What the residuals of readings follow: tests that need neither repeats nor a stated noise.
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
-the dividing head's angle, a term of the accelerometer, a drift, a warm-up, the side of approach,
-the sense of rotation. Where the noise is estimated from the same residuals it is an F test of the
+the dividing head's angle, its error where it has been mounted on in several ways, a term of the
+accelerometer, a drift, a warm-up, a step, the side of approach, the sense of rotation. Where the
+noise is estimated from the same residuals it is an F test of the
 column (Draper and Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that
 is left.
 """
@@ -27,18 +28,30 @@ from counterspin.inference.linear_readings import Readings
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
-WAVE, TERM, DRIFT, WARM_UP, BEND, HYSTERESIS, SENSE = KINDS = (
+WAVE, HEAD, TERM, DRIFT, WARM_UP, BEND, HYSTERESIS, SENSE, STEP = KINDS = (
     "wave",
+    "head",
     "term",
     "drift",
     "warm-up",
     "bend",
     "hysteresis",
     "sense",
+    "step",
 )
 
 #: Waves a revolution of the head, up to this many.
 _HARMONICS: Final = 4
+
+#: How often a turn a head errs, in words.
+_TIMES: Final = {1: "once", 2: "twice"}
+
+#: rad, by which the head's angle is changed to see what that does.
+_TURN: Final = 1e-4
+
+#: At most so many steps are tried, evenly spread; readings on each side of one, at least.
+_STEPS: Final = 24
+_FEWEST_BESIDE: Final = 2
 
 #: Time constants of a warm-up, in parts of the whole series.
 _WARM_UPS: Final = (0.1, 0.3)
@@ -112,11 +125,12 @@ def candidates(
 ) -> Iterator[Alternative]:
     """Yield the columns that the residuals of a group may follow.
 
-    unknown: Symbols of the accelerometer's terms that the fit may choose freely.
+    unknown: Symbols of the accelerometer's terms, and the machine's, that the fit may choose.
     """
     readings = group.readings
     for kind, symbol, column in (
         *_waves(readings),
+        *_errors_of_the_head(readings, unknown),
         *_terms(readings, unknown, followed),
         *_in_order(readings),
         *_of_approach(readings),
@@ -134,6 +148,25 @@ def _waves(readings: Readings) -> Iterator[_Column]:
         turns = f"{n} phi" if n > 1 else "phi"
         yield WAVE, f"cos {turns}", there.astype(float) * np.cos(n * angle)
         yield WAVE, f"sin {turns}", there.astype(float) * np.sin(n * angle)
+
+
+def _errors_of_the_head(readings: Readings, unknown: Collection[str]) -> Iterator[_Column]:
+    """Yield what waves of the head make where it shows another angle than that of the axes.
+
+    In one mounting they are waves of the angle, and cannot be told from the accelerometer's terms.
+    """
+    angle, there = head_angle(readings)
+    shown = np.broadcast_to(readings.head_angle, readings.size)
+    apart = np.exp(1j * (angle - shown))[there]
+    if not apart.size or np.abs(apart - apart[0]).max() < _TURN:
+        return
+    place = [*TERMS].index("K_I")
+    more, less = (readings.products({"head.zero": by})[:, place] for by in (_TURN, -_TURN))
+    slope = there * (more - less) / (2.0 * _TURN)
+    for n, times in _TIMES.items():
+        for name, wave in (("cos", np.cos(n * shown)), ("sin", np.sin(n * shown))):
+            if f"head.harmonic.{n}.{name}" not in unknown:
+                yield HEAD, f"{name} {times}", slope * wave
 
 
 def _terms(
@@ -159,6 +192,13 @@ def _in_order(readings: Readings) -> Iterator[_Column]:
         yield WARM_UP, "time" if by_time else "order", np.exp(-x / part)
     # A mirrored order cancels a line, and no parabola.
     yield BEND, "time" if by_time else "order", (x - 0.5) ** 2
+    order = np.argsort(x, kind="stable")
+    last = readings.size - _FEWEST_BESIDE
+    places = np.linspace(_FEWEST_BESIDE, last, min(max(last - 1, 0), _STEPS)).round().astype(int)
+    for k in np.unique(places).tolist():
+        later = x >= x[order[k]]
+        if np.sum(~later) >= _FEWEST_BESIDE:
+            yield STEP, readings.names[order[k]], later.astype(float)
 
 
 def _of_approach(readings: Readings) -> Iterator[_Column]:
@@ -242,6 +282,10 @@ def most_followed(
             for k, other in enumerate(kept)
             if alike[k, tried[best]].all() or gains[k] > gains[best] - _DECISIVE_CHI2 * scale
         ]
+        # Steps differ by where they are only: the best one stands for all.
+        steps = [k for k, other in enumerate(kept) if other.kind == STEP]
+        step = max(steps, key=lambda k: gains[k], default=None)
+        as_good = [o for o in as_good if o.kind != STEP or (step is not None and o is kept[step])]
         as_good.sort(key=lambda other: KINDS.index(other.kind))
         found.append(Followed(place, tuple(as_good) or (_wave(kept, tried[best]),), p, 0))
     return [Followed(each.group, each.alternatives, each.p, tests) for each in found]
@@ -252,15 +296,16 @@ def _waves_at_any_phase(columns: Sequence[Alternative]) -> Iterator[tuple[int, .
 
     Those of the first two together as well: a head that errs once and twice a turn makes both.
     """
-    waves: dict[str, tuple[int, ...]] = {}
-    for k, column in enumerate(columns):
-        if column.kind == WAVE:
-            turns = _turns(column)
-            waves[turns] = (*waves.get(turns, ()), k)
-    whole = [places for places in waves.values() if len(places) > 1]
-    yield from whole
-    if len(whole) > 1:
-        yield whole[0] + whole[1]
+    for kind in (WAVE, HEAD):
+        waves: dict[str, tuple[int, ...]] = {}
+        for k, column in enumerate(columns):
+            if column.kind == kind:
+                turns = _turns(column)
+                waves[turns] = (*waves.get(turns, ()), k)
+        whole = [places for places in waves.values() if len(places) > 1]
+        yield from whole
+        if len(whole) > 1:
+            yield whole[0] + whole[1]
 
 
 def _turns(wave: Alternative) -> str:
@@ -269,8 +314,9 @@ def _turns(wave: Alternative) -> str:
 
 def _wave(columns: Sequence[Alternative], places: tuple[int, ...]) -> Alternative:
     """Return what cosine and sine of one wave, or of two, are together."""
-    turns = dict.fromkeys(_turns(columns[k]) for k in places)
-    return replace(columns[places[0]], symbol="waves of " + " and ".join(turns))
+    first = columns[places[0]]
+    turns = " and ".join(dict.fromkeys(_turns(columns[k]) for k in places))
+    return replace(first, symbol=f"waves of {turns}" if first.kind == WAVE else f"error {turns}")
 
 
 def _own_gain(basis: Array, residual: Array, rows: slice) -> float:

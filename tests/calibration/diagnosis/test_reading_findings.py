@@ -122,6 +122,18 @@ def test_what_depends_on_the_sense_of_rotation_is_named(tmp_path, u):
     assert "depend on the sense in which the machine turned" in misfits(result)[0].text
 
 
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+@pytest.mark.parametrize("count", [12, 24])
+def test_a_step_is_named_with_the_position_from_which_on_it_is(tmp_path, u, count):
+    """Of 15 times the noise; without this column 12 positions were good, and delta_O 6 u off."""
+    values = simulated(tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)
+    values[count // 2 :] += 15.0 * SIGMA
+    terms = (*LEVEL, "K_II")
+    result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
+    assert result.state != "good"
+    assert f'step, from "at {count // 2}" on' in misfits(result)[0].text
+
+
 def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
     values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
     three = calibrated(tmp_path, even(4)[:3], values[:3], u=SIGMA)

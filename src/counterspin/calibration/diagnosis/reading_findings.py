@@ -27,8 +27,10 @@ from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.reading_tests import (
     BEND,
     DRIFT,
+    HEAD,
     HYSTERESIS,
     SENSE,
+    STEP,
     TERM,
     WARM_UP,
     WAVE,
@@ -169,10 +171,11 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     if not judged:
         return
     groups = [_group(part, part.place_in(fit) or 0) for part in judged.values()]
-    own = [unknown for unknown in fit.model.unknowns if unknown.owner == view.name]
+    acting = [unknown for unknown in fit.model.unknowns if unknown.owner in (view.name, "")]
+    own = [unknown for unknown in acting if unknown.owner]
     known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
     columns = [
-        tuple(candidates(group, {unknown.symbol for unknown in own}, known)) for group in groups
+        tuple(candidates(group, {unknown.symbol for unknown in acting}, known)) for group in groups
     ]
     places = list(judged)
     for one in most_followed(fit, groups, columns):
@@ -234,10 +237,12 @@ def _clause(other: Alternative) -> str:
     return {
         WAVE: f"follow {other.symbol}, phi being the head's angle from where the input axis points "
         "up",
+        HEAD: f"are what a head makes that errs {other.symbol.partition(' ')[2]} a turn",
         TERM: f"are what {other.symbol} makes, beyond what the model allows it",
         DRIFT: f"drift with {when}",
         WARM_UP: f"settle with {when}, as after a warm-up",
         BEND: f"drift and turn back with {when}",
+        STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
         HYSTERESIS: "depend on the side from which a position was approached (hysteresis)",
     }[other.kind]
