@@ -1,6 +1,7 @@
 """Tables of readings: they say the same as runs; each slip is one message with its line."""
 
 import math
+from dataclasses import replace
 
 import polars as pl
 import pytest
@@ -86,6 +87,50 @@ def test_a_rate_of_nothing_is_a_reading_at_rest(tmp_path):
     assert (upright.motion, upright.mounting) == ("static", "")
     assert upright.axes.axes[:2] == ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
     assert backward.axes.axes[:2] == ((0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
+
+
+BESIDE = """motion = "arm"
+columns = { rate = "n", u = "u" }
+[readings.mountings]
+in = { input = "inward", pendulous = "up", reading = "plus" }
+out = { input = "outward", pendulous = "up", reading = "minus" }
+"""
+
+
+def test_mountings_side_by_side_are_readings_of_their_own(tmp_path):
+    beside = of_csv(tmp_path, "n,plus,minus,u\n6,5,-5,2e-6\n0,1e-3,,2e-6\n", BESIDE)
+    assert [one.name for one in beside] == ["reading 1, in", "reading 1, out", "reading 2, in"]
+    below = BESIDE.replace(', reading = "plus"', "").replace(', reading = "minus"', "")
+    below = below.replace("columns = {", 'columns = { name = "no", mounting = "w", reading = "mA",')
+    rows = [f"{one.name.replace(',', ';')},{n}" for one, n in zip(beside, "660", strict=True)]
+    table = zip(rows, ["in,5", "out,-5", "in,1e-3"], strict=True)
+    content = "no,n,w,mA,u\n" + "".join(f"{head},{rest},2e-6\n" for head, rest in table)
+    written = of_csv(tmp_path, content, below)
+    uncertain = BESIDE.replace(', u = "u"', "").replace('"minus" }', '"minus", u = "u" }')
+    one, other = of_csv(tmp_path, "n,plus,minus,u\n6,5,-5,2e-6\n", uncertain)
+    assert (one.u, other.u) == (None, pytest.approx(2e-6 / 1.25))
+    assert [replace(one, name=one.name.replace(";", ",")) for one in written] == list(beside)
+
+
+def test_slips_of_mountings_side_by_side(tmp_path):
+    table = "n,plus,minus,u\n6,5,-5,2e-6\n"
+    (said,) = problems(tmp_path, table, BESIDE.replace('"minus"', '"minos"'))
+    assert said == 'readings.columns: r.csv has no column "minos"; did you mean "minus"?'
+    said = "readings.mountings: `reading` is a column of each mounting"
+    for slip in (
+        BESIDE.replace(', reading = "minus"', ""),
+        BESIDE.replace('u = "u"', 'u = "u", reading = "plus"'),
+    ):
+        assert problems(tmp_path, table, slip)[0].startswith(said)
+    rows = "n,plus,minus,u\nrad/s,mA,V,mA\n6,5,-5,2e-6\n7,6,-6,2e-6\n8,6,-6,2e-6\n"
+    (said,) = problems(tmp_path, rows, BESIDE)
+    assert said.endswith('column "minus" is in V by the row of units, but in mA by the description')
+
+
+def test_a_dot_in_the_name_of_a_mounting_is_left_out(tmp_path):
+    keys = ARM.replace("innen =", '"Pos 1" =').replace("hinten =", '"22,5" =')
+    found = of_csv(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)
+    assert [one.mounting for one in found] == ["Pos 1", "22,5"]
 
 
 def test_a_merged_cell_has_the_mounting_above(tmp_path):

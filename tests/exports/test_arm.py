@@ -156,6 +156,23 @@ def test_readings_at_rest_show_what_a_name_does_not(tmp_path):
     assert [guesses[f"P{n} axis"] for n in (1, 2, 3)] == ["up", "down", "forward"]
 
 
+def test_mountings_side_by_side_have_their_columns(tmp_path):
+    rows = [[rpm, reading(felt(rpm)), NOISE, reading(-felt(rpm)), NOISE] for rpm in RPM]
+    path = write_table(tmp_path / "t.csv", rows, "n_rpm,in [mA],u in [mA],out [mA],u out [mA]")
+    assert guessed_test(look_at([path])) == "arm"
+    found = arm_draft(look_at([path]), SAID | {"in [mA] sensitivity": "1.25"})
+    readings = found.document(tmp_path)["readings"]
+    assert readings["columns"] == {"rate": "n_rpm"}
+    assert readings["mountings"] == {
+        "in": {"input": "inward", "pendulous": "up", "reading": "in [mA]", "u": "u in [mA]"},
+        "out": {"input": "outward", "pendulous": "up", "reading": "out [mA]", "u": "u out [mA]"},
+    }
+    asked = {question.key: question for question in found.questions}
+    assert asked["columns of readings"].guess == "mountings"
+    each = arm_draft(look_at([path]), {"columns of readings": "accelerometers"})
+    assert {"axis", "in [mA] unit", "out [mA] unit"} <= {q.key for q in each.questions}
+
+
 def test_a_time_brings_a_slope_with_it(tmp_path):
     """Two readings at rest in each of two positions are enough, and one too few beside a drift."""
     rows = [[n, *row] for n, row in enumerate(table())]

@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.exports.arm_table import ArmTable, arm_roles, as_acceleration, direction_of
+from counterspin.exports.arm_table import (
+    ArmTable,
+    arm_roles,
+    as_acceleration,
+    below_each_other,
+    direction_of,
+    kind_of_arm_columns,
+)
 from counterspin.exports.looking import FileColumn, Look
 
 
@@ -148,6 +155,32 @@ def test_accelerations_and_slopes_are_those_of_a_circle():
     unknown = table({"n": [3.0], "out_V": [1.0]})
     assert math.isnan(unknown.acceleration(2.0)[0])
     assert unknown.lines(unknown.look.columns[1], 2.0)[0] == {}
+
+
+@pytest.mark.parametrize(
+    ("slopes", "kind"),
+    [
+        ((1.25, -1.2), "mountings"),
+        ((1.25, -1.0), "accelerometers"),
+        ((1.25, 1.3), "accelerometers"),
+        ((1.25, 1.25), "repeats"),
+        ((1.25, -1.25, 1.25), "accelerometers"),
+    ],
+)
+def test_columns_that_are_each_other_s_negative_are_mountings(slopes, kind):
+    w = np.array([3.0, 6.0, 9.0])
+    columns = {f"c{n}_V": 0.1 + slope * w**2 for n, slope in enumerate(slopes)}
+    found = look({"omega_rad_s": w, **columns})
+    beside = ArmTable.of(found, arm_roles(found, {}), {})
+    assert kind_of_arm_columns(beside) == kind
+    below, roles = below_each_other(found, beside.roles, {})
+    tall = ArmTable.of(below, roles, {})
+    assert len(tall.words) == 3 * (len(slopes) if kind == "mountings" else 1)
+    told = {"columns of readings": "mountings"}
+    tall = ArmTable.of(*below_each_other(found, beside.roles, told), told)
+    assert tall.turning == tuple(f"c{n}_V" for n in range(len(slopes)))
+    lines, _ = tall.lines(tall.look.columns[-1], 1.0)
+    assert list(lines.values()) == pytest.approx([slope * 9.80665 for slope in slopes])
 
 
 def test_radii_are_of_the_rows_that_turn():

@@ -96,6 +96,19 @@ def repeats_in_columns(folder):
     return written(folder / "t.csv", [head, *lines])
 
 
+def mountings_side_by_side(folder):
+    """One of them was read once less."""
+    rows = readings(1.25, rests=())
+    inward, outward = ([v for way, _, v in rows if way == own] for own in ("in", "out"))
+    outward[-1] = ""
+    lines = [
+        f"{felt(w):.8f};{plus};{minus}"
+        for w, plus, minus in zip(RATES * 2, inward, outward, strict=True)
+    ]
+    head = "Level (g);+IA (mA);-IA (mA)"
+    return written(folder / "t.csv", [head, *lines])
+
+
 def times_of_a_revolution(folder):
     names = {"in": "+1", "out": "-1"}
     lines = [
@@ -122,6 +135,7 @@ TABLES = {
     german_in_hertz: 1.25,
     levels_and_counts: 2e6,
     repeats_in_columns: 5.0,
+    mountings_side_by_side: 1.25,
     times_of_a_revolution: 1.0,
     set_and_measured_rates: 1.25,
 }

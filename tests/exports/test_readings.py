@@ -8,6 +8,7 @@ import pytest
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.readings import (
     Sensed,
+    kind_of_columns,
     output_questions,
     output_unit,
     outputs_of,
@@ -80,14 +81,14 @@ def test_columns_are_repeats_by_their_names_and_by_how_near_they_are(names, apar
     columns = [column(n, "V", values + 2.0 * apart * k) for k, n in enumerate(names)]
     look = Look(None, tuple(columns), (), "")
     roles = dict.fromkeys(names, "reading")
-    (question,) = several_question(columns)
+    (question,) = several_question(columns, kind_of_columns(columns))
     assert question.guess == meant
     (first, *_), *others = outputs_of(look, roles, {})
     assert first.name == names[0]
     assert len(others) == (meant == "accelerometers")
     assert len(outputs_of(look, roles, {question.key: "repeats"})) == 1
     assert len(outputs_of(look, roles, {question.key: "accelerometers"})) == 2
-    assert list(several_question(columns[:1])) == []
+    assert list(several_question(columns[:1], "repeats")) == []
 
 
 def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -298,6 +299,11 @@ def words_of(value: Any) -> str:
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return "" if value is None else str(value).strip()
+
+
+def mounting_of(value: Any) -> str:
+    """Return a cell as the name of a mounting, in which a dot would part the name of a term."""
+    return re.sub(r"\.(?=\s|$)", "", words_of(value)).replace(".", ",")
 
 
 def seconds_of(value: Any) -> Any:

@@ -21,6 +21,7 @@ from counterspin.campaign.columns import (
     TableDialect,
     as_number,
     is_empty,
+    mounting_of,
     seconds_of,
     with_points,
     words_of,
@@ -72,6 +73,15 @@ class _TableFile(SettingsSection):
 
 
 # The fields of the last base come first.
+class MountingSettings(ReadingAxes):
+    """``[readings.mountings.NAME]``: how the axes point there, and where its readings are."""
+
+    reading: Text | None = described(
+        "column of its readings, where mountings stand side by side", "inward_mA", None
+    )
+    u: Text | None = described("column of their uncertainties", "u_inward_mA", None)
+
+
 class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table in place of many [[runs]]."""
 
@@ -120,8 +130,9 @@ class ReadingsSettings(TableDialect, _TableFile):
         True,
         False,
     )
-    mountings: dict[str, ReadingAxes] = described(
-        "the axes of each mounting, in place of `axes`",
+    mountings: dict[str, MountingSettings] = described(
+        "the axes of each mounting, in place of `axes`; and its column `reading`, where each has a "
+        "column of its own",
         {"in": {"input": "inward", "pendulous": "up"}},
         {},
     )
@@ -209,7 +220,10 @@ class ReadingsTable:
         """
         problems = self.problems
         before = len(problems.lines)
-        self.check(names)
+        if any(own.reading for own in self.settings.mountings.values()):
+            self._check_beside(names)
+        else:
+            self.check(names)
         if len(problems.lines) > before:
             return
         mounting = self.columns.get("mounting") if self.settings.merged else None
@@ -226,9 +240,35 @@ class ReadingsTable:
                 continue
             if mounting is not None and not is_empty(row[mounting]):
                 above = row[mounting]
-            run = self.run(row if mounting is None else {**row, mounting: above}, index, path)
+            cells = row if mounting is None else {**row, mounting: above}
+            made = []
+            for view in self.views(row):
+                made.append(view.run(cells, index, path))
+                if view is not self:
+                    made[-1]["name"] += f", {view.settings.mounting}"
             if len(problems.lines) == before:
-                yield run, path
+                yield from ((run, path) for run in made)
+
+    def views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
+        """Return the table as each mounting reads a row, where each has a column of its own."""
+        settings = self.settings
+        beside = {word: own for word, own in settings.mountings.items() if own.reading}
+        # Not all mountings need have been read at each rate; those to come are all blank.
+        read = [word for word, own in beside.items() if not is_empty(row.get(own.reading or ""))]
+        return [
+            replace(
+                self,
+                settings=settings.model_copy(
+                    update={
+                        "columns": {**settings.columns, **_columns_of(own)},
+                        "mounting": word,
+                        "mountings": {word: own.model_copy(update={"reading": None})},
+                    }
+                ),
+            )
+            for word, own in beside.items()
+            if word in read or not read
+        ] or [self]
 
     @property
     def columns(self) -> dict[str, str]:
@@ -276,10 +316,33 @@ class ReadingsTable:
                 if owner not in self.accelerometers:
                     said = did_you_mean(owner, self.accelerometers)
                     problems.add((*path, key), f'no accelerometer is called "{owner}"' + said)
+        self._check_there(wanted, names)
+
+    def _check_beside(self, names: Sequence[str]) -> None:
+        """Note what is wrong where mountings stand side by side."""
+        columns = [own.reading for own in self.settings.mountings.values()]
+        if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
+            said = (
+                "`reading` is a column of each mounting, of one accelerometer, or of none; "
+                "readings.columns names no reading then"
+            )
+            self.problems.add(("readings", "mountings"), said)
+            return
+        before = len(self.problems.lines)
+        self.views({})[0].check(names)
+        if len(self.problems.lines) > before:
+            return
+        self._check_there(
+            [c for own in self.settings.mountings.values() for c in _columns_of(own).values()],
+            names,
+        )
+
+    def _check_there(self, wanted: Iterable[str], names: Sequence[str]) -> None:
+        """Note columns that the table does not have."""
         for column in dict.fromkeys(wanted):
             if column not in names:
-                said = did_you_mean(column, names)
-                problems.add(path, f'{self.settings.file} has no column "{column}"' + said)
+                said = f'{self.settings.file} has no column "{column}"'
+                self.problems.add(("readings", "columns"), said + did_you_mean(column, names))
 
     def _check_quantities(self) -> None:
         """Note what is wrong with quantities and units of the section."""
@@ -302,9 +365,10 @@ class ReadingsTable:
             self.columns.get("rate"): self.settings.rate_unit,
         }
         for key in ("reading", "u"):
-            for name, columns in self.of(key).items():
-                output = self.accelerometers.get(name)
-                stated |= dict.fromkeys(columns, output.unit if output else "g")
+            for view in self.views({}):
+                for name, columns in view.of(key).items():
+                    output = self.accelerometers.get(name)
+                    stated |= dict.fromkeys(columns, output.unit if output else "g")
         for column, unit in stated.items():
             own = units.get(column or "")
             if own and not same_unit(own, unit):
@@ -330,13 +394,13 @@ class ReadingsTable:
         shown = self._number(cell("head"), (*path, "head"))
         if shown is not None:
             run["head"] = f"{shown!r} {settings.attitude_unit}"
-        mounting = run["mounting"] = words_of(cell("mounting")) or settings.mounting
+        mounting = run["mounting"] = mounting_of(cell("mounting")) or settings.mounting
         axes = {key: words_of(cell(key)) for key in ("input", "pendulous") if cell(key)}
         stated = self._axes(motion, mounting)
         if axes:
             run["axes"] = axes
         elif stated is not None and (motion != "static" or "attitude" not in columns):
-            run["axes"] = stated.model_dump()
+            run["axes"] = stated.model_dump(include={"input", "pendulous"})
         elif settings.mountings and motion != "static":
             hint = did_you_mean(mounting, settings.mountings)
             self.problems.add(path, f'readings.mountings has no "{mounting}"{hint}')
@@ -447,6 +511,12 @@ class ReadingsTable:
             said = 'has a decimal comma; write decimal = "," in [readings]'
             self.problems.add(path, f"{value!r} {said}")
         return comma
+
+
+def _columns_of(mounting: MountingSettings) -> dict[str, str]:
+    """Return the columns of a mounting by what they hold."""
+    own = {"reading": mounting.reading, "u": mounting.u}
+    return {key: column for key, column in own.items() if column}
 
 
 def _converts(unit: str, wanted: str, *, gravity: float | None = None) -> bool:

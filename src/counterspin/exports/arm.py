@@ -22,10 +22,14 @@ from counterspin.exports.arm_table import (
     ABOVE,
     DIRECTIONS,
     HORIZONTAL,
+    MOUNTINGS,
     ArmTable,
     arm_roles,
     as_acceleration,
+    below_each_other,
     direction_of,
+    kind_of_arm_columns,
+    mountings_beside,
 )
 from counterspin.exports.guessing import NONE, converts
 from counterspin.exports.looking import FileColumn, Look
@@ -36,6 +40,7 @@ from counterspin.exports.questions import (
     settled,
 )
 from counterspin.exports.readings import (
+    SEVERAL,
     ReadingsDraft,
     Sensed,
     of_role,
@@ -71,9 +76,11 @@ class ArmDraft(ReadingsDraft):
 
         folder: The campaign's.
         """
-        said, table = self.complete(), ArmTable.of(self.look, self.roles, self.answers)
+        said = self.complete()
+        look, roles = below_each_other(self.look, self.roles, self.answers)
+        table = ArmTable.of(look, roles, self.answers)
         columns = {"rate": said["rate"]}
-        if table.position is not None:
+        if table.position and table.position in self.roles:
             columns["mounting"] = table.position
         level = {"input_axis": "up", "pendulous_axis": "east"}
         radius, model = _radius_and_model(table, said)
@@ -94,6 +101,14 @@ class ArmDraft(ReadingsDraft):
             readings["mountings"] = {
                 word: _axes(axis, said["pendulous axis"]) for word, axis in pointing.items()
             }
+        if look is not self.look:
+            del readings["columns"]["reading"]
+            beside = of_role(self.look, self.roles, "reading")
+            spread = of_role(self.look, self.roles, "uncertainty")
+            for place, word in enumerate(mountings_beside(beside)):
+                readings["mountings"][word]["reading"] = beside[place].name
+                if len(spread) == len(beside):
+                    readings["mountings"][word]["u"] = spread[place].name
         return document | ({"model": model} if model else {})
 
 
@@ -143,12 +158,12 @@ def arm_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -
     (look,) = looks
 
     def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
-        return tuple(_questions(ArmTable.of(look, arm_roles(look, taken), taken), taken))
+        return tuple(_questions(look, arm_roles(look, taken), taken))
 
     taken, problems = settled(answers, asked)
-    table = ArmTable.of(look, arm_roles(look, taken), taken)
-    statements = tuple(_statements(table))
-    return ArmDraft(statements, asked(taken), taken, problems, look, table.roles)
+    roles = arm_roles(look, taken)
+    statements = tuple(_statements(look, roles, taken))
+    return ArmDraft(statements, asked(taken), taken, problems, look, roles)
 
 
 def shows_arm(looks: Sequence[Look]) -> bool:
@@ -161,7 +176,8 @@ def shows_arm(looks: Sequence[Look]) -> bool:
     if rate is None or not of_role(look, roles, "reading"):
         return False
     position = next((name for name, role in roles.items() if role == "position"), None)
-    return position in look.words or not as_acceleration(rate)
+    beside = kind_of_arm_columns(ArmTable.of(look, roles, {})) == MOUNTINGS
+    return position in look.words or beside or not as_acceleration(rate)
 
 
 # What is guessed
@@ -200,8 +216,10 @@ def _resting(table: ArmTable, sensed: Sensed, word: str) -> str | None:
 # What is asked, and said
 
 
-def _questions(table: ArmTable, told: Mapping[str, str]) -> Iterator[ExportQuestion]:
-    look, roles = table.look, table.roles
+def _questions(
+    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
+) -> Iterator[ExportQuestion]:
+    table = ArmTable.of(*below_each_other(look, roles, told), told)
     yield from place_questions(look)
     yield from _radius_questions(table)
     numbers = [column.name for column in look.columns]
@@ -219,7 +237,7 @@ def _questions(table: ArmTable, told: Mapping[str, str]) -> Iterator[ExportQuest
         text = "Which mounting is meant where the table names none?"
         yield ExportQuestion("empty mounting", text, ABOVE, (ABOVE, NONE), table.gaps)
     axes = {w: told.get(f"{w} axis") or _pointing(table, w) for w in table.mountings}
-    readings = of_role(look, roles, "reading")
+    readings = of_role(table.look, table.roles, "reading")
     for word, axis in axes.items():
         text = f"How does the input axis point in the mounting '{word}'?"
         rests = axis is None and readings and word not in table.turning
@@ -241,8 +259,10 @@ def _questions(table: ArmTable, told: Mapping[str, str]) -> Iterator[ExportQuest
     choices = ("up", "down", "forward", "backward")
     yield ExportQuestion("pendulous axis", text, "up", choices, "up")
     yield from role_questions(look, roles, ["rate", "position", "radius"])
-    yield from several_question(readings)
-    for column, *_ in outputs_of(look, roles, told):
+    beside = ArmTable.of(look, roles, told)
+    kind, more = kind_of_arm_columns(beside), () if beside.position else (MOUNTINGS,)
+    yield from several_question(of_role(look, roles, "reading"), kind, *more)
+    for column, *_ in outputs_of(table.look, table.roles, {SEVERAL: kind, **told}):
         yield from output_questions(column, told, sensed[column.name])
     if readings and "uncertainty" not in roles.values() and not _shows_noise(table):
         unit = output_unit(readings[0], told) or "mA"
@@ -297,8 +317,9 @@ def _sensed(
     return Sensed(float(np.mean(inward)) if inward else math.nan, zero)
 
 
-def _statements(table: ArmTable) -> Iterator[str]:
-    yield from table_statements(table.look, table.roles)
+def _statements(look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> Iterator[str]:
+    table = ArmTable.of(*below_each_other(look, roles, told), told)
+    yield from table_statements(look, roles)
     rests = int(table.rests.sum())
     if table.rate is not None:
         yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest, where the rate is 0"

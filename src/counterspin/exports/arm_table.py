@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from typing import Final
 
@@ -12,10 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.campaign.columns import mounting_of
 from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, converts, unit_in_name
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import ExportQuestion
-from counterspin.exports.readings import of_role, roles_of, usual_role
+from counterspin.exports.readings import (
+    ACCELEROMETERS,
+    SEVERAL,
+    kind_of_columns,
+    of_role,
+    roles_of,
+    usual_role,
+)
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 
@@ -54,6 +63,11 @@ _REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 #: What stands behind the word of a mounting, in "in 1" and "out, 20 g".
 _BEHIND: Final = re.compile(r"[\s_.,;:#-]*\d*([.,]\d+)?\s*g?$")
 
+#: The answer that columns of readings are mountings of one accelerometer, side by side.
+MOUNTINGS: Final = "mountings"
+#: They are if their slopes add up to less than this part of one.
+_OPPOSITE_PART: Final = 0.1
+
 #: Whether something holds, row by row.
 Rows = npt.NDArray[np.bool_]
 
@@ -81,6 +95,7 @@ class ArmTable:
         words: Sequence[str] = look.words.get(position or "", ())
         if numbers is not None:
             words = ["" if math.isnan(value) else f"{value:.12g}" for value in numbers]
+        words = [mounting_of(word) for word in words]
         rows = max(len(column.values) for column in look.columns)
         words = (*words, *[""] * rows)[:rows]
         gaps = _gaps(rate, words)
@@ -234,6 +249,49 @@ def _rate_unit(column: FileColumn) -> str | None:
 def _radius_unit(column: FileColumn) -> str:
     units = (column.unit, unit_in_name(column.name))
     return next((unit for unit in units if converts(unit, "m")), "m")
+
+
+def kind_of_arm_columns(table: ArmTable) -> str:
+    """Return what several columns of readings are: mountings, if they are each other's negative."""
+    columns = of_role(table.look, table.roles, "reading")
+    if table.position is None and len(columns) == 2 and table.rate is not None:
+        felt = table.acceleration(1.0)
+        pairs = [np.isfinite(felt * table.values(column)) for column in columns]
+        slopes = [
+            np.polyfit(felt[rows], table.values(column)[rows], 1)[0] if rows.sum() > 1 else 0.0
+            for column, rows in zip(columns, pairs, strict=True)
+        ]
+        if abs(sum(slopes)) < _OPPOSITE_PART * max(map(abs, slopes)):
+            return MOUNTINGS
+    return kind_of_columns(columns) if len(columns) > 1 else ACCELEROMETERS
+
+
+def below_each_other(
+    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
+) -> tuple[Look, Mapping[str, str]]:
+    """Return a table with its columns of readings below each other if they are mountings'."""
+    table, columns = ArmTable.of(look, roles, told), of_role(look, roles, "reading")
+    kind = told.get(SEVERAL) or kind_of_arm_columns(table)
+    if kind != MOUNTINGS or table.position is not None or not columns:
+        return look, roles
+    rows, count, names = len(table.words), len(columns), [column.name for column in columns]
+    tall = [
+        replace(column, values=np.tile(table.values(column), count))
+        for column in look.columns
+        if column not in columns
+    ]
+    read = replace(columns[0], values=np.concatenate([table.values(c) for c in columns]))
+    words = {MOUNTINGS: [word for word in mountings_beside(columns) for _ in range(rows)]}
+    kept = {name: role for name, role in roles.items() if name not in names[1:]}
+    below = replace(look, columns=(*tall, read), words=words, others=(MOUNTINGS,))
+    return below, {**kept, MOUNTINGS: "position"}
+
+
+def mountings_beside(columns: Sequence[FileColumn]) -> list[str]:
+    """Return the names of mountings that stand side by side: their columns', without the unit."""
+    names = [column.name for column in columns]
+    bare = [re.sub(r"\s*[\[(][^\[\]()]*[\])]$", "", name) for name in names]
+    return [mounting_of(name) for name in (bare if len({*bare, ""}) > len(bare) else names)]
 
 
 def as_acceleration(column: FileColumn) -> bool:

@@ -44,7 +44,7 @@ _LARGE_BIAS: Final = 0.3
 
 
 #: What several columns of readings are, and the key by which it is asked.
-_SEVERAL: Final = "columns of readings"
+SEVERAL: Final = "columns of readings"
 ACCELEROMETERS: Final = "accelerometers"
 REPEATS: Final = "repeats"
 #: How repeats are called; they differ by less than this part of what is read, or of other names.
@@ -110,6 +110,8 @@ class ReadingsDraft(AnsweredExport):
         beside = self._of("uncertainty")
         if len(beside) == len(readings):
             given["u"] = dict(zip(names, beside, strict=True))
+        elif len(beside) == 1:
+            given["u"] = dict.fromkeys(names, beside[0])
         given |= {
             role: own[0] for role in ("name", "temperature", "time") if (own := self._of(role))
         }
@@ -197,12 +199,12 @@ def outputs_of(
 ) -> list[list[FileColumn]]:
     """Return the columns of readings of each accelerometer; several are repeats."""
     columns = of_role(look, roles, "reading")
-    if columns and (told.get(_SEVERAL) or _kind_of_columns(columns)) == REPEATS:
+    if columns and (told.get(SEVERAL) or kind_of_columns(columns)) != ACCELEROMETERS:
         return [columns]
     return [[column] for column in columns]
 
 
-def _kind_of_columns(columns: Sequence[FileColumn]) -> str:
+def kind_of_columns(columns: Sequence[FileColumn]) -> str:
     """Return what several columns of readings are, by their names and how far they differ."""
     if len(columns) < 2 or len({len(column.values) for column in columns}) > 1:
         return ACCELEROMETERS
@@ -215,12 +217,17 @@ def _kind_of_columns(columns: Sequence[FileColumn]) -> str:
 # What is asked, and said
 
 
-def several_question(columns: Sequence[FileColumn]) -> Iterator[ExportQuestion]:
-    """Yield what several columns of readings are."""
+def several_question(
+    columns: Sequence[FileColumn], guess: str, *more: str
+) -> Iterator[ExportQuestion]:
+    """Yield what several columns of readings are.
+
+    more: What they may be besides one accelerometer each, or repeats.
+    """
     if len(columns) > 1:
-        text = "Are the columns of readings one accelerometer each, or repeats at one setting?"
-        choices = (ACCELEROMETERS, REPEATS)
-        yield ExportQuestion(_SEVERAL, text, REPEATS, choices, _kind_of_columns(columns))
+        said = "".join(f", {kind}" for kind in more)
+        text = f"Are the columns of readings one accelerometer each{said}, or repeats of one?"
+        yield ExportQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS, *more), guess)
 
 
 def part_question(

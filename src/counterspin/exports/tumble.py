@@ -23,6 +23,7 @@ from counterspin.exports.questions import ExportQuestion, place_questions, settl
 from counterspin.exports.readings import (
     ReadingsDraft,
     Sensed,
+    kind_of_columns,
     of_role,
     output_questions,
     outputs_of,
@@ -195,7 +196,7 @@ def _questions(
     text = "How does the input axis point at the position 0, for a head that turns about north?"
     yield ExportQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
     yield from role_questions(look, roles, ["position"])
-    yield from several_question(readings)
+    yield from several_question(readings, kind_of_columns(readings))
     for column, *_ in outputs_of(look, roles, told):
         yield from output_questions(column, told, _sensed(column, angles))
 

@@ -117,6 +117,28 @@ def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
         assert abs(off.mean()) < 5.0 * u / 20.0
 
 
+def test_mountings_side_by_side_get_their_own_values(tmp_path):
+    """Of a row only what is read, or blank in all; at rest level, the centripetal force else."""
+    table = """motion = "arm"
+columns = { rate = "w" }
+[readings.mountings]
+in = { input = "inward", pendulous = "up", reading = "plus", u = "u" }
+out = { input = "outward", pendulous = "up", reading = "minus", u = "v" }
+"""
+    start, end = TEXT.index("columns = { name"), TEXT.index("[[runs]]")
+    own = campaign(tmp_path / "own", TEXT[:start] + table + TEXT[end:])
+    rows = "w,plus,minus,u,v\n9.9,,,1e-9,2e-9\n0,,,1e-9,2e-9\n9.9,,1,1e-9,2e-9\n"
+    (own / "tables" / "readings.csv").write_text(rows, "utf-8")
+    simulate(own, tmp_path / "made")
+    filled = pl.read_csv(tmp_path / "made" / "tables" / "readings.csv")
+    assert filled["plus"].null_count() == 1
+    earth = 7.292115e-5 * math.sin(math.radians(45.75))
+    force = (9.9**2 + 2.0 * 9.9 * earth) / 9.8066
+    values = [1.25 * (2e-3 + 1.0005 * f + 15e-6 * f**2) for f in (force, 0.0, -force, 0.0, -force)]
+    found = [*filled["plus"][:2], *filled["minus"]]
+    assert found == pytest.approx(values, abs=1e-7)
+
+
 def test_noise_of_a_table_is_the_one_u_of_its_readings(tmp_path):
     """Rows that state none of their own have that of the section."""
     text = TEXT.replace(

@@ -345,7 +345,6 @@ def filled_table(
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}
     table = ReadingsTable(settings, outputs, Problems(raw), raw)
-    columns = table.of("reading")
     rows = [
         (place, row)
         for place, row in enumerate(frame.iter_rows(named=True))
@@ -353,19 +352,25 @@ def filled_table(
     ]
     values = {
         column: [None if is_empty(cell) else cell for cell in frame[column].to_list()]
-        for own in columns.values()
+        for view in table.views({})
+        for own in view.of("reading").values()
         for column in own
     }
     unknown = [is_pose(table.run(row, place, ())) for place, row in rows]
     # The rows of the table come last.
-    start = len(exact.readings) - unknown.count(False) * len(columns)
+    start = len(exact.readings) - sum(
+        len(view.of("reading"))
+        for (_, row), is_posed in zip(rows, unknown, strict=True)
+        for view in ([] if is_posed else table.views(row))
+    )
     ready, posed = iter(exact.readings[start:]), iter(exact.poses[-sum(unknown) or None :])
     for (place, row), is_posed in zip(rows, unknown, strict=True):
-        taken = _of_pose(next(posed), columns) if is_posed else ready
-        for name, own in columns.items():
+        taken = _of_pose(next(posed), table.of("reading")) if is_posed else ready
+        views = table.views(row)
+        for view, name, own in [(v, n, c) for v in views for n, c in v.of("reading").items()]:
             reading = next(taken)
             output = outputs[name]
-            stated = table.u(row, name, ()) or 0.0
+            stated = view.u(row, name, ()) or 0.0
             for column in [c for c in own if not is_empty(row[c])] or own:
                 scale = (output.sensitivity, output.zero) if output else (1.0, 0.0)
                 values[column][place] = _read(campaign, reading, scale, stated, generator)
