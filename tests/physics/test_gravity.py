@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from counterspin.physics.gravity import HEIGHTS, gravity_range, normal_gravity
+from counterspin.physics.gravity import HEIGHTS, gravity_range, latitudes_with, normal_gravity
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check
 
@@ -67,3 +67,18 @@ def test_a_laboratory_stands_between_a_mine_and_the_mountains():
     assert high == normal_gravity(math.radians(45.75), -500.0)
     assert low < 9.8
     assert high > 9.8066
+
+
+def test_a_gravity_is_that_of_some_latitudes():
+    """By the international formula of 1967, and 3.086e-6 1/s^2 of free air: to 0.1 deg or so."""
+
+    def square(gravity):
+        return (gravity / 9.780318 - 1.0) / 0.0053024
+
+    least, most = latitudes_with(9.8066, 1e-3)
+    high, low = 9.8066 + 1e-3 + 3000.0 * 3.086e-6, 9.8066 - 1e-3 - 500.0 * 3.086e-6
+    assert math.sin(least) ** 2 == pytest.approx(square(low), abs=0.005)
+    assert math.sin(most) ** 2 == pytest.approx(square(high), abs=0.005)
+    assert latitudes_with(9.7803, 1e-3)[0] == 0.0
+    assert latitudes_with(9.832, 1e-3)[1] == 0.5 * math.pi
+    assert all(map(math.isnan, latitudes_with(9.9, 1e-3)))

@@ -1,4 +1,4 @@
-"""Normal gravity: what gravity is to be expected at a latitude and a height."""
+"""Normal gravity: what gravity is to be expected at a latitude and a height, and the other way."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ _RATIO: Final = 0.00344978650684  #: of centrifugal force and gravity at the equ
 
 #: Heights between which a laboratory is expected, m: a mine, and a town in the mountains.
 HEIGHTS: Final = (-500.0, 3000.0)
+
+#: Latitudes that are tried between the equator and a pole: every tenth of a degree.
+_STEPS: Final = 900
 
 
 def normal_gravity(latitude: float, height: float = 0.0) -> float:
@@ -40,3 +43,18 @@ def gravity_range(latitude: float) -> tuple[float, float]:
     """Return the smallest and the largest gravity of `HEIGHTS` at a latitude (rad), m/s^2."""
     lowest, highest = HEIGHTS
     return normal_gravity(latitude, highest), normal_gravity(latitude, lowest)
+
+
+def latitudes_with(gravity: float, anomaly: float) -> tuple[float, float]:
+    """Return the smallest and the largest latitude (rad), of either sign, with a gravity, m/s^2.
+
+    At one of `HEIGHTS`, and but for an anomaly of the ground (m/s^2). Not a number where there is
+    none.
+    """
+    found = [
+        latitude
+        for step in range(_STEPS + 1)
+        for latitude in [0.5 * math.pi * step / _STEPS]
+        if gravity_range(latitude)[0] - anomaly <= gravity <= gravity_range(latitude)[1] + anomaly
+    ]
+    return min(found, default=math.nan), max(found, default=math.nan)

@@ -126,9 +126,14 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
         next(other for other in every if other.symbol == symbol)
         for symbol in ("site.latitude", "site.gravity")
     )
-    assert latitude.credible(math.radians(44.0))
-    assert not latitude.credible(math.radians(45.0))
+    assert latitude.credible(math.radians(10.0))
+    assert not latitude.credible(math.radians(12.0))
     assert not latitude.credible(math.radians(-4200.0))
+    # Of 45.75 deg: what 9.8066 m/s^2 allows between -500 and 3000 m, and the same in the south.
+    degrees = np.linspace(-90.0, 90.0, 361) - 45.75
+    allowed = [float(d) + 45.75 for d in degrees if latitude.credible(math.radians(float(d)))]
+    assert min(abs(d) for d in allowed) == pytest.approx(42.7, abs=0.5)
+    assert max(allowed) == -min(allowed) == pytest.approx(57.1, abs=0.5)
     # Normal gravity at 45.75 deg: 9.79763 m/s^2 at 3000 m, 9.80842 at -500 m; and 1e-3 more.
     assert gravity.credible(9.80842 - 9.8066 + 0.9e-3)
     assert not gravity.credible(9.80842 - 9.8066 + 1.1e-3)

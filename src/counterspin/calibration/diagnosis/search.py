@@ -50,7 +50,7 @@ from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise
-from counterspin.physics.gravity import gravity_range
+from counterspin.physics.gravity import gravity_range, latitudes_with
 from counterspin.physics.terms import INPUTS, OWN_TERMS
 from counterspin.reports.numbers import format_number
 
@@ -269,10 +269,15 @@ def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[
         for symbol, row in INPUTS.items()
         if name == symbol or name.endswith(f".{symbol}")
     }
-    low, high = gravity_range(campaign.latitude.value)
-    here = low - _ANOMALY, high + _ANOMALY
-    if here[0] <= campaign.gravity.value <= here[1]:  # else the latitude may be the wrong one
+    gravity, latitude = campaign.gravity.value, campaign.latitude.value
+    low, high = gravity_range(latitude)
+    here, beyond = (low - _ANOMALY, high + _ANOMALY), (0.0, 0.0)
+    if here[0] <= gravity <= here[1]:  # else either may be the wrong one
         between["site.gravity"] = here
+        least, most = latitudes_with(gravity, _ANOMALY)
+        # On either side of the equator, for its sign may be wrong.
+        between["site.latitude"] = -most, most
+        beyond = -least - latitude, least - latitude
     possible = {
         name: (least - inputs[name].value, most - inputs[name].value)
         for name, (least, most) in between.items()
@@ -281,6 +286,7 @@ def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[
         replace(
             other,
             between=possible[other.name],
+            but_between=beyond if other.name == "site.latitude" else other.but_between,
             stated=inputs[other.name].value != 0.0,
         )
         if other.name in possible

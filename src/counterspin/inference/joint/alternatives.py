@@ -46,13 +46,16 @@ class Alternative:
     at: float | None = None  #: Where in a run, s; None where it has no place.
     #: Between which sizes the parameter is credible.
     between: tuple[float, float] = (-math.inf, math.inf)
+    #: Between which, within these, it is not; empty unless the second is the larger one.
+    but_between: tuple[float, float] = (0.0, 0.0)
     #: Its typical size; None of a mistake, which is of any size.
     typical: float | None = None
     stated: bool = False  #: Whether a value of it was written down, perhaps by mistake.
 
     def credible(self, value: float) -> bool:
         """Return whether the parameter may be as large as that."""
-        return self.between[0] <= value <= self.between[1]
+        (least, most), (low, high) = self.between, self.but_between
+        return least <= value <= most and not low < value < high
 
     @property
     def name(self) -> str:
