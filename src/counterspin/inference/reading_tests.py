@@ -40,6 +40,10 @@ WAVE, HEAD, TERM, DRIFT, WARM_UP, BEND, HYSTERESIS, SENSE, STEP = KINDS = (
     "step",
 )
 
+#: What hysteresis goes with: from where the head, or the rate, came; whether force rose or fell.
+APPROACH: Final = "sense of approach"
+FORCE: Final = "sense of force"
+
 #: Waves a revolution of the head, up to this many.
 _HARMONICS: Final = 4
 
@@ -202,21 +206,35 @@ def _in_order(readings: Readings) -> Iterator[_Column]:
 
 
 def _of_approach(readings: Readings) -> Iterator[_Column]:
-    """Yield from which side each position was come to: that of the head, or of the rate's size."""
+    """Yield from which side each position was come to: that of the head, or of the rate's size.
+
+    And at rest whether the force along the input axis had risen or fallen, which one turn shows.
+    """
     angle, there = head_angle(readings)
     if there.all():
         # Half a turn may be made either way.
         steps = np.angle(np.exp(1j * np.diff(angle)))
         steps[np.abs(steps) > math.pi * (1.0 - 1e-6)] = 0.0
+        force = _senses(np.diff(readings.products({})[:, [*TERMS].index("K_I")]))
+        # The first position may have been come to from either side.
+        other = np.append(-force[:1], force[1:])
+        senses = [(APPROACH, _senses(steps)), (FORCE, force), (FORCE, other)]
     else:
-        steps = np.diff([abs(station.rate) for station in readings.stations])
-    sense, last = np.zeros(readings.size), 0.0
+        rates = np.diff([abs(station.rate) for station in readings.stations])
+        senses = [(APPROACH, _senses(rates))]
+    for symbol, sense in senses:
+        if (sense[1:] > 0.0).any() and (sense[1:] < 0.0).any():
+            yield HYSTERESIS, symbol, sense
+
+
+def _senses(steps: Array) -> Array:
+    """Return the sign of the step that led to each reading, that of the last one that was none."""
+    sense, last = np.zeros(len(steps) + 1), 0.0
     for k, step in enumerate(steps.tolist(), start=1):
         last = math.copysign(1.0, step) if abs(step) > 1e-9 else last
         sense[k] = last
     sense[0] = sense[1]
-    if (sense > 0.0).any() and (sense < 0.0).any():
-        yield HYSTERESIS, "sense of approach", sense
+    return sense
 
 
 def _of_sense(readings: Readings) -> Iterator[_Column]:

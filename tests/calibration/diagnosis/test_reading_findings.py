@@ -124,6 +124,18 @@ def test_what_depends_on_the_sense_of_rotation_is_named(tmp_path, u):
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 @pytest.mark.parametrize("count", [12, 24])
+def test_hysteresis_shows_in_one_turn_too(tmp_path, u, count):
+    """Of 15 times the noise between falling and rising force; delta_O was 5 u off, and good."""
+    values = simulated(tumble(count), np.random.default_rng(16), SIGMA, truth=LEVEL)
+    values[1 : count // 2 + 1] += 15.0 * SIGMA
+    terms = (*LEVEL, "K_II")
+    result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
+    assert result.state != "good"
+    assert "whether the force along the input axis had risen or fallen" in misfits(result)[0].text
+
+
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+@pytest.mark.parametrize("count", [12, 24])
 def test_a_step_is_named_with_the_position_from_which_on_it_is(tmp_path, u, count):
     """Of 15 times the noise; without this column 12 positions were good, and delta_O 6 u off."""
     values = simulated(tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)

@@ -25,8 +25,10 @@ from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.reading_tests import (
+    APPROACH,
     BEND,
     DRIFT,
+    FORCE,
     HEAD,
     HYSTERESIS,
     SENSE,
@@ -46,6 +48,12 @@ from counterspin.reports.numbers import format_number
 #: all, point to the model.
 _MAX_LONE_POSITIONS: Final = 3
 _MAX_LONE_SHARE: Final = 0.25
+
+#: What hysteresis goes with, in words.
+_CAME: Final = {
+    APPROACH: "the side from which a position was approached",
+    FORCE: "whether the force along the input axis had risen or fallen",
+}
 
 #: More standard deviations than this say no more: the others have hardly any noise.
 _COUNTABLE: Final = 1000
@@ -244,7 +252,7 @@ def _clause(other: Alternative) -> str:
         BEND: f"drift and turn back with {when}",
         STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
-        HYSTERESIS: "depend on the side from which a position was approached (hysteresis)",
+        HYSTERESIS: f"depend on {_CAME.get(other.symbol)} (hysteresis)",
     }[other.kind]
 
 
