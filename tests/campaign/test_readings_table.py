@@ -127,6 +127,14 @@ def test_slips_of_mountings_side_by_side(tmp_path):
     assert said.endswith('column "minus" is in V by the row of units, but in mA by the description')
 
 
+def test_the_sense_of_a_row_stands_above_that_of_the_table(tmp_path):
+    keys = 'sense = "clockwise"\n' + ARM.replace("columns = {", 'columns = { sense = "s",')
+    table = "n,side,s,mA\n6,innen,CCW,5\n6,innen,cw,5\n6,innen,,5\n0,innen,,0\n"
+    assert [one.rate for one in of_csv(tmp_path, table, keys)] == [6.0, -6.0, -6.0, 0.0]
+    (said,) = problems(tmp_path, table.replace("CCW", "left"), keys)
+    assert said.startswith("readings.\"r.csv line 2\".sense: 'left' is none of counterclockwise,")
+
+
 def test_a_dot_in_the_name_of_a_mounting_is_left_out(tmp_path):
     keys = ARM.replace("innen =", '"Pos 1" =').replace("hinten =", '"22,5" =')
     found = of_csv(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)

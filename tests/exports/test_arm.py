@@ -173,6 +173,30 @@ def test_mountings_side_by_side_have_their_columns(tmp_path):
     assert {"axis", "in [mA] unit", "out [mA] unit"} <= {q.key for q in each.questions}
 
 
+def test_the_sense_may_stand_in_a_column(tmp_path):
+    """Then none is asked for; the Earth's rate adds to one and takes from the other."""
+    rows = [[word, "cw" if rpm else "", rpm, value] for word, rpm, value in table()]
+    against = [["in", "ccw", rpm, reading(-felt(-rpm))] for rpm in RPM]
+    path = write_table(tmp_path / "b.csv", [*rows, *against], "side,Direction,n_rpm,out_mA")
+    answers = {**SAID, "out_mA sensitivity": "1.25"}
+    del answers["sense"]
+    found = arm_draft(look_at([path]), answers)
+    assert found.open_questions == []
+    assert found.document(tmp_path)["readings"]["columns"]["sense"] == "Direction"
+    assert "sense" not in found.document(tmp_path)["readings"]
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    signs = [math.copysign(1.0, one.rate) for one in campaign.readings if one.rate]
+    assert signs == [-1.0] * 24 + [1.0] * 6
+
+
+def test_few_digits_of_a_rate_are_told(tmp_path):
+    rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
+    told = " ".join(read(write_table(tmp_path / "t.csv", rows)).statements)
+    assert "column 'n_rpm' has so few digits that the last one changes the force by 7 %" in told
+    rows[0][1] = 30.00012
+    assert "few digits" not in " ".join(read(write_table(tmp_path / "f.csv", rows)).statements)
+
+
 def test_a_time_brings_a_slope_with_it(tmp_path):
     """Two readings at rest in each of two positions are enough, and one too few beside a drift."""
     rows = [[n, *row] for n, row in enumerate(table())]

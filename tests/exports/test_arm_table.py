@@ -131,6 +131,33 @@ def test_the_column_of_mountings_has_their_words_or_its_name():
     assert numbered.words == ("", "1", "2", "1")
 
 
+def test_a_column_of_senses_is_known_by_its_words():
+    numbers = {"n_rpm": [0.0, 30.0, 42.0], "out_V": [1.0, 1.0, 2.0]}
+    words = {"Direction": ["", "CW", "ccw"], "Position": ["up", "in", "in"]}
+    found = look(numbers, words)
+    assert arm_roles(found, {})["Direction"] == "sense"
+    assert arm_roles(found, {})["Position"] == "position"
+    assert arm_roles(found, {"Direction is": "unused"})["Direction"] == "unused"
+    assert arm_roles(found, {"position": "Direction"})["Direction"] == "position"
+    words["Direction"][0] = "left"
+    assert "sense" not in arm_roles(look(numbers, words), {}).values()
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "step"),
+    [
+        ("n_rpm", [0.0, 20.0, 40.0], 2.0 * 10.0 / 20.0),
+        ("n_rpm", [0.0, 25.0, -40.0], 2.0 / 25.0),
+        ("n_rpm", [25.0, 40.125], 2.0 * 1e-3 / 25.0),
+        ("level_g", [0.5, 2.0], 0.1 / 0.5),
+        ("n", [1.0, 2.0], 0.0),
+    ],
+)
+def test_the_last_digit_of_a_rate_changes_the_force_twice_as_much(name, values, step):
+    found = table({name: values, "out_V": [1.0] * len(values)})
+    assert found.rate_step() == pytest.approx(step)
+
+
 def test_rows_turn_or_rest():
     numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.0, 1.0, 1.0]}
     found = table(numbers, {"side": ["up", "in", "out", "in"]})

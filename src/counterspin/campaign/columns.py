@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -304,6 +305,18 @@ def words_of(value: Any) -> str:
 def mounting_of(value: Any) -> str:
     """Return a cell as the name of a mounting, in which a dot would part the name of a term."""
     return re.sub(r"\.(?=\s|$)", "", words_of(value)).replace(".", ",")
+
+
+#: How tables write in which sense a machine turns, in lower case.
+SENSE_WORDS: Final[Mapping[str, Sense]] = {
+    "counterclockwise": "counterclockwise",
+    "counter-clockwise": "counterclockwise",
+    "anticlockwise": "counterclockwise",
+    "anti-clockwise": "counterclockwise",
+    "ccw": "counterclockwise",
+    "clockwise": "clockwise",
+    "cw": "clockwise",
+}
 
 
 def seconds_of(value: Any) -> Any:

@@ -16,6 +16,7 @@ from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import (
     BLANK,
+    SENSE_WORDS,
     WITH_COMMA,
     Sense,
     TableDialect,
@@ -58,6 +59,7 @@ _COLUMNS: Final = (
     "temperature",
     "time",
     "mounting",
+    "sense",
 )
 
 #: Unit of a rate that counts revolutions -> how it is written where angles are a unit.
@@ -87,7 +89,7 @@ class ReadingsSettings(TableDialect, _TableFile):
 
     columns: dict[str, _Repeats | dict[str, _Repeats]] = described(
         "`name`, `motion`, `rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
-        "`temperature`, `time`, `mounting` -> column",
+        "`temperature`, `time`, `mounting`, `sense` -> column",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
@@ -113,7 +115,8 @@ class ReadingsSettings(TableDialect, _TableFile):
         "rad/s",
     )
     sense: Sense = described(
-        "in which the machine turns at a positive rate, seen from above",
+        "in which the machine turns at a positive rate, seen from above, where there is no such "
+        "column, or nothing in it",
         "clockwise",
         "counterclockwise",
     )
@@ -355,7 +358,7 @@ class ReadingsTable:
                 unit = output.unit if output else "g"
                 problems.attempt(("readings", "u"), exact, settings.u, unit)
         if "rate" in settings.columns:
-            problems.attempt(("readings", "rate_unit"), self._rate, 1.0)
+            problems.attempt(("readings", "rate_unit"), self._rate, 1.0, settings.sense)
 
     def check_units(self, units: Mapping[str, str]) -> None:
         """Note columns that are in other units by the table's row of units."""
@@ -425,7 +428,12 @@ class ReadingsTable:
         """Return how a row moves, and its rate as it would be written; None where it has none."""
         stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
         if rate := self._number(stated, path):
-            return motion, self.problems.attempt(path, self._rate, rate)
+            sense = words_of(cell("sense")).lower() or self.settings.sense
+            if sense not in SENSE_WORDS:
+                said = f"'{sense}' is none of {', '.join(SENSE_WORDS)}"
+                self.problems.add((*path[:-1], "sense"), said)
+                return motion, None
+            return motion, self.problems.attempt(path, self._rate, rate, SENSE_WORDS[sense])
         if motion != "arm" or "motion" in self.columns:
             return motion, None
         if stated is None:
@@ -439,10 +447,10 @@ class ReadingsTable:
         at_rest = settings.axes_at_rest if motion == "static" else None
         return settings.mountings.get(mounting) or at_rest or settings.axes
 
-    def _rate(self, number: float) -> str:
+    def _rate(self, number: float, sense: Sense) -> str:
         """Return a rate as it would be written, right-handed about up; ValueError if it is none."""
         unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
-        sign = -1.0 if self.settings.sense == "clockwise" else 1.0
+        sign = -1.0 if sense == "clockwise" else 1.0
         if _converts(unit, "s"):
             return f"{sign / (number * unit_factor(unit, 's'))!r} rev/s"
         gravity = self._stated("site", "gravity", "m/s^2")

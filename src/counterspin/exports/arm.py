@@ -41,6 +41,7 @@ from counterspin.exports.questions import (
 )
 from counterspin.exports.readings import (
     SEVERAL,
+    WORD_ROLES,
     ReadingsDraft,
     Sensed,
     of_role,
@@ -63,6 +64,8 @@ _NEAR: Final = 0.3
 #: So many readings at rates show their noise: some, and so many more for each mounting.
 _FEWEST: Final = 2
 _OF_A_MOUNTING: Final = 4
+#: A last digit of rates is worth telling that changes the force by more than this part.
+_LARGE_STEP: Final = 1e-4
 #: Most rows of a table that is guessed to be one of readings on an arm.
 _MOST_ROWS: Final = 500
 
@@ -80,6 +83,8 @@ class ArmDraft(ReadingsDraft):
         look, roles = below_each_other(self.look, self.roles, self.answers)
         table = ArmTable.of(look, roles, self.answers)
         columns = {"rate": said["rate"]}
+        if turning := self._of("sense"):
+            columns["sense"] = turning[0]
         if table.position and table.position in self.roles:
             columns["mounting"] = table.position
         level = {"input_axis": "up", "pendulous_axis": "east"}
@@ -89,7 +94,7 @@ class ArmDraft(ReadingsDraft):
         readings |= {"motion": "arm", "rate_unit": said["rate unit"]}
         if said.get("empty mounting") == ABOVE:
             readings["merged"] = True
-        if said["sense"] != SENSES[0]:
+        if said.get("sense", SENSES[0]) != SENSES[0]:
             readings["sense"] = said["sense"]
         if "u" in said:
             readings["u"] = said["u"]
@@ -229,8 +234,9 @@ def _questions(
         text = f"In which unit is column '{table.rate.name}', a rate, a time or an acceleration?"
         units = tuple(dict.fromkeys([*_RATE_UNITS, *filter(None, [table.unit])]))
         yield ExportQuestion("rate unit", text, "rpm", units, table.unit)
-    text = "In which sense does the arm turn at a positive rate, seen from above?"
-    yield ExportQuestion("sense", text, SENSES[0], SENSES)
+    if "sense" not in roles.values():
+        text = "In which sense does the arm turn at a positive rate, seen from above?"
+        yield ExportQuestion("sense", text, SENSES[0], SENSES)
     text = "Which column says how the accelerometer is mounted?"
     yield part_question("position", text, [*numbers, *look.words], roles, needed=False)
     if table.gaps:
@@ -258,7 +264,8 @@ def _questions(
     text = "Where does the pendulous axis point when the input axis points inward?"
     choices = ("up", "down", "forward", "backward")
     yield ExportQuestion("pendulous axis", text, "up", choices, "up")
-    yield from role_questions(look, roles, ["rate", "position", "radius"])
+    parts = ["rate", "position", "radius"]
+    yield from role_questions(look, roles, parts, (*WORD_ROLES, "sense"))
     beside = ArmTable.of(look, roles, told)
     kind, more = kind_of_arm_columns(beside), () if beside.position else (MOUNTINGS,)
     yield from several_question(of_role(look, roles, "reading"), kind, *more)
@@ -320,6 +327,11 @@ def _sensed(
 def _statements(look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> Iterator[str]:
     table = ArmTable.of(*below_each_other(look, roles, told), told)
     yield from table_statements(look, roles)
+    if table.rate is not None and (step := table.rate_step()) > _LARGE_STEP:
+        yield (
+            f"column '{table.rate.name}' has so few digits that the last one changes the force by "
+            f"{100.0 * step:.1g} %; if it was measured better, write more"
+        )
     rests = int(table.rests.sum())
     if table.rate is not None:
         yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest, where the rate is 0"

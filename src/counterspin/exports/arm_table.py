@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from itertools import accumulate
 from typing import Final
 
@@ -13,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.campaign.columns import mounting_of
+from counterspin.campaign.columns import SENSE_WORDS, mounting_of
 from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, converts, unit_in_name
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import ExportQuestion
 from counterspin.exports.readings import (
     ACCELEROMETERS,
     SEVERAL,
+    WORD_ROLES,
     kind_of_columns,
     of_role,
     roles_of,
@@ -168,6 +170,17 @@ class ArmTable:
         )[0].tolist()
         return dict(zip(words, slopes, strict=True)), zero
 
+    def rate_step(self) -> float:
+        """Return by what part the last written digit of a rate changes the force, at most."""
+        rates = self.values(self.rate)
+        sizes = np.abs(rates[np.nan_to_num(rates) != 0.0])
+        if not len(sizes) or self.unit is None:
+            return 0.0
+        ends = (Decimal(repr(size)).normalize().as_tuple().exponent for size in sizes.tolist())
+        last = min(int(end) for end in ends)
+        power = 1.0 if self.rate is not None and converts(self.unit, "m/s^2") else 2.0
+        return float(power * 10.0**last / sizes.min())
+
     def turns_in(self, word: str) -> Rows:
         """Return which rows turn in a mounting."""
         return np.array([own == word for own in self.words]) & np.logical_not(self.rests)
@@ -180,13 +193,20 @@ def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
     # The time of a revolution, whatever it is called, does not go on from row to row.
     rates += [column for column in look.columns if usual_role(column) == "time" and _falls(column)]
     words = [name for name, cells in look.words.items() if any(map(direction_of, cells))]
-    named = [name for name, cells in look.words.items() if _repeat(cells) and _POSITION.match(name)]
+    senses = [name for name, cells in look.words.items() if _are_senses(cells)]
+    named = [
+        name
+        for name, cells in look.words.items()
+        if _repeat(cells) and _POSITION.match(name) and name not in senses
+    ]
     numbered = [c.name for c in look.columns if _POSITION.match(c.name)]
     parts = {
         "rate": rates[0].name if rates else None,
         "position": next(iter([*words, *named, *numbered]), None),
     }
-    return roles_of(look, told, _role, parts)
+    roles = roles_of(look, told, _role, parts)
+    free = [name for name in senses if roles[name] in WORD_ROLES and f"{name} is" not in told]
+    return roles | dict.fromkeys(free[:1], "sense")
 
 
 def _preference(column: FileColumn) -> tuple[int, bool, bool]:
@@ -208,6 +228,12 @@ def _gaps(rate: FileColumn | None, words: Sequence[str]) -> str | None:
     rates = [] if rate is None else rate.values.tolist()
     turning = any(rate and not word for rate, word in zip(rates, words, strict=False))
     return ABOVE if words[0] and turning else NONE
+
+
+def _are_senses(cells: Sequence[str]) -> bool:
+    """Return whether cells say in which sense the arm turns, row by row."""
+    written = {cell.lower() for cell in cells if cell}
+    return bool(written) and written <= set(SENSE_WORDS)
 
 
 def _repeat(cells: Sequence[str]) -> bool:

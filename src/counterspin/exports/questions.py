@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
+from counterspin.campaign.columns import SENSE_WORDS
 from counterspin.campaign.quantity import BARE, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError
@@ -33,12 +34,8 @@ _UNITS: Final = {
 _UNITS[ANY_SIGNAL] = _UNITS["m"][:2] + _UNITS["m/s"][:2] + _UNITS["m/s^2"][:3]
 #: Other words for answers that are chosen from a list, in lower case.
 _SYNONYMS: Final = {
-    "ccw": "counterclockwise",
-    "anticlockwise": "counterclockwise",
-    "anti-clockwise": "counterclockwise",
-    "counter-clockwise": "counterclockwise",
+    **SENSE_WORDS,
     "positive": "counterclockwise",
-    "cw": "clockwise",
     "negative": "clockwise",
     "e": "east",
     "o": "east",

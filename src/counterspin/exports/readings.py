@@ -241,17 +241,21 @@ def part_question(
 
 
 def role_questions(
-    look: Look, roles: Mapping[str, str], parts: Sequence[str]
+    look: Look,
+    roles: Mapping[str, str],
+    parts: Sequence[str],
+    word_roles: Sequence[str] = WORD_ROLES,
 ) -> Iterator[ExportQuestion]:
     """Yield what each other column is.
 
     parts: What only one column is, and may be said of a column of numbers.
+    word_roles: What may be said of a column of words.
     """
     for name, role in roles.items():
         if role in parts:
             continue
         words = name in look.others
-        choices = WORD_ROLES if words else (*parts, *ROLES)
+        choices = tuple(word_roles) if words else (*parts, *ROLES)
         text, example = f"What is column '{name}'?", WORD_ROLES[0] if words else ROLES[0]
         yield ExportQuestion(f"{name} is", text, example, choices, role)
 
