@@ -279,6 +279,12 @@ def of_inputs() -> list[Violation]:
             {"[accelerometers.Qx]": 'timing_offset = "1e-5 s"\n\n[accelerometers.Qx]'},
         ),
         Violation(
+            "clock of the recorder, not stated",
+            "20 ppm",
+            "records.clock",
+            truth='[truth.records]\nclock = "20 ppm"\n',
+        ),
+        Violation(
             "bias, stated as exact",
             "9 ug",
             "K_F",

@@ -37,12 +37,17 @@ def test_the_table_is_what_is_found(kept):
         assert row.shifts == pytest.approx(known.shifts, abs=0.05)
 
 
-@pytest.mark.parametrize(("wave", "times"), [("1.sin", "once"), ("2.cos", "twice")])
-def test_a_head_that_errs_is_named_in_two_mountings(wave, times):
-    usual = STUDY["description"](*WAYS["12 positions in two mountings"])
-    (violation,) = (v for v in STUDY["violations"]() if v.symbol == f"head.harmonic.{wave}")
-    assuming, _ = STUDY["calibrated"](STUDY["world_of"](violation, usual))
-    assert f"are what a head makes that errs {times} a turn" in assuming.findings[0].text
+@pytest.mark.parametrize("way", WAYS)
+def test_wherever_something_is_found_the_head_is_named(kept, way):
+    usual = STUDY["description"](*WAYS[way])
+    for violation in STUDY["violations"]():
+        if not kept[violation.name, way].codes:
+            continue
+        assuming, _ = STUDY["calibrated"](STUDY["world_of"](violation, usual))
+        times = "once" if ".1." in violation.symbol else "twice"
+        two = f"are what a head makes that errs {times} a turn"
+        one = "An error of the head that goes with its angle"
+        assert (two if "mountings" in way else one) in assuming.findings[0].text
 
 
 def test_what_waves_of_the_head_look_like(kept):

@@ -20,7 +20,7 @@ from counterspin.calibration.observed import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes
-from counterspin.inference.joint.alternatives import of_priors
+from counterspin.inference.joint.alternatives import Alternative, Scores, of_priors
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.unknowns import Considered
@@ -139,6 +139,17 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
     assert not gravity.credible(9.80842 - 9.8066 + 1.1e-3)
     assert gravity.credible(9.79763 - 9.8066 - 0.9e-3)
     assert not gravity.credible(9.79763 - 9.8066 - 1.1e-3)
+
+
+@pytest.mark.parametrize("off", [1e-12, -1e-12])
+def test_what_rounding_alone_tells_apart_stands_in_order(off):
+    """Two statements that explain the same, whose sizes another library rounds another way."""
+    stated = tuple(Alternative("prior", "Qx", symbol) for symbol in ("K_I", "K_F"))
+    u = np.array([1.0, 3.0])
+    size = np.array([8.0, 8.0 * (1.0 + off)])
+    found = search._with_rivals(Scores(stated, size * u, u, size, 1e4), int(off > 0.0), True)
+    assert found.head.symbol == "K_I"
+    assert [other.symbol for other, _ in found.rivals] == ["K_F"]
 
 
 def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):

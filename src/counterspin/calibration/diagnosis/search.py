@@ -423,7 +423,8 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
         # What is short of the best by all that is allowed is short of it by a decisive chi-square.
         short = _DECISIVE_CHI2 * (float(held.size[place]) ** 2 - float(held.size[k]) ** 2) / slack
         evidence = log_evidence(every[k], float(held.value[k]), float(held.u[k])) - 0.5 * short
-        return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, -evidence, k
+        # What rounding alone tells apart stands in the order of the alternatives, on every machine.
+        return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, round(-evidence, 6), k
 
     first, *rivals = sorted(as_good, key=plausible)
     return _Explained(
