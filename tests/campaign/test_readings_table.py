@@ -135,6 +135,13 @@ def test_the_sense_of_a_row_stands_above_that_of_the_table(tmp_path):
     assert said.startswith("readings.\"r.csv line 2\".sense: 'left' is none of counterclockwise,")
 
 
+def test_remarks_below_a_table_are_no_readings(tmp_path):
+    table = "n,side,mA\n6,innen,5\n0,innen,0\n,,\n,Table 3 of 4,\n"
+    assert len(of_csv(tmp_path, table, ARM)) == 2
+    # What was read has a station, or should have one.
+    assert len(problems(tmp_path, f"{table},innen,5\n", ARM)) == 1
+
+
 def test_a_dot_in_the_name_of_a_mounting_is_left_out(tmp_path):
     keys = ARM.replace("innen =", '"Pos 1" =').replace("hinten =", '"22,5" =')
     found = of_csv(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)

@@ -70,6 +70,10 @@ def test_words_for_directions(word, direction):
         ("g_level", "", "g"),
         ("G-Level", "", "g"),
         ("level", "", None),
+        ("Drehrate in °/s", "", "deg/s"),
+        ("rate_s", "", None),
+        ("speed, Hz", "", "rev/s"),
+        ("T_rev_s", "", "s"),
         ("Drehfrequenz", "Hz", "Hz"),
         ("accel", "m/s^2", "m/s^2"),
     ],
@@ -124,6 +128,9 @@ def test_the_column_of_mountings_has_their_words_or_its_name():
     numbers = {"n_rpm": [30.0, 30.0, 42.0, 42.0], "out_V": [1.0, -1.0, 2.0, -2.0]}
     words = {"note": ["first", "second", "third", "last"], "where": ["in", "out", "in", "out"]}
     assert table(numbers, words).position == "where"
+    remark = {"where": ["in", "out", "in", "out", "by J. D."]}
+    below = table({name: [*own, math.nan] for name, own in numbers.items()}, remark)
+    assert below.mountings == ("in", "out")
     words["where"] = ["A", "B", "A", "B"]
     assert table(numbers, words).position is None
     assert table(numbers, {"side": words["where"]}).position == "side"
@@ -191,7 +198,8 @@ def test_accelerations_and_slopes_are_those_of_a_circle():
         ((1.25, -1.0), "accelerometers"),
         ((1.25, 1.3), "accelerometers"),
         ((1.25, 1.25), "repeats"),
-        ((1.25, -1.25, 1.25), "accelerometers"),
+        ((1.25, -1.25, 1.25), "mountings"),
+        ((1.25, -1.25, 0.5), "accelerometers"),
     ],
 )
 def test_columns_that_are_each_other_s_negative_are_mountings(slopes, kind):

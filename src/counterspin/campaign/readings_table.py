@@ -62,6 +62,9 @@ _COLUMNS: Final = (
     "sense",
 )
 
+#: What says where a reading is taken.
+_STATIONS: Final = {"rate", "attitude", "head", "input"}
+
 #: Unit of a rate that counts revolutions -> how it is written where angles are a unit.
 _REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
@@ -232,8 +235,7 @@ class ReadingsTable:
         mounting = self.columns.get("mounting") if self.settings.merged else None
         above = None
         for index, row in enumerate(rows):
-            # Rows without anything in them stand below many a table.
-            if all(is_empty(cell) for cell in row.values()):
+            if not self.has(row):
                 continue
             place = f"row {index + 1}" if places is None else places[index]
             path: KeyPath = ("readings", f"{self.settings.file} {place}")
@@ -251,6 +253,18 @@ class ReadingsTable:
                     made[-1]["name"] += f", {view.settings.mounting}"
             if len(problems.lines) == before:
                 yield from ((run, path) for run in made)
+
+    def has(self, row: Mapping[str, Any]) -> bool:
+        """Return whether a row has a reading, or says where one is to be taken.
+
+        Rows without anything in them stand below many a table, and remarks.
+        """
+        stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
+        readings = {
+            c for view in self.views(row) for own in view.of("reading").values() for c in own
+        }
+        wanted = stations | readings if stations else row.keys()
+        return not all(is_empty(row[column]) for column in wanted)
 
     def views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
         """Return the table as each mounting reads a row, where each has a column of its own."""

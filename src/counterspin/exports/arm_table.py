@@ -42,18 +42,16 @@ _RATE: Final = re.compile(
 _PERIOD: Final = re.compile(r"(?i).*(period|umlauf|t_?rev|rev_?time)")
 _ACCELERATION: Final = re.compile(r"(?i)(.*[^a-z])?(acc|beschl|level|g_?level|last|centri|zentri)")
 _POSITION: Final = re.compile(
-    r"(?i).*(pos|mount|orient|side|richtung|direction|lage|einbau|platz|stell)"
+    r"(?i).*(pos|mount|orient|side|richtung|direction|lage|einbau|platz|stell|polar|vorzeich|aufspann)"
 )
 _RADIUS: Final = re.compile(r"(?i)(r|radi[ui]s?|arm|arm_?length|armlänge)([^a-z]|$)")
 #: How the unit of a rate stands at the end of a name -> the unit.
 _ENDINGS: Final = {
     r"rpm|u.?min|1.?min|rev.?min": "rpm",
     r"rad.?s": "rad/s",
-    r"deg.?s|dps": "deg/s",
+    r"deg.?s|dps|°.?s": "deg/s",
     r"rev.?s|rps|hz": "rev/s",
     r"m.?s2": "m/s^2",
-    r"ms": "ms",
-    r"s": "s",
     r"g|g.?levels?|g.?load": "g",
 }
 #: Of two columns the one that was measured, not set.
@@ -67,7 +65,7 @@ _BEHIND: Final = re.compile(r"[\s_.,;:#-]*\d*([.,]\d+)?\s*g?$")
 
 #: The answer that columns of readings are mountings of one accelerometer, side by side.
 MOUNTINGS: Final = "mountings"
-#: They are if their slopes add up to less than this part of one.
+#: They are if some slopes are the others' negative, but for this part.
 _OPPOSITE_PART: Final = 0.1
 
 #: Whether something holds, row by row.
@@ -99,7 +97,9 @@ class ArmTable:
             words = ["" if math.isnan(value) else f"{value:.12g}" for value in numbers]
         words = [mounting_of(word) for word in words]
         rows = max(len(column.values) for column in look.columns)
+        remarks = _without_numbers([rate, *of_role(look, roles, "reading")], rows)
         words = (*words, *[""] * rows)[:rows]
+        words = tuple("" if only else word for word, only in zip(words, remarks, strict=True))
         gaps = _gaps(rate, words)
         if told.get("empty mounting", gaps) == ABOVE:
             words = tuple(accumulate(words, lambda above, own: own or above))
@@ -221,6 +221,15 @@ def _falls(column: FileColumn) -> bool:
     return not column.stamps and bool(np.any(np.diff(values) < 0.0))
 
 
+def _without_numbers(columns: Sequence[FileColumn | None], rows: int) -> Rows:
+    """Return which rows have a number in none of the columns: remarks below a table."""
+    empty = np.ones(rows, dtype=bool)
+    for column in columns:
+        if column is not None:
+            empty[: len(column.values)] &= np.isnan(column.values)
+    return empty
+
+
 def _gaps(rate: FileColumn | None, words: Sequence[str]) -> str | None:
     """Return what rows have that name no mounting: in a spreadsheet cells may be merged."""
     if not any(words) or all(words):
@@ -268,8 +277,10 @@ def _rate_unit(column: FileColumn) -> str | None:
     if column.unit:
         return column.unit
     name = column.name.lower()
-    known = (u for end, u in _ENDINGS.items() if re.fullmatch(rf"(.*[^a-z])?({end})", name))
-    return next(known, None)
+    known = [u for end, u in _ENDINGS.items() if re.fullmatch(rf"(.*[^a-z])?({end})", name)]
+    kinds = _KINDS if (kind := _kind(column)) is None else (kind,)
+    units = [_REVOLUTIONS.get(unit, unit) for unit in [*known, unit_in_name(column.name)]]
+    return next((unit for unit in units if any(converts(unit, one) for one in kinds)), None)
 
 
 def _radius_unit(column: FileColumn) -> str:
@@ -280,14 +291,16 @@ def _radius_unit(column: FileColumn) -> str:
 def kind_of_arm_columns(table: ArmTable) -> str:
     """Return what several columns of readings are: mountings, if they are each other's negative."""
     columns = of_role(table.look, table.roles, "reading")
-    if table.position is None and len(columns) == 2 and table.rate is not None:
+    if table.position is None and len(columns) > 1 and table.rate is not None:
         felt = table.acceleration(1.0)
         pairs = [np.isfinite(felt * table.values(column)) for column in columns]
-        slopes = [
-            np.polyfit(felt[rows], table.values(column)[rows], 1)[0] if rows.sum() > 1 else 0.0
-            for column, rows in zip(columns, pairs, strict=True)
-        ]
-        if abs(sum(slopes)) < _OPPOSITE_PART * max(map(abs, slopes)):
+        slopes = np.array(
+            [
+                np.polyfit(felt[rows], table.values(column)[rows], 1)[0] if rows.sum() > 1 else 0.0
+                for column, rows in zip(columns, pairs, strict=True)
+            ]
+        )
+        if np.ptp(np.abs(slopes)) < _OPPOSITE_PART * slopes.max() and slopes.min() < 0.0:
             return MOUNTINGS
     return kind_of_columns(columns) if len(columns) > 1 else ACCELEROMETERS
 

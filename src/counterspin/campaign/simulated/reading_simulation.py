@@ -345,11 +345,7 @@ def filled_table(
     frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}
     table = ReadingsTable(settings, outputs, Problems(raw), raw)
-    rows = [
-        (place, row)
-        for place, row in enumerate(frame.iter_rows(named=True))
-        if not all(map(is_empty, row.values()))
-    ]
+    rows = [(place, row) for place, row in enumerate(frame.iter_rows(named=True)) if table.has(row)]
     values = {
         column: [None if is_empty(cell) else cell for cell in frame[column].to_list()]
         for view in table.views({})
