@@ -52,6 +52,9 @@ SLIPS = {
     "[truth]\nmachine = 3": "truth.machine: must be a table",
     "[truth.A]\nbias = '1 uA'\nK_F = '1 ug'": "truth.A.bias: is K_F, given too; keep one",
     "[truth.A]\nK_I = '1.2 ± 0.1 mA/g'": "truth.A.K_I",
+    "[truth.platform]\ntilt = { nort = '1 arcsec' }": (
+        'truth.platform.tilt.nort: unknown key; did you mean "north"?'
+    ),
     "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' is not a unit",
     "[truth.noise]\nreading = '-1 uA'": "a standard deviation is not negative",
     "[truth.noise]\nreading = { B = '1 uA' }": 'no accelerometer is called "B"',

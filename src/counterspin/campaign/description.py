@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,7 +42,7 @@ from counterspin.campaign.toml_file import (
     load_with_checksum,
 )
 from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
-from counterspin.campaign.truth import of_records, resolve_reading_truth, resolve_simulation
+from counterspin.campaign.truth import TruthReader
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.grades import DEFAULT_GRADE, Size
@@ -425,8 +425,11 @@ class _DescriptionReader:
                 refuse_encoder(model, problems)
             check_conditions(model, self._placed(runs), reference, problems)
         simulation = None
-        if self.simulated:
-            simulation = self._simulation(noise, readings, outputs, centrifuge, runs)
+        if self.truth is not None:
+            recorders = recorders_of(self._table("records"), runs)
+            simulation = self.truth.simulation(
+                self._sampling(), outputs, noise, readings, centrifuge, recorders
+            )
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(tables, mountings, observables, priors)
         if records is not None:
@@ -514,13 +517,16 @@ class _DescriptionReader:
                 self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
         return noise
 
+    @cached_property
+    def truth(self) -> TruthReader | None:
+        """What is true of a campaign that is simulated."""
+        if not self.simulated:
+            return None
+        return TruthReader(self._table("truth"), self.problems, self.gravity)
+
     def _runs(self) -> list[Run]:
-        simulated = of_records(self._table("truth"), self.problems)
         defaults = RunDefaults(
-            self.file.parent,
-            self._table("records"),
-            simulated if self.simulated else None,
-            self._sampling().revolutions,
+            self.file.parent, self._table("records"), self.truth, self._sampling().revolutions
         )
         return resolve_runs(self.numbered_runs, defaults, self.problems)
 
@@ -538,30 +544,6 @@ class _DescriptionReader:
             SimulationSettings, self._table("simulation"), ("simulation",)
         )
         return settings or SimulationSettings()
-
-    def _simulation(
-        self,
-        noise: NoiseSettings | None,
-        readings: Sequence[Reading],
-        outputs: Mapping[str, Output | None],
-        centrifuge: CentrifugeSettings | None,
-        runs: Sequence[Run],
-    ) -> Simulation:
-        problems, gravity, truths = self.problems, self.gravity, self._table("truth")
-        simulation = resolve_simulation(
-            self._sampling(),
-            of_records(truths, problems),
-            outputs,
-            noise,
-            recorders=recorders_of(self._table("records"), runs),
-            problems=problems,
-            gravity=gravity,
-        )
-        machine, spread = resolve_reading_truth(
-            truths, readings, outputs, centrifuge, problems=problems, gravity=gravity
-        )
-        truth = replace(simulation.truth, machine=machine, reading_noise=spread)
-        return replace(simulation, truth=truth)
 
     def _specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):

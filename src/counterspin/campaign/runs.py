@@ -17,7 +17,7 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import is_reading
 from counterspin.campaign.resolved import Run, RunTruth
 from counterspin.campaign.settings import RunSettings
-from counterspin.campaign.truth import resolve_run_truth
+from counterspin.campaign.truth import TruthReader
 from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
 
@@ -31,8 +31,7 @@ class RunDefaults:
 
     folder: Path  #: Of the record files.
     records: Mapping[str, Any]  #: The section [records], as it stands.
-    #: The section [truth], as it stands; None where nothing is simulated.
-    truth: Mapping[str, Any] | None
+    truth: TruthReader | None  #: What [truth] says; None where nothing is simulated.
     revolutions: float  #: Of a run that is simulated.
 
 
@@ -173,8 +172,7 @@ def _truth(
     settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
 ) -> RunTruth | None:
     if defaults.truth is not None:
-        own = settings.truth or {}
-        return resolve_run_truth(settings.rate, defaults.truth, own, (*path, "truth"), problems)
+        return defaults.truth.of_run(settings.rate, settings.truth or {}, (*path, "truth"))
     if settings.truth is not None:
         problems.add((*path, "truth"), "needs [simulation] or [truth] beside it")
     return None

@@ -203,112 +203,179 @@ TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
 }
 
 
-def resolve_simulation(
-    settings: SimulationSettings,
-    raw_truth: Mapping[str, Any],
-    outputs: Mapping[str, Output | None],
-    noise: StatedNoise | None,
-    *,
-    recorders: Mapping[str, str],
-    problems: Problems,
-    gravity: float | None,
-) -> Simulation:
-    """Resolve [simulation], and in [truth] the accelerometers' tables and the inputs.
+class TruthReader:
+    """Reads [truth]; each table is checked once, even where another one is wrong.
 
-    outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
-        ``mA/g``.
-    recorders: Name of a recorder -> what the runs call it: nothing where it is that of them all.
-    gravity: The site's gravity, m/s^2.
+    raw: The section, as it stands.
+    gravity: The site's, m/s^2.
     """
-    names = list(outputs)
-    for name in raw_truth:
-        if name not in names and name not in TRUTH_TABLES:
-            problems.add(
+
+    def __init__(self, raw: Mapping[str, Any], problems: Problems, gravity: float) -> None:
+        self.raw, self.problems, self.gravity = raw, problems, gravity
+        given = dict(raw)
+        if isinstance(noise := given.get("noise"), Mapping):
+            given["noise"] = {key: value for key, value in noise.items() if key != _READING}
+        #: Table -> what it says; None with its mistakes noted.
+        self.tables: dict[str, Any] = {
+            name: problems.check(
+                model,
+                given.get(name, {}),
                 ("truth", name),
-                "is neither an accelerometer nor a known table"
-                + did_you_mean(name, [*names, *TRUTH_TABLES]),
+                gravity=gravity if name == "noise" else None,
             )
-    coefficients, offsets, velocities = {}, {}, {}
-    for name in names:
-        path = ("truth", name)
-        table: Any = problems.check(
-            AccelerometerTruthSettings,
-            raw_truth.get(name, {}),
-            path,
-            gravity=gravity,
-            output=outputs[name],
+            for name, model in TRUE_TABLES.items()
+        }
+        self._take_stretch()
+
+    def _table(self, key: str) -> Mapping[str, Any]:
+        value = self.raw.get(key)
+        return value if isinstance(value, Mapping) else {}
+
+    def _machine(self) -> dict[str, Any]:
+        """Return what is said of terms that readings show."""
+        if not isinstance(self.raw.get(_MACHINE, {}), Mapping):
+            self.problems.add(("truth", _MACHINE), "must be a table")
+        return flat_keys(self._table(_MACHINE))
+
+    def _take_stretch(self) -> None:
+        """Count the stretch among what readings show as that of the centrifuge: records show it."""
+        path, centrifuge = ("truth", _MACHINE, _STRETCH), self.tables["centrifuge"]
+        if (text := self._machine().get(_STRETCH)) is None or centrifuge is None:
+            return
+        if centrifuge.stretch is not None:
+            self.problems.add(path, "is in [truth.centrifuge] too; keep one")
+            return
+        stretch = self.problems.attempt(path, exact, text, term(_STRETCH).unit)
+        self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
+
+    def of_run(self, rate: float, raw: Any, path: Path) -> RunTruth | None:
+        """Return the true spindle and machine of one run; its own values take precedence.
+
+        rate: The run's nominal rate, rad/s.
+        raw, path: Its `truth` as read, and where that is.
+        """
+        common = self.tables["spindle"]
+        own: Any = self.problems.check(RunTruthSettings, raw, path)
+        shared = {family: self.tables[family] for family in _SHARED_TABLES}
+        if common is None or None in shared.values() or own is None:
+            return None
+
+        def first(key: str, default: Any) -> Any:
+            values = (getattr(own, key), getattr(common, key), default)
+            return next(value for value in values if value is not None)
+
+        true_rate = rate * (1.0 + first("rate_error", 0.0))
+        ripple_path: Path = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
+        ripples = tuple(
+            _ripple(entry, true_rate, ripple_path, self.problems) for entry in first("ripple", ())
+        )
+        spindle = Spindle(true_rate, first("drift", 0.0), ripples, first("start_angle", 0.0))
+        values: dict[str, float] = {}
+        for symbol, row in SHARED_TERMS.items():
+            family, *keys = symbol.split(".")
+            # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
+            own_value = _stated(own, keys) if row.per_run else None
+            value = _stated(shared[family], keys) if own_value is None else own_value
+            if value is not None:
+                values[symbol] = value
+        return RunTruth(spindle, values)
+
+    def simulation(
+        self,
+        settings: SimulationSettings,
+        outputs: Mapping[str, Output | None],
+        noise: StatedNoise | None,
+        readings: Sequence[Reading],
+        centrifuge: CentrifugeSettings | None,
+        recorders: Mapping[str, str],
+    ) -> Simulation:
+        """Return how records and readings are made, and from which truth.
+
+        outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
+            ``mA/g``.
+        centrifuge: The machine; a true radius may be given as such.
+        recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
+        """
+        known = [*outputs, *TRUTH_TABLES]
+        for name in [name for name in self.raw if name not in known]:
+            said = "is neither an accelerometer nor a known table" + did_you_mean(name, known)
+            self.problems.add(("truth", name), said)
+        own = {name: self._accelerometer(name, output) for name, output in outputs.items()}
+        tables = {name: table for name, (table, _) in own.items() if table is not None}
+        truth = SimulatedTruth(
+            coefficients={name: own[name][1] for name in tables},
+            start_offset={name: table.start_offset for name, table in tables.items()},
+            start_velocity={name: table.start_velocity for name, table in tables.items()},
+            noise=((self.tables["noise"] if "noise" in self.raw else noise) or StatedNoise()),
+            inputs=true_inputs(self.tables, recorders, self.problems),
+            machine=self._of_machine(readings, centrifuge),
+            reading_noise=self._of_readings(outputs),
+        )
+        return Simulation(settings.sampling_rate, settings.seed, truth, settings.poses)
+
+    def _accelerometer(self, name: str, output: Output | None) -> tuple[Any, dict[str, float]]:
+        """Return the table of an accelerometer, and its coefficients by symbol."""
+        path, raw = ("truth", name), self.raw.get(name, {})
+        table: Any = self.problems.check(
+            AccelerometerTruthSettings, raw, path, gravity=self.gravity, output=output
         )
         if table is None:
-            continue
+            return None, {}
         values = {symbol: getattr(table, symbol) for symbol in OWN_TERMS}
         for key, symbol in COMMON_NAMES.items():
             if None not in (getattr(table, key), values[symbol]):
-                problems.add((*path, key), f"is {symbol}, given too; keep one")
+                self.problems.add((*path, key), f"is {symbol}, given too; keep one")
             values[symbol] = getattr(table, key) if values[symbol] is None else values[symbol]
-        coefficients[name] = {s: value for s, value in values.items() if value is not None}
-        offsets[name], velocities[name] = table.start_offset, table.start_velocity
-    true_noise = _true_noise(raw_truth, noise, problems, gravity)
-    inputs = true_inputs(raw_truth, recorders, problems)
-    truth = SimulatedTruth(coefficients, offsets, velocities, true_noise, inputs)
-    return Simulation(settings.sampling_rate, settings.seed, truth, settings.poses)
+        return table, {s: value for s, value in values.items() if value is not None}
 
+    def _of_machine(
+        self, readings: Sequence[Reading], centrifuge: CentrifugeSettings | None
+    ) -> dict[str, float]:
+        """Return term of the machine -> true value less nominal, SI."""
+        known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
+        machine: dict[str, float] = {}
+        for key, text in self._machine().items():
+            path = ("truth", _MACHINE, key)
+            symbols = expand(key, known)
+            if key in OWN_TERMS:
+                said = "is of an accelerometer; write it in its table, [truth.NAME]"
+                self.problems.add(path, said)
+            elif not symbols:
+                self.problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
+            for symbol in symbols:
+                unit = term(symbol).unit
+                value = self.problems.attempt(path, exact, text, unit)
+                if value is not None:
+                    given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
+                    machine[symbol] = given.value
+        path_errors = self.tables["centrifuge"]
+        if _STRETCH in known and path_errors is not None and path_errors.stretch is not None:
+            machine[_STRETCH] = path_errors.stretch
+        return machine
 
-def _true_noise(
-    raw_truth: Mapping[str, Any],
-    noise: StatedNoise | None,
-    problems: Problems,
-    gravity: float | None,
-) -> StatedNoise:
-    if "noise" not in raw_truth:
-        return noise or StatedNoise()
-    path = ("truth", "noise")
-    found = problems.check(StatedNoise, raw_truth["noise"], path, gravity=gravity)
-    return found or StatedNoise()
-
-
-def resolve_run_truth(
-    rate: float,
-    raw_truth: Mapping[str, Any],
-    raw_run_truth: Any,
-    path: Path,
-    problems: Problems,
-) -> RunTruth | None:
-    """Resolve the true spindle and machine of one run; the run's own values take precedence.
-
-    rate: The run's nominal rate, rad/s.
-    raw_truth, raw_run_truth: [truth] and the run's `truth` as read.
-    path: Of the run's `truth`.
-    """
-    common = problems.check(
-        SpindleTruthSettings, raw_truth.get("spindle", {}), ("truth", "spindle")
-    )
-    shared = {
-        family: problems.check(model, raw_truth.get(family, {}), ("truth", family))
-        for family, model in _SHARED_TABLES.items()
-    }
-    own: Any = problems.check(RunTruthSettings, raw_run_truth, path)
-    if common is None or None in shared.values() or own is None:
-        return None
-
-    def first(key: str, default: Any) -> Any:
-        values = (getattr(own, key), getattr(common, key), default)
-        return next(value for value in values if value is not None)
-
-    true_rate = rate * (1.0 + first("rate_error", 0.0))
-    ripple_path: Path = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
-    ripples = tuple(
-        _ripple(entry, true_rate, ripple_path, problems) for entry in first("ripple", ())
-    )
-    spindle = Spindle(true_rate, first("drift", 0.0), ripples, first("start_angle", 0.0))
-    values: dict[str, float] = {}
-    for symbol, row in SHARED_TERMS.items():
-        family, *keys = symbol.split(".")
-        # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
-        own_value = _stated(own, keys) if row.per_run else None
-        value = _stated(shared[family], keys) if own_value is None else own_value
-        if value is not None:
-            values[symbol] = value
-    return RunTruth(spindle, values)
+    def _of_readings(self, outputs: Mapping[str, Output | None]) -> dict[str, float]:
+        """Return the true noise of the readings of each accelerometer, g."""
+        given = self._table("noise").get(_READING)
+        if given is None:
+            return {}
+        path: Path = ("truth", "noise", _READING)
+        sizes = {}
+        for name, text in (
+            given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
+        ).items():
+            if name not in outputs:
+                said = f'no accelerometer is called "{name}"' + did_you_mean(name, outputs)
+                self.problems.add(path, said)
+                continue
+            output = outputs[name]
+            unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
+            gravity = self.gravity if output is None else None
+            value = self.problems.attempt(path, exact, text, unit, gravity)
+            if value is not None and value < 0.0:
+                self.problems.add(path, "a standard deviation is not negative")
+            elif value is not None:
+                sizes[name] = value / abs(size)
+        return sizes
 
 
 def _stated(table: Any, keys: Sequence[str]) -> float | None:
@@ -324,91 +391,3 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
         problems.add(path, "each ripple has either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
     return Ripple(entry.harmonic, amplitude, entry.phase)
-
-
-# Of readings
-
-
-def of_records(raw: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
-    """Return [truth] without what readings alone have."""
-    if not isinstance(raw.get(_MACHINE, {}), Mapping):
-        problems.add(("truth", _MACHINE), "must be a table")
-    truth = {key: value for key, value in raw.items() if key != _MACHINE}
-    noise = truth.get("noise")
-    if isinstance(noise, Mapping) and _READING in noise:
-        truth["noise"] = {key: value for key, value in noise.items() if key != _READING}
-    stretch = flat_keys(_table(raw, _MACHINE)).get(_STRETCH)
-    centrifuge = _table(raw, "centrifuge")
-    if stretch is not None and "stretch" in centrifuge:
-        problems.add(("truth", _MACHINE, _STRETCH), "is in [truth.centrifuge] too; keep one")
-    elif stretch is not None:
-        truth["centrifuge"] = {**centrifuge, "stretch": stretch}
-    return truth
-
-
-def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    value = raw.get(key)
-    return value if isinstance(value, Mapping) else {}
-
-
-def resolve_reading_truth(
-    raw: Mapping[str, Any],
-    readings: Sequence[Reading],
-    outputs: Mapping[str, Output | None],
-    centrifuge: CentrifugeSettings | None,
-    *,
-    problems: Problems,
-    gravity: float,
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Resolve [truth.machine] and the noise of readings.
-
-    centrifuge: The machine; a true radius may be given as such.
-    gravity: Of the site, m/s^2.
-    """
-    known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
-    machine: dict[str, float] = {}
-    for key, text in flat_keys(_table(raw, _MACHINE)).items():
-        path = ("truth", _MACHINE, key)
-        symbols = expand(key, known)
-        if key in OWN_TERMS:
-            problems.add(path, "is of an accelerometer; write it in its table, [truth.NAME]")
-        elif not symbols:
-            problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
-        for symbol in symbols:
-            unit = term(symbol).unit
-            value = problems.attempt(path, exact, text, unit)
-            if value is not None:
-                given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
-                machine[symbol] = given.value
-    stretch = _table(raw, "centrifuge").get("stretch")
-    if stretch is not None and _STRETCH in known:
-        value = problems.attempt(("truth", "centrifuge", "stretch"), exact, stretch, "s^2/m")
-        machine[_STRETCH] = value or 0.0
-    return machine, _noise(raw, outputs, problems, gravity)
-
-
-def _noise(
-    raw: Mapping[str, Any],
-    outputs: Mapping[str, Output | None],
-    problems: Problems,
-    gravity: float,
-) -> dict[str, float]:
-    """Return the true noise of the readings of each accelerometer, g."""
-    given = _table(raw, "noise").get(_READING)
-    if given is None:
-        return {}
-    path: Path = ("truth", "noise", _READING)
-    texts = given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
-    sizes = {}
-    for name, text in texts.items():
-        if name not in outputs:
-            problems.add(path, f'no accelerometer is called "{name}"' + did_you_mean(name, outputs))
-            continue
-        output = outputs[name]
-        unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
-        value = problems.attempt(path, exact, text, unit, gravity if output is None else None)
-        if value is not None and value < 0.0:
-            problems.add(path, "a standard deviation is not negative")
-        elif value is not None:
-            sizes[name] = value / abs(size)
-    return sizes

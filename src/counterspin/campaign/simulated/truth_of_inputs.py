@@ -83,25 +83,21 @@ def recorders_of(records: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, s
 
 
 def true_inputs(
-    truth: Mapping[str, Any], recorders: Mapping[str, str], problems: Problems
+    tables: Mapping[str, Any], recorders: Mapping[str, str], problems: Problems
 ) -> dict[tuple[str, str], float]:
     """Return by recorder (of a clock; else empty) and symbol the inputs that [truth] states, SI.
 
+    tables: Those of [truth], None where they have mistakes.
     recorders: As `recorders_of` returns them.
     """
-    site = problems.check(SiteTruthSettings, truth.get("site", {}), ("truth", "site"))
-    records = problems.check(RecordsTruthSettings, truth.get("records", {}), ("truth", "records"))
-    centrifuge = truth.get("centrifuge")
-    table = centrifuge if isinstance(centrifuge, Mapping) else {}
-    own = {key: table[key] for key in TrueRadius.model_fields if key in table}
-    size = problems.check(TrueRadius, own, ("truth", "centrifuge"))
-    stated: dict[tuple[str, str], float | None] = {
-        ("", "site.gravity"): site.gravity if site else None,
-        ("", "site.latitude"): site.latitude if site else None,
-        ("", "centrifuge.radius"): size.radius if size else None,
-        ("", "records.timing_offset"): records.timing_offset if records else None,
+    site, records, centrifuge = (tables[name] for name in ("site", "records", "centrifuge"))
+    stated = {
+        ("", "site.gravity"): site and site.gravity,
+        ("", "site.latitude"): site and site.latitude,
+        ("", "centrifuge.radius"): centrifuge and centrifuge.radius,
+        ("", "records.timing_offset"): records and records.timing_offset,
     }
-    clocks = _by_recorder((records.clock if records else None) or {}, recorders, problems)
+    clocks = _by_recorder((records and records.clock) or {}, recorders, problems)
     return {key: value for key, value in stated.items() if value is not None} | clocks
 
 
