@@ -56,6 +56,17 @@ def test_all_files_of_a_run_are_copied_and_joined(recorded, tmp_path):
     assert joined.runs[4].files == other.runs[0].files
 
 
+def test_files_named_from_the_root_are_copied_to_where_they_were(recorded, tmp_path):
+    (recorded / "in").mkdir()
+    slow = (recorded / "slow.csv").rename(recorded / "in" / "slow.csv")
+    there = f"record = '{slow}'"
+    text = campaigns.changed(campaigns.SMALL, ('record = "slow.csv"', there))
+    (recorded / "campaign.toml").write_text(text)
+    read_campaign(recorded).write(tmp_path / "b")
+    assert read_campaign(tmp_path / "b").runs[0].record == tmp_path / "b" / "in" / "slow.csv"
+    assert (tmp_path / "b" / "in" / "slow.csv").read_bytes() == slow.read_bytes()
+
+
 def test_a_folder_is_copied_as_it_is(recorded, tmp_path):
     campaign = read_campaign(recorded)
     campaign.write(tmp_path / "b")

@@ -21,19 +21,19 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
     source = source_of(campaign)
     folder = Path(folder)
     document = dict(source.document)
-    targets: dict[Path, Path | MemoryTable] = {}
-    document["runs"] = [_placed(campaign, folder, run, targets) for run in document.get("runs", ())]
+    files = _Files(campaign, folder)
+    document["runs"] = [files.run_placed(run) for run in document.get("runs", ())]
     if not document["runs"]:
         del document["runs"]
     for table in campaign.tables:
         if table.is_relative_to(campaign.folder):
-            targets.setdefault(folder / table.relative_to(campaign.folder), table)
+            files.targets.setdefault(folder / table.relative_to(campaign.folder), table)
     if campaign.rest is not None:
-        name = _rest_placed(campaign, campaign.rest, folder, targets)
-        document["noise"] = {**document["noise"], "from": name}
+        noise = document["noise"]
+        document["noise"] = {**noise, "from": files.placed(noise["from"], "rest")}
     description = folder / DESCRIPTION_NAME
-    _refuse_overwriting([description, *targets], campaign, overwrite=overwrite)
-    for target, record in targets.items():
+    _refuse_overwriting([description, *files.targets], campaign, overwrite=overwrite)
+    for target, record in files.targets.items():
         make_folder(target.parent)
         if isinstance(record, MemoryTable) or not (target.exists() and target.samefile(record)):
             write_as_it_is(record, target, overwrite=overwrite)
@@ -47,60 +47,42 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
     return description
 
 
-def _rest_placed(
-    campaign: Documented, rest: Path, folder: Path, targets: dict[Path, Path | MemoryTable]
-) -> str:
-    """Note where the record at rest goes, and return its name there."""
-    source, record = campaign.folder, campaign.record_at(rest)
-    inside = rest.is_relative_to(source) and ".." not in rest.parts
-    name = rest.relative_to(source).as_posix() if inside else rest.name
-    taken = [target.relative_to(folder).as_posix() for target in targets]
-    if name.lower() in map(str.lower, taken):
-        name = record_name("rest", rest.suffix, taken)
-    targets[folder / name] = record
-    return name
+class _Files:
+    """Where the files of a campaign go in another folder."""
 
+    def __init__(self, campaign: Documented, folder: Path) -> None:
+        self.campaign, self.folder = campaign, folder
+        self.targets: dict[Path, Path | MemoryTable] = {}
 
-def _placed(
-    campaign: Documented, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
-) -> Any:
-    """Note where a run's record goes, and return the run as it names it there."""
-    if "record" not in run:
-        return run
-    file = campaign.folder / run["record"]
-    inside = file.is_relative_to(campaign.folder) and ".." not in file.parts
-    name = run["record"] if inside else file.name
-    if inside and targets.get(folder / name) == file:
-        return run  # of another part of the same record
-    taken = [target.relative_to(folder).as_posix() for target in targets]
-    if name.lower() in map(str.lower, taken):
-        name = record_name(run["name"], file.suffix, taken)
-    targets[folder / name] = campaign.record_at(file)
-    further = _further_placed(campaign, folder, run, targets)
-    return run if name == run["record"] and not further else {**run, "record": name, **further}
-
-
-def _further_placed(
-    campaign: Documented, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
-) -> dict[str, Any]:
-    """Note where the other files of a run go; return the keys that name them differently there."""
-
-    def placed(name: str) -> str:
-        file = campaign.folder / name
-        inside = file.is_relative_to(campaign.folder) and ".." not in file.parts
-        taken = [target.relative_to(folder).as_posix() for target in targets]
+    def placed(self, name: str, owner: str) -> str:
+        """Note where a file goes, and return its name there: the owner's where its own is taken."""
+        source, folder = self.campaign.folder, self.folder
+        file = source / name
+        record = self.campaign.record_at(file)
+        inside = file.is_relative_to(source) and ".." not in file.parts
         there = name if inside else file.name
+        if inside and Path(name).is_absolute():
+            there = file.relative_to(source).as_posix()
+        if record is file and self.targets.get(folder / there) == file:
+            return there  # of another part of the same record
+        taken = [target.relative_to(folder).as_posix() for target in self.targets]
         if there.lower() in map(str.lower, taken):
-            there = record_name(run["name"], file.suffix, taken)
-        targets[folder / there] = file
+            there = record_name(owner, file.suffix, taken)
+        self.targets[folder / there] = record
         return there
 
-    now: dict[str, Any] = {}
-    if "continued_in" in run:
-        now["continued_in"] = [placed(name) for name in run["continued_in"]]
-    if "pulses" in run:
-        now["pulses"] = placed(run["pulses"])
-    return {key: names for key, names in now.items() if names != run[key]}
+    def run_placed(self, run: Any) -> Any:
+        """Note where a run's files go, and return the run as it names them there."""
+        if "record" not in run:
+            return run
+        # A run that is left out need not have a name.
+        name, now = str(run.get("name", "run")), dict(run)
+        now["record"] = self.placed(run["record"], name)
+        if "continued_in" in run:
+            now["continued_in"] = [self.placed(file, name) for file in run["continued_in"]]
+        if "pulses" in run:
+            now["pulses"] = self.placed(run["pulses"], name)
+        return now
 
 
 def _refuse_overwriting(targets: list[Path], campaign: Documented, *, overwrite: bool) -> None:
