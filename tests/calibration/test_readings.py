@@ -158,7 +158,7 @@ def test_a_prior_of_a_tumble_is_held_to_its_readings(tmp_path, u, state):
     result = calibrated(tmp_path, model(*LEVEL_TERMS, more=known), tumble_runs(values, u))
     first = result.findings[0]
     assert (first.code, first.subject) == ("prior-conflict", "A.K_F")
-    assert "A.K_F is stated as 2016.0 ± 2.0 ug; the records and all else that" in first.text
+    assert "A.K_F is stated as 2016.0 ± 2.0 ug; the records and all other priors" in first.text
     # 16 ug over the u of the difference, 2 ug and that of twelve readings.
     exact = 16.0 / math.hypot(2.0, 1e6 * SIGMA / math.sqrt(12.0))
     assert first.size == pytest.approx(exact, abs=1.0 if u else 2.5)
@@ -200,7 +200,7 @@ def test_at_one_g_k_ii_is_not_determined(tmp_path):
     assert abs(difference.value - TRUTH["K_II"]) < 4.0 * difference.u
     assert difference.u == pytest.approx(0.5773503 * SIGMA, rel=1e-3)
     (finding,) = [f for f in result.findings if f.subject == "A.K_II"]
-    assert "tells K_II, K_PP and K_OO together from K_F" in finding.text
+    assert "separates K_II, K_PP and K_OO together from K_F" in finding.text
 
 
 def test_at_one_g_k_ii_is_as_good_as_what_is_known_of_the_other_squares(tmp_path):
@@ -243,7 +243,7 @@ def test_ten_terms_in_48_positions_at_one_g(tmp_path):
         assert abs(change) < 1e-6
     texts = [f.text for f in result.findings if f.code == "not-determined"]
     assert len(texts) == 4
-    assert all("tells K_II, K_PP and K_OO together from K_F" in text for text in texts)
+    assert all("separates K_II, K_PP and K_OO together from K_F" in text for text in texts)
 
 
 @pytest.mark.parametrize("u", [SIGMA, None], ids=["noise stated", "noise to be estimated"])
@@ -289,7 +289,7 @@ def test_a_model_that_lacks_a_term_is_one_finding_and_not_one_a_position(tmp_pat
     (found,) = result.findings
     assert found.code == "lack-of-fit"
     assert "are what K_III makes" in found.text
-    assert found.text.endswith("24 of 24 readings on the arm are off the model.")
+    assert found.text.endswith("24 of 24 readings on the arm deviate from the model.")
 
 
 def test_without_a_model_the_misalignment_of_a_tumble_is_estimated(tmp_path):
@@ -354,7 +354,7 @@ def test_positions_that_differ_more_than_repeats_are_a_lack_of_fit(tmp_path):
     table = as_table(tmp_path, values)
     result = calibrated(tmp_path, model(*LEVEL_TERMS), table)
     (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
-    assert "further off the model than repeats of one position" in misfit.text
+    assert "deviate more from the model than repeats of one position" in misfit.text
     fitting = calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), table)
     assert all(f.code != "lack-of-fit" for f in fitting.findings)
 

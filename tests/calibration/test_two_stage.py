@@ -303,7 +303,7 @@ def test_a_prior_that_the_runs_contradict_is_named(tmp_path):
     found = result_of(tmp_path, wrong)
     first = qx(found).findings[0]
     assert (first.code, first.subject, first.contradicts) == ("prior-conflict", "Qx.K_F", True)
-    assert "Qx.K_F is stated as 5040.0 ± 2.0 ug; the records and all else" in first.text
+    assert "Qx.K_F is stated as 5040.0 ± 2.0 ug; the records and all other" in first.text
     assert first.size > 6.0
     assert [below.code for below in first.explains] == ["lack-of-fit"]
     assert "lack-of-fit" not in {finding.code for finding in qx(found).findings}
@@ -499,7 +499,7 @@ def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path):
     model = modelled('terms = ["K_F", "K_II", "K_III"]\ntypical = { K_III = "1e-4 g/g^3" }')
     strong = ("ratio = 1e-5", "ratio = 1e-2")
     (warning,) = qx(result_of(tmp_path / "a", model, strong)).warnings
-    assert warning.startswith("Qx: K_III is neither estimated nor known beforehand")
+    assert warning.startswith("Qx: K_III is neither estimated nor given a prior")
     assert "ug/g^3, it moves K_II by " in warning
     assert not re.search(r"\de-?0|[ \d]g/g", warning)
     assert "Give it a prior" in warning

@@ -39,8 +39,8 @@ def test_starter_says_what_each_table_is_for(tmp_path):
 
 #: What a certificate says of the test.
 SAID = {
-    "tumble": "Read at rest in 24 positions, 24 readings",
-    "arm": "Carried round by the arm of a centrifuge (IEEE Std 836) at 6 rates, 3.132 to "
+    "tumble": "Readings at rest in 24 positions, 24 readings",
+    "arm": "Readings on the arm of a centrifuge (IEEE Std 836) at 6 rates, 3.132 to "
     "14.01 rad/s, one sense, 2 mountings (in, out): 24 readings",
     "double-turntable": "The item was carried round by a double turntable centrifuge at the rates",
 }

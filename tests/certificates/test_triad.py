@@ -172,7 +172,7 @@ def test_pages_and_xml_say_the_same(tmp_path, poses):
 def test_the_method_is_that_of_poses(tmp_path, poses):
     method = find(document(tmp_path, poses, text=OWN), "//dcc:usedMethod[1]/dcc:description")
     words = "".join(method[0].itertext())
-    assert "At rest in 25 poses whose attitudes were unknown." in words
+    assert "At rest in 25 poses of unknown attitude." in words
     assert "turntable" not in words
     assert "spindle" not in words
 

@@ -29,7 +29,7 @@ def test_arguments_are_told_as_the_options_of_the_command(words, raised, told):
 def test_an_error_is_told_with_the_options_of_the_command(tmp_path, capsys):
     description = tmp_path / "campaign.toml"
     assert cli.main(["calibrate", str(tmp_path), "--model", "as-printed"]) == 2
-    assert "with these options say --method two-stage" in capsys.readouterr().err
+    assert "with them give --method two-stage" in capsys.readouterr().err
     assert not description.exists()
     assert cli.main(["history", str(tmp_path), "--term", "K_2"]) == 2
     assert capsys.readouterr().err.startswith("counterspin: --term: no term is called")

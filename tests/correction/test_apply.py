@@ -513,7 +513,7 @@ def test_results_of_earlier_versions_have_no_axes():
     found = found.model_copy(update={"accelerometers": old})
     level = ApplyOptions(pendulous="-1 g", output_axis=0.0)
     assert apply(found, "Qx", [1.0], level).corrected.shape == (1,)
-    with pytest.raises(CampaignError, match="where the axes of Qx point"):
+    with pytest.raises(CampaignError, match="does not state the axes of Qx"):
         apply(found, "Qx", [1.0], ApplyOptions(others={"Qy": [0.0], "Qz": [1.0]}))
 
 

@@ -321,7 +321,7 @@ def test_jackknife_is_written_to_the_place_of_the_estimate():
 def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
     text = squeezed(text_of(full()))
     first = text.index("Warning: run2: the spindle turned at another rate.")
-    verdict = text.index("Qx is to be used with reservations: ")
+    verdict = text.index("Qx can be used with reservations: ")
     finding = text.index("The runs do not agree with the model ± anything.")
     assert text.index("K_II of Qx") < first < verdict < finding < text.index("Accelerometer Qx")
     assert text.count("The runs do not agree with the model ± anything.") == 1

@@ -118,16 +118,16 @@ def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
         if abs(part) > RATE_DIFFERENCE:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
-                f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
+                f"{run.run.rate:.6f} rad/s; the recorded angle is used."
             )
             findings.append(Finding(code="other-rate", subject=name, text=text, size=abs(part)))
     least, most = min(parts, default=0.0), max(parts, default=0.0)
     if len(findings) < 2 or len(findings) < len(parts) or most - least > _OFFSET_SPREAD * abs(most):
         return findings
     text = (
-        f"The spindle turned {abs(most):.3%} {'faster' if most > 0.0 else 'slower'} than stated in "
-        "every run alike: the clock of the records is off by that, or its unit, or what is stated "
-        "of the rates. Times and rates are taken as they were recorded."
+        f"The spindle turned {abs(most):.3%} {'faster' if most > 0.0 else 'slower'} than stated, "
+        f"equally in every run: the clock of the records or the stated rates are off "
+        "by that much. Times and rates are used as recorded."
     )
     size = abs(most)
     return [Finding(code="time-base", subject="records.time", text=text, size=size)]
@@ -143,8 +143,8 @@ def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
         lasts = float(run.record.time[-1] - run.record.time[0])
         if stated is not None and lasts < COMPLETE_PART * stated:
             text = (
-                f"{name}: the record lasts {lasts:.4g} s, the campaign states {stated:.4g} s. Is "
-                "the record complete?"
+                f"{name}: the record lasts {lasts:.4g} s instead of the {stated:.4g} s that the "
+                "campaign states. Is the record complete?"
             )
             findings.append(
                 Finding(code="short-record", subject=name, text=text, size=stated / lasts)
@@ -174,8 +174,8 @@ def _removed(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
         if count:
             remarks.append(
                 f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
-                f"({name}) before it was written ({', '.join(runs)}). It does no harm: the start "
-                "offset and start velocity of each record are unknowns."
+                f"({name}) before it was written ({', '.join(runs)}). This is harmless: the "
+                "start offset and start velocity of each record are unknowns."
             )
     return remarks
 
@@ -188,19 +188,19 @@ def _remarks(campaign: Campaign) -> list[str]:
         left_out.append(f"Left out on request: {names}.")
     if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
         left_out.append(
-            "[fixture] position states an error of setting positions, and nothing here is set: it "
-            "acts on readings at known attitudes alone, and not on poses whose attitudes are found."
+            "[fixture] position is not used: it is the error of "
+            "setting known attitudes, and all attitudes here are estimated."
         )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         left_out.append(
-            "The angle is known at pulses only: what the rate does between them, such as a "
-            "ripple, does not show in it and is not in the uncertainty."
+            "The angle is known at pulses only: changes of the rate between them, "
+            "such as a ripple, are neither seen nor included in the uncertainty."
         )
     if campaign.angle is not None or not campaign.runs:
         return left_out
     return [
         *left_out,
-        "The records have no angle: the nominal rates are taken for the rotation, and the "
-        "drift of the rate is an unknown.",
+        "The records have no angle: the rotation follows from the nominal rates, and "
+        "the drift of the rate is an unknown.",
     ]

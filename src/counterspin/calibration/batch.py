@@ -103,7 +103,7 @@ def calibrate_many(
             # each by itself: who kills its worker then harms nobody else.
             for index in together(places, workers.capped().processes):
                 if together([index], 1):
-                    died = "the process that worked on it died, twice; perhaps memory ran out"
+                    died = "its process died twice; perhaps memory ran out"
                     enter(index, FailedCampaign(error=died))
         except CounterspinError as error:
             # The cluster is gone. What it has done before is not thrown away.

@@ -162,8 +162,8 @@ def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
         raise CampaignError(
             "calibrate",
             [
-                "the joint method has no model to choose, no sigma, bias, ripple or weights of "
-                'its own; with these options say `method="two-stage"`'
+                "model, sigma, bias, ripple and weights are options of the "
+                'two-stage method; with them give `method="two-stage"`'
             ],
         )
 
@@ -209,7 +209,7 @@ def _provenance(
     if changed:
         raise RecordError(
             f"{changed[0]}: the file was changed while the campaign was calibrated; the result "
-            "would state the checksum of another. Wait until it is complete."
+            "would state a wrong checksum. Wait until the file is complete."
         )
     description, checksum, how = _described(campaign)
     inputs = {description: checksum}

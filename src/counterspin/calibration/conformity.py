@@ -16,10 +16,8 @@ from counterspin.inference.conformity import (
     undecided,
 )
 
-_AS_PRINTED: Final = (
-    "the equations as printed return half the true K_II, and no verdict rests on them"
-)
-_REJECTED: Final = "the records contradict the result, and no verdict rests on it"
+_AS_PRINTED: Final = "the equations as printed return half the true K_II and support no verdict"
+_REJECTED: Final = "the records contradict the result, which supports no verdict"
 
 
 def with_conformity(result: Result, specifications: Specifications) -> Result:

@@ -180,8 +180,8 @@ def refusal(result: Result, names: Iterable[str]) -> str | None:
         if accelerometer.state == "contradicted":
             why = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
             return (
-                f"{name} is contradicted by its records: {why}Find the "
-                "cause and calibrate again, or state the reason for which the misfit is accepted "
+                f"{name} is contradicted by its records: "
+                f"{why}Find the cause and calibrate again, or state why the misfit is accepted "
                 "(accept_misfit of calibrate)"
             )
     return None
@@ -250,8 +250,8 @@ def from_numbers(
         yield Finding(
             code="methods-disagree",
             subject=f"{name}.K_II",
-            text="The two-stage method does not agree: its K_II differs by "
-            f"{format_number(z)} of the standard uncertainties of the difference.",
+            text="The two-stage method disagrees: its K_II differs "
+            f"by {format_number(z)} standard uncertainties of the difference.",
             size=z,
         )
 
@@ -272,14 +272,14 @@ def _misfit(name: str, residual: Residual, accelerometers: int) -> Iterator[Find
 
 def not_determined(subject: str, symbol: str, data: str = "records", more: str = "") -> Finding:
     """Return the finding that data do not determine a coefficient; `more` is what to do."""
-    text = f"The {data} do not determine {symbol}, and nothing is known of it beforehand.{more}"
+    text = f"The {data} do not determine {symbol}, and no prior is stated for it.{more}"
     return Finding(code="not-determined", subject=subject, text=text)
 
 
 def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
     """Return the finding that the residuals of an accelerometer are not its noise."""
     more = len(sentences) - 1
-    text = sentences[0] + (f" ({more} more such findings by run.)" if more > 1 else "")
+    text = sentences[0] + (f" ({more} more such findings for other runs.)" if more > 1 else "")
     p, times = residual.lack_of_fit_p, _times_noise(residual)
     # A few residuals, such as two readings, are as large by chance now and then.
     sure = p is not None and equivalent_deviations(p) > CONTRADICTION_SIGMAS
@@ -327,8 +327,8 @@ def _implausible_noise(
             code="noise-implausible",
             subject=name,
             text=f"The accelerometer's noise was estimated as {1e6 * size * LARGEST_WALK:.0f} "
-            f"ug/Hz^0.5; more than {1e6 * LARGEST_WALK:.0f} ug/Hz^0.5 is not credible. It hides a "
-            "misfit: a wrong description, or a few rows that are far off.",
+            f"ug/Hz^0.5; more than {1e6 * LARGEST_WALK:.0f} ug/Hz^0.5 is not credible. It conceals "
+            "a misfit, such as a mistake in the description or a few outlying rows.",
             size=size,
             contradicts=True,
         )
@@ -351,7 +351,7 @@ def _disagreeing_run(
         subject=f"{name}.K_II",
         text=f"Without {worst.run} K_II moves by {format_number(worst.shift * factor, 2)} {unit}, "
         f"{z:.1f} times "
-        "what its uncertainty explains: this run disagrees with the others.",
+        "as far as its uncertainty explains: this run disagrees with the others.",
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )

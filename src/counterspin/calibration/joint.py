@@ -194,8 +194,8 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> li
     at_rest = only_at_rest(view.campaign)
     squares = (
         " At 1 g the squares of the specific forces add up to one, so that no set of positions "
-        "tells K_II, K_PP and K_OO together from K_F: state what is known of K_PP and K_OO, or "
-        "test at other forces."
+        "separates K_II, K_PP and K_OO together from K_F: state what is known of K_PP and "
+        "K_OO, or test at other forces."
     )
     return [
         not_determined(

@@ -52,11 +52,12 @@ def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
     if worst is None or worst.p * tests >= FALSE_ALARMS:
         return []
     text = (
-        "The noise of the accelerometer that was found is not the same in all runs: that of "
-        f"{worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as the others' "
+        "The estimated noise of the accelerometer differs between runs: "
+        f"that of {worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as "
+        f"the others' "
         f"(p = {worst.p:.2g}). A slow error of this record, or of one that it is compared with, "
-        "may have been taken for noise, and moves the coefficients by more than u says. Look at "
-        "the records."
+        f"may have been taken for noise and may shift the coefficients by more than u. "
+        "Inspect the records."
     )
     return [
         Finding(
@@ -203,7 +204,7 @@ def unseen_ripple(view: AccelerometerView) -> list[Finding]:
     u = float(view.fit.solution.u[index])
     text = (
         "Without a recorded angle no ripple of the rate is known, and in this observable a ripple "
-        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, which "
-        "does not hold it. Record the angle, or calibrate with displacement."
+        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, and "
+        "is not included in it. Record the angle, or calibrate with displacement."
     )
     return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]

@@ -149,7 +149,7 @@ def recorded_twice(campaign: Campaign, earlier: Run | Reading, run: Run | Readin
     first, second = (one.record and campaign.record_at(one.record) for one in (earlier, run))
     return RecordError(
         f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). A "
-        "record counts once: remove one of the runs, or give its own record."
+        "record is used once only: remove one of the runs, or give it its own record."
     )
 
 

@@ -221,8 +221,8 @@ def _require_enough(campaign: Campaign, model: Unknowns) -> None:
             have = f"{count} readings" if count != 1 else "1 reading"
             raise NotIdentifiableError(
                 f"{campaign.path}: {have} of {name} cannot determine {len(free)} coefficients "
-                f"({', '.join(free)}); take more positions, ask for fewer in model.terms, or give "
-                "priors"
+                f"({', '.join(free)}); add positions, reduce model.terms, "
+                "or give priors"
             )
 
 
@@ -264,8 +264,8 @@ def _require_values(campaign: Campaign) -> None:
         raise CampaignError(
             str(campaign.path),
             [
-                f'"{blank[0]}" and {len(blank) - 1} other readings have no value yet: write what '
-                "was read, or make values from [truth] with `counterspin simulate`"
+                f'"{blank[0]}" and {len(blank) - 1} other readings have no value yet: enter '
+                "the readings, or simulate them from [truth] with `counterspin simulate`"
             ],
         )
 

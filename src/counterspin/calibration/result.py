@@ -53,8 +53,8 @@ _RESIDUALS: Final = "counterspin.calibration.notebook.residuals"
 
 #: Why a result has no whole residuals: its file holds what the pictures need, and no more.
 _NO_RESIDUALS = (
-    "whole residuals of records are kept by what `calibrate` returns for the joint method, not by "
-    "a file; calibrate the campaign again"
+    "a result file does not contain all residuals; calibrate the campaign "
+    "again with the joint method"
 )
 
 #: No coefficient is larger in g-units; its powers would be beyond all numbers.
@@ -258,7 +258,7 @@ class Result(ShownResult):
         covariance = self.covariance
         if covariance is None:
             raise CounterspinError(
-                "the result states no correlations between its accelerometers: the two-stage "
+                "the result has no correlations between accelerometers: the two-stage "
                 "method estimates each by itself, and versions before 0.2 did not write them"
             )
         return covariance
@@ -352,7 +352,7 @@ class Result(ShownResult):
 
     def _drawn(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
         if not pictures:
-            raise CounterspinError("the result keeps nothing of which this picture could be drawn")
+            raise CounterspinError("the result does not contain the data for this picture")
         return on_axes(pictures, axes)
 
     def __repr__(self) -> str:
@@ -380,7 +380,7 @@ class Result(ShownResult):
         for accelerometer in self.accelerometers.values():
             together += accelerometer.confounded
         if any(len(confounded.terms) < 2 for confounded in together):
-            yield "fewer than two terms are said not to be told apart"
+            yield "fewer than two terms are listed as inseparable"
         for name, run in self.runs.items():
             if not 0.0 < abs(run.rate) < math.inf:
                 yield f"the rate of {name} is {run.rate} rad/s"

@@ -99,7 +99,9 @@ class Coefficient(ResultPart):
         """
         stated = self._gravity if gravity is None else StatedGravity(gravity)
         if stated is None:
-            raise ValueError("this coefficient stands in no result: say which `gravity` it is in")
+            raise ValueError(
+                "this coefficient belongs to no result: give the `gravity` of its unit"
+            )
         return si_estimate(*self._stated(), self.unit, self.dof, stated)
 
     def _stated(self) -> tuple[float, float]:

@@ -88,8 +88,8 @@ def findings(
     gathered, name = [], view.name
     if model == "as-printed":
         text = (
-            "The equations are used as printed: their K_II term is twice the exact one, so K_II "
-            "is half of what the accelerometer has. Use the exact model for a calibration."
+            "The equations are used as printed: their K_II term is twice the exact "
+            "one, so the result is half the true K_II. Use the exact model for a calibration."
         )
         gathered.append(Finding(code="as-printed", subject=name, text=text))
     else:
@@ -132,7 +132,7 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
         if shift > u:
             (unit, factor), (moved, to_moved) = map(field_unit, (term(symbol).unit, "g/g^2"))
             text = (
-                f"{symbol} is neither estimated nor known beforehand; at a typical size, "
+                f"{symbol} is neither estimated nor given a prior; at its typical size, "
                 f"{format_number(typical * factor)} {unit}, it moves K_II by "
                 f"{format_number(shift * to_moved, 2)} {moved}, "
                 "more than its uncertainty. Give it a prior, or use the joint method."
@@ -186,7 +186,7 @@ def _misfit(name: str, second: SecondStage) -> list[Finding]:
     size = equivalent_deviations(probability)
     text = (
         f"The runs do not agree with the model (chi-square {chi2:.1f} with {dof} "
-        f"degrees of freedom, p = {probability:.1g}; {worst} is farthest off): a term is missing, "
+        f"degrees of freedom, p = {probability:.1g}; {worst} deviates most): a term is missing, "
         "a prior is wrong, or the noise is larger than stated."
     )
     return [

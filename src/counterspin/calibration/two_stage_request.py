@@ -43,7 +43,7 @@ def request_of(
     stated = said_noise(campaign)[accelerometer.name].sizes
     if stated is not None and stated.wanders:
         raise NotIdentifiableError(
-            f"{accelerometer.name}: the two-stage method knows nothing of a bias that wanders "
+            f"{accelerometer.name}: the two-stage method cannot treat a wandering bias "
             "(noise.flicker, noise.bias_walk); use the joint method"
         )
     for run in campaign.runs:

@@ -257,7 +257,7 @@ class Campaign:
 
     @property
     def posed(self) -> bool:
-        """Whether there are poses at attitudes that nobody knows."""
+        """Whether there are poses of unknown attitude."""
         return self.triad is not None and self.triad.posed
 
     @property

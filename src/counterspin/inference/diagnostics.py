@@ -203,12 +203,14 @@ def _findings(
         if run.sign_p < limit:
             found.append(
                 f"{name}: the residuals change sign too {'seldom' if run.sign_z < 0 else 'often'} "
-                f"({run.sign_z:+.1f} standard deviations): neighbours are not independent."
+                f"({run.sign_z:+.1f} standard deviations): successive residuals are not "
+                f"independent."
             )
         if run.peak_p < limit:
             found.append(
-                f"{name}: a peak at {run.peak_frequency:.4g} {unit} holds {run.peak_share:.2%} of "
-                "the residuals' variance: something periodic is left in them."
+                f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains "
+                f"{run.peak_share:.2%} of "
+                "the residuals' variance: they contain a periodic effect."
             )
     return tuple(found)
 

@@ -29,7 +29,7 @@ class PosesState(ResultPart):
     #: Root mean square of what is felt more or less than g in them, m/s^2; None where nothing is
     #: fitted yet.
     rms: float | None
-    outlying: list[str]  #: Names of those that are off the model.
+    outlying: list[str]  #: Names of those that deviate from the model.
     #: Directions in which one more pose would say more than all that are there, the most telling
     #: first: ``+X -Y up`` is halfway between X up and Y down.
     missing: list[str]
@@ -62,7 +62,7 @@ class RunState(ResultPart):
     harmonic: int | None = None  #: Which harmonic that is.
     angle_rms: float | None = None  #: Of the recorded angle about the model, rad.
     residuals: dict[str, ResidualState] = {}  #: By accelerometer.
-    poses: PosesState | None = None  #: Of a record of poses at attitudes that nobody knows.
+    poses: PosesState | None = None  #: Of a record of poses of unknown attitude.
 
 
 class ReachedCoefficient(ResultPart):

@@ -50,7 +50,7 @@ def only(result):
         (lambda g: -1e3 * g, f"{SIGN}, and a unit off by a power of ten, 1e3."),
         (lambda g: 9.80665 * g, "a unit, m/s^2 against g."),
         (lambda g: g / 9.80665, "a unit, m/s^2 against g."),
-        (lambda g: 0.03 * g, "another column, or another accelerometer, than is stated."),
+        (lambda g: 0.03 * g, "whether column or accelerometer are mixed up."),
         (lambda g: 1.3 * g, "the sensitivity and its unit, or the range of the readout."),
     ],
 )

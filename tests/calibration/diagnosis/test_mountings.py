@@ -88,7 +88,7 @@ def test_a_wrong_axis_is_named_where_the_records_show_it(recorded, axis):
     k_ii = result.accelerometers["Qx"].coefficients["K_II"]
     if recorded[0] == "specific_force":
         assert (first.code, first.subject) == ("wrong-mounting", "Qx")
-        assert f"pointed down; it is stated as {axis}" in first.text
+        assert f"pointed down instead of {axis}" in first.text
         assert [finding for finding in result.findings if finding.code == "wrong-mounting"] == [
             first
         ]
@@ -106,7 +106,7 @@ def test_a_wrong_axis_is_named_beside_noise_that_is_found_and_terms_that_nobody_
     result = calibrate(write(tmp_path / "made", changed(text, *own, ('"down"', '"north"'))).parent)
     first = result.findings[0]
     assert (first.code, first.subject) == ("wrong-mounting", "Qx")
-    assert "pointed down; it is stated as north" in first.text
+    assert "pointed down instead of north" in first.text
 
 
 def test_where_nothing_is_stated_nothing_rests_on_it(recorded):
@@ -128,7 +128,7 @@ def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
     assert (right.state, right.findings) == ("good", [])
     first = wrong.findings[0]
     assert (first.code, first.subject, wrong.state) == ("wrong-mounting", "A", "contradicted")
-    assert "pointed up; it is stated as down" in first.text
+    assert "pointed up instead of down" in first.text
     assert "the sense in which the attitudes turn, and for which axes delta_O" in first.text
     # All that was found is below its cause.
     assert wrong.findings == [first]

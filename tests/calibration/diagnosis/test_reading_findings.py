@@ -59,7 +59,7 @@ def test_a_term_that_is_left_out_is_named_with_those_like_it(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
     (found,) = misfits(calibrated(tmp_path, even(24), values, u=u))
     assert found.contradicts
-    assert "follow cos 2 phi, phi being the head's angle" in found.text
+    assert "follow cos 2 phi, phi being the angle of the head" in found.text
     assert "K_II or K_PP in the accelerometer" in found.text
     fitting = calibrated(tmp_path, even(24), values, u=u, terms=(*LEVEL, "K_II"))
     assert not misfits(fitting)
@@ -101,7 +101,7 @@ def test_a_drift_that_turns_back_is_named_though_a_mirrored_order_hides_it(tmp_p
     values = simulated(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.linspace(-1.0, 1.0, 24) ** 2
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "drift and turn back with the order in which they were taken" in found.text
+    assert "drift and reverse with the order in which they were taken" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -196,7 +196,7 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
     if codes:
         # Chi-square with 4 degrees of freedom exceeds 16.42 by chance in 0.25 %.
         assert "leave 4 degrees of freedom" in stated.findings[0].text
-        assert "only residuals of 2 times what is stated are noticed" in stated.findings[0].text
+        assert "noticed only above 2 times the stated uncertainty" in stated.findings[0].text
 
 
 def test_twelve_positions_of_which_nothing_is_stated_are_judged(tmp_path):

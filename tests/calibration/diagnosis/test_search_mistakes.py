@@ -459,7 +459,7 @@ def test_a_clock_is_named_beside_what_looks_the_same(observable, unit, fast, alo
     named = [first.subject, *first.as_well]
     if alone:
         assert {"records.clock", "centrifuge.radius", "Qx.K_I", "Qx"} <= {*named[:4]}
-        assert "fit as well with another" in first.text
+        assert "fit equally well with another" in first.text
         assert "error of the recorder's clock" in first.text
     else:
         assert named == ["records.clock", "centrifuge.radius"]

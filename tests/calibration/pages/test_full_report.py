@@ -83,7 +83,7 @@ def test_a_good_result_says_what_was_checked():
 def test_warnings_stand_once_and_before_everything_else():
     blocks = document(result(warnings=["Qx: something is odd"]))
     sentence, rows = checked(blocks)
-    assert sentence == Paragraph("Qx is to be used with reservations: 1 finding.", "warning")
+    assert sentence == Paragraph("Qx can be used with reservations: 1 finding.", "warning")
     assert rows[0] == ("Warning", "something is odd")
     assert "something is odd" not in " ".join(texts(blocks))
 
@@ -94,7 +94,7 @@ def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
     blocks = document(result(findings=[lost], jackknife=drives))
     sentence, rows = checked(blocks)
     assert sentence.style == "warning"
-    assert sentence.text.endswith("reservations: 2 findings, the gravest first.")
+    assert sentence.text.endswith("reservations: 2 findings, the most serious first.")
     assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
     for words in ("3 strobes were", "Without slow K_II moves"):
         assert sum(words in row[1] for row in rows) == 1

@@ -26,4 +26,4 @@ def kinds(p):
 @pytest.mark.parametrize(("p", "verdict"), [(0.0013, "agrees"), (0.0012, "does not agree")])
 def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
     (words,) = [b.text for b in kind_blocks(kinds(p)) if isinstance(b, Paragraph)]
-    assert words.startswith(f"Each kind of test against the others: at rest: {verdict} (chi")
+    assert words.startswith(f"Each test method against the others: at rest: {verdict} (chi")

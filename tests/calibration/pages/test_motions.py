@@ -43,16 +43,16 @@ def result(readings, runs=()):
 def test_each_kind_of_test_is_a_sentence():
     lines = list(lines_of_tests(result(TUMBLE + ARM, ("slow", "fast"))))
     assert lines == [
-        "Read at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
-        "Carried round by the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one "
+        "Readings at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
+        "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one "
         "sense, 2 mountings (in, out): 4 readings, each the mean over whole revolutions.",
-        "Carried round by a double turntable centrifuge at the rates stated: 2 records.",
+        "Records of a double turntable centrifuge at the stated rates: 2 records.",
     ]
 
 
 def test_both_senses_and_a_single_rate():
     (line,) = lines_of_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
-    assert line.startswith("Carried round on a double turntable at 1 rate, 6 rad/s, both senses: 2")
+    assert line.startswith("Readings on a double turntable at 1 rate, 6 rad/s, both senses: 2")
 
 
 def test_the_table_has_a_row_for_each_mounting():

@@ -86,7 +86,7 @@ def test_lines_that_add_next_to_nothing_are_said_together():
 def test_what_is_assumed_is_named():
     assert assumption(resting(2e-6)) == ""
     assert assumption(resting(2e-6, assumed=["K_4", "K_IP"])) == (
-        "Taken as perfect, and so no part of u: K_4, K_IP."
+        "Assumed perfect, so not included in u: K_4, K_IP."
     )
     many = [f"K_{k}" for k in range(11)]
     assert assumption(resting(2e-6, assumed=many)).endswith("K_7 and 3 more.")

@@ -24,8 +24,8 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
     assert told == (
-        "Qx is to be used with reservations: Without slow K_II moves by 0.01 ug/g^2, 3.1 times "
-        "what its uncertainty explains: this run disagrees with the others. There are 2 more "
+        "Qx can be used with reservations: Without slow K_II moves by 0.01 ug/g^2, 3.1 times "
+        "as far as its uncertainty explains: this run disagrees with the others. There are 2 more "
         "findings. In its favour: the residuals look like the stated noise (p = 0.5); the "
         "two-stage method agrees."
     )
@@ -52,6 +52,6 @@ def test_what_a_cause_accounts_for_stands_with_it():
         "explains": [misfit],
     }
     assert sentence(findings=[cause]).startswith(
-        "Qx is to be used with reservations: A radius of 2.5 m would fit. That accounts for what "
-        "else was found: The residuals are large. In its favour"
+        "Qx can be used with reservations: A radius of 2.5 m would fit. That explains the "
+        "other findings: The residuals are large. In its favour"
     )

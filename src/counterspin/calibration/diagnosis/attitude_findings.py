@@ -41,8 +41,8 @@ def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[Findin
         return []
     is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
     text = (
-        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the platform's attitude is "
-        f"a first-order matter up to about {limit:.2g} deg/h only."
+        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the first-order model of "
+        f"the platform's attitude holds only up to about {limit:.2g} deg/h."
     )
     return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
 
@@ -114,7 +114,7 @@ def _large_tilt(
     text = (
         f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
         f"moves {subject} by up to {format_number(shift * factor, 2)} {unit}, "
-        f"{format_number(ratio, 2)} of its u. The model "
-        f"is of first order, good up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
+        f"{format_number(ratio, 2)} of its u. "
+        f"The first-order model holds up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

@@ -31,15 +31,15 @@ _POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
 
 #: The first of these that a symbol begins with says what is likely.
 _LIKELY: Final = {
-    "K_F.temperature": "the unit of the temperatures, or which position has which",
-    "K_I.temperature": "the unit of the temperatures, or which position has which",
-    "K_II.temperature": "the unit of the temperatures, or which position has which",
+    "K_F.temperature": "the unit of the temperatures, or their assignment to positions",
+    "K_I.temperature": "the unit of the temperatures, or their assignment to positions",
+    "K_II.temperature": "the unit of the temperatures, or their assignment to positions",
     "K_F.trend": "the times of the runs and their unit",
     "K_F": "an offset of all readings, such as the `zero` of an output, or that of the attitudes",
     "delta_": "the attitudes: their zero, their sense, or the axes",
-    "K_": "the rates, the radius, or an output that is not linear at the largest force",
+    "K_": "the rates, the radius, or whether the output is linear at the largest force",
     "platform.tilt": "the attitudes, or the input axes",
-    "platform.": "the unit of a record, or the noise that is stated",
+    "platform.": "the unit of a record, or the stated noise",
     "centrifuge.radius": "the radius and its unit",
     "centrifuge.": "the radius, the rates and their units",
     "fixture.": "the attitudes and axes of this mounting",
@@ -106,7 +106,7 @@ def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
         found = format_estimate(row.found * factor, row.u_found * factor, unit)
         size = f"{format_number(row.u * factor, 2)} {unit}"
         text = (
-            f"{row.name}, which nothing states, comes out at {found}: {format_number(times, 2)} "
+            f"{row.name}, which is not stated, is estimated as {found}: {format_number(times, 2)} "
             f"times the typical size, {size}. State what is known of it in [model.priors], or "
             "look for a mistake that has the same effect."
         )
@@ -128,8 +128,8 @@ def _finding(
     grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
     text = (
         f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: beyond "
-        f"{format_number(limit)} {c.unit}{about}. What was recorded cannot show why. Check "
-        f"{likely}. If it is true,{grade} raise {symbol} in [model.limits]."
+        f"{format_number(limit)} {c.unit}{about}. The records cannot show why. Check "
+        f"{likely}. If the value is real,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
         code="incredible",
@@ -157,5 +157,5 @@ def _of_scale(value: float, limit: float) -> str:
     if 1.0 not in near and near:
         causes.append(", or ".join(factors[factor] for factor in near))
     elif not near and abs(value) <= limit:
-        causes.append("another column, or another accelerometer, than is stated")
+        causes.append("whether column or accelerometer are mixed up")
     return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"

@@ -162,7 +162,7 @@ def _disagreement(
     kind = max(kinds, key=lambda kind: kind.chi2)
     moved = max(kind.without, key=lambda symbol: abs(kind.without[symbol].z), default="")
     others = " and ".join(other.kind for other in kinds if other is not kind)
-    text = f"The kinds of test do not agree: {kind.kind} against {others}"
+    text = f"The test methods do not agree: {kind.kind} against {others}"
     if moved:
         unit, factor = field_unit(unit_of(moved))
         shift = kind.without[moved]
@@ -174,7 +174,7 @@ def _disagreement(
         Finding(
             code="kinds-disagree",
             subject=f"{view.name}.{moved}" if moved else view.name,
-            text=f"{text}. Look for what one kind of test has and the model lacks.",
+            text=f"{text}. Look for an effect in one test method that the model lacks.",
             size=size,
             contradicts=size > CONTRADICTION_SIGMAS,
         )

@@ -166,8 +166,9 @@ def wrong_mounting(other: OtherMounting) -> Finding:
     if other.view.readings:
         what, turns = "readings", ", the sense in which the attitudes turn"
     text = (
-        f"The {what} of {name} would fit if its pendulous axis pointed {found}; it is stated as "
-        f"{stated}. Check pendulous_axis{turns}, and for which axes {_listed(_stated(other.view))} "
+        f"The {what} of {name} would fit if its pendulous axis pointed {found} instead of "
+        f"{stated}, as stated. Check pendulous_axis{turns}, and for which axes "
+        f"{_listed(_stated(other.view))} "
         "was measured."
     )
     if symbol:
@@ -197,8 +198,9 @@ def unseen_axes(others: Sequence[OtherMounting]) -> Iterator[str]:
         stated, found = worst.pendulous
         way = "larger" if shift > 0.0 else "smaller"
         yield (
-            f"{name}: the records do not show where the pendulous axis points, and what is stated "
-            f"of {_listed(_stated(worst.view))} rests on it. With {found} for {stated} they "
+            f"{name}: the records do not show where the pendulous axis points, and the "
+            f"stated value of {_listed(_stated(worst.view))} rests on it. With {found} for "
+            f"{stated} they "
             f"would fit as well, and {symbol} would be {_shown(symbol, abs(shift))} {way}, "
             f"{format_number(size, 2)} of its u."
         )

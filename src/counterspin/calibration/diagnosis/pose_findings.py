@@ -36,7 +36,7 @@ def pose_findings(posed: Sequence[FittedPoses]) -> list[Finding]:
         residual = residual_of([part])
         p = residual.lack_of_fit_p
         if p is not None and p < 0.5 * SIGNIFICANCE / len(posed):
-            said = f"The residuals of the {part.words} are not the noise that was stated"
+            said = f"The residuals of the {part.words} do not agree with the stated noise"
             findings.append(lack_of_fit(TRIAD, [f"{said} (p = {p:.2g})."], residual))
         findings += lone_or_many(TRIAD, part)
     return findings
@@ -45,8 +45,8 @@ def pose_findings(posed: Sequence[FittedPoses]) -> list[Finding]:
 def _few_left(part: FittedPoses) -> Finding:
     left = format_number(part.freedom, 2) if part.freedom >= 0.05 else "no"
     text = (
-        f"{part.readings.size} poses leave {left} degrees of freedom beside what is estimated: no "
-        "residual of theirs can be judged. Take more of them."
+        f"{part.readings.size} poses leave {left} degrees of freedom after the estimation: "
+        "their residuals cannot be tested. Take more of them."
     )
     return Finding(code="unjudged-readings", subject=TRIAD, text=text)
 
@@ -65,12 +65,12 @@ def too_few_poses(view: AccelerometerView) -> str:
     free = sum(math.isinf(unknown.prior[1]) for unknown in view.fit.model.unknowns)
     said = []
     if count < free:
-        said.append(f" {count} poses are fewer than the {free} unknowns of which nothing is known.")
+        said.append(f" {count} poses are fewer than the {free} unknowns without a prior.")
     for way, sign in (("up", -1.0), ("down", 1.0)):
         never = [name for name, own in axes.items() if np.min(sign * np.concatenate(own)) > -_DOWN]
         if never:
             said.append(f" No pose has {' or '.join(never)} pointing {way}.")
     return (
         "".join(said) + " Take poses whose directions are spread over the whole sphere, or ask for "
-        "fewer coefficients in model.terms: the others then count at their typical size."
+        "fewer coefficients in model.terms: the others then enter with their typical size."
     )

@@ -80,10 +80,10 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
         sentences = []
         if p is not None and p < level / len(parts):
             said = (
-                f"The residuals of the {part.words} are not the noise that was stated"
+                f"The residuals of the {part.words} do not agree with the stated noise"
                 if stated
-                else f"Positions of the {part.words} are further off the model than repeats of one "
-                "position are from each other"
+                else f"Positions of the {part.words} deviate more from the model than "
+                "repeats of one position from each other"
             )
             sentences = [f"{said} (p = {p:.2g})."]
         general = lack_of_fit(view.name, sentences, residual) if sentences else None
@@ -108,8 +108,8 @@ def _none_left(view: AccelerometerView) -> list[Finding]:
         return []
     text = (
         f"{count} readings are no more than the coefficients that they determine "
-        f"({', '.join(free)}): they fit whatever is wrong, and nothing can be judged. Take more of "
-        "them."
+        f"({', '.join(free)}): they fit whatever is wrong, and nothing can be tested. Take "
+        "more of them."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -128,9 +128,10 @@ def _few_left(view: AccelerometerView) -> list[Finding]:
     count = sum(part.readings.size for part in stated)
     left = format_number(freedom, 2)
     text = (
-        f"{count} readings leave {left} degree{'' if left == '1' else 's'} of freedom beside what "
-        "is estimated: what they follow, such as a drift, hysteresis or a term left out, cannot be "
-        f"told{_noticed_from(freedom)}. Take more of them, or state what is known of more terms."
+        f"{count} readings leave {left} degree{'' if left == '1' else 's'} of freedom after the "
+        f"estimation: a pattern in them, such as a drift, hysteresis or a missing term, cannot "
+        f"be recognised{_noticed_from(freedom)}. Take more of them, or state what is known of "
+        f"more terms."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -151,19 +152,20 @@ def _taken_up(view: AccelerometerView) -> float:
 def _noticed_from(freedom: float) -> str:
     """Return in words how large residuals must be for chi-square to call them no noise."""
     if freedom <= 0.5:
-        return ", nor whether they have the uncertainty that is stated"
+        return ", nor whether their scatter agrees with the stated uncertainty"
     from scipy.special import chdtri
 
     times = math.sqrt(float(chdtri(freedom, 0.5 * SIGNIFICANCE)) / freedom)
-    return f", and only residuals of {format_number(times, 2)} times what is stated are noticed"
+    least = format_number(times, 2)
+    return f", and residuals are noticed only above {least} times the stated uncertainty"
 
 
 def unjudged(name: str, part: JudgedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to judge residuals by."""
     text = (
         f"{part.readings.size} {part.words} without a stated uncertainty leave "
-        f"{format_number(part.dof, 2)} degrees of freedom beside what is estimated: no residual of "
-        "theirs can be judged. State their uncertainty, or take more of them."
+        f"{format_number(part.dof, 2)} degrees of freedom after the estimation: their residuals "
+        "cannot be tested. State their uncertainty, or take more of them."
     )
     return Finding(code="unjudged-readings", subject=name, text=text)
 
@@ -220,13 +222,13 @@ def _explained(
         terms = terms[1:]
     if first.kind == WAVE:
         made = f", or {' or '.join(terms)} in the accelerometer," if terms else ""
-        text += f" An error of the head that goes with its angle{made} would make them so."
+        text += f" An error of the head that varies with its angle{made} would have this effect."
     elif terms:
-        text += f" So would {' or '.join(terms)}."
+        text += f" {' or '.join(terms)} would have the same effect."
     others = dict.fromkeys(
         _clause(other) for other in followed.alternatives[1:] if other.kind not in (TERM, WAVE)
     )
-    text += "".join(f" As well it can be said that they {clause}." for clause in others)
+    text += "".join(f" Equally well, they {clause}." for clause in others)
     if general is not None:
         text += f" {general.text}"
     return Finding(
@@ -263,15 +265,15 @@ def lone_or_many(name: str, part: JudgedReadings) -> list[Finding]:
         return [_outlying(part, name, *one) for one in far_off]
     worst = _outlying(part, name, *max(far_off, key=lambda one: abs(one[2])))
     text = (
-        f"{len(far_off)} of {part.readings.size} {part.words} are off the model: so many "
-        f"point to the model and not to single readings. {worst.text}"
+        f"{len(far_off)} of {part.readings.size} {part.words} deviate from the model: so many "
+        f"suggest a fault of the model rather than of single readings. {worst.text}"
     )
     return [worst.model_copy(update={"text": text})]
 
 
 def _with_many(misfit: Finding, part: AccelerometerReadings, worst: Finding) -> Finding:
     """Return a misfit of known shape with the many positions that it puts off the model."""
-    many = f"{len(part.outlying())} of {part.readings.size} {part.words} are off the model."
+    many = f"{len(part.outlying())} of {part.readings.size} {part.words} deviate from the model."
     said = {
         "text": f"{misfit.text} {many}",
         "size": max(misfit.size or 0.0, worst.size or 0.0),
@@ -291,7 +293,7 @@ def _outlying(part: JudgedReadings, name: str, reading: str, residual: float, z:
         code="outlying-reading",
         subject=f"{name}.{reading}",
         text=f'The {what} "{reading}" reads {format_number(residual * 1e6, 3)} ug off the model, '
-        f"{deviations} of its standard deviations: look at it, or at what the model lacks.",
+        f"{deviations} standard deviations: check this reading, or look for a missing term.",
         size=abs(z),
         contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )
@@ -305,8 +307,8 @@ def no_more_than_rounded(views: Sequence[AccelerometerView]) -> Iterator[str]:
                 size = format_number(part.readings.least_noise * 1e6, 2)
                 yield (
                     f"{view.name}: the {part.words} follow the model to their last digit. Their "
-                    f"noise is taken to be that of rounding, {size} ug; if it is more, state it "
-                    "with each of them (±)."
+                    f"noise is assumed to be rounding, {size} ug; if it is larger, "
+                    "state it with each reading (±)."
                 )
 
 

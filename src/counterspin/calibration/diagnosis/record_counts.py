@@ -38,7 +38,7 @@ def many_outliers(
     if share <= OUTLIER_SHARE:
         return []
     text = (
-        f"{subject}: {counts['outliers']} samples of {samples} were left out as outliers; "
-        "what remains is only as good as the reason for it. Look at the record."
+        f"{subject}: {counts['outliers']} samples of {samples} were left out as "
+        "outliers. Find out why: the remaining samples may be affected too."
     )
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]

@@ -196,8 +196,8 @@ def _noise(view: AccelerometerView) -> Iterator[Cause]:
     times = math.sqrt(ratio)
     text = (
         f"Noise {format_number(times, 4)} times as large as stated would fit: the residuals have "
-        "this size in every run and are independent of each other. Check what is stated, or leave "
-        "it to be estimated."
+        f"this size in every run and are independent of each other. Check the stated noise, "
+        "or have it estimated."
     )
     finding = Finding(code="wrong-noise", subject=name, text=text, size=max(times, 1.0 / times))
     yield Cause(finding, (name,), {})
@@ -523,7 +523,7 @@ def _cause(
         names = [rival.name for rival in rivals[:_MAX_RIVALS]]
         more = len(rivals) - len(names)
         names += [f"{more} more" if more > 1 else "one more"] if more else []
-        text += f" The records would fit as well with another {' or '.join(names)}."
+        text += f" The records would fit equally well with another {' or '.join(names)}."
     far = normal_equivalent(explained.size, explained.dof) > CONTRADICTION_SIGMAS
     contradicts = far and (moved > 1.0 or explained.head.kind == "prior")
     return Cause(

@@ -18,7 +18,7 @@ from counterspin.reports.numbers import field_unit, format_estimate, format_numb
 
 #: What a quantity is off by where its unit was mistaken, and the words.
 _RATIO_MISTAKES: Final = (
-    (-1.0, "its sign is the other one"),
+    (-1.0, "its sign is reversed"),
     (1e3, "as between a unit and a thousandth of it"),
     (1e6, "as between a unit and a millionth of it"),
     (9.80665, "as between g and m/s^2"),
@@ -91,9 +91,10 @@ class Explanation:
         symbol = self.other.symbol
         unit = unit_of(self.fit.model.unknowns[next(iter(self.other.priors))].symbol)
         text = (
-            f"{symbol} is not what was stated, in all runs alike: the records move all of them by "
+            f"{symbol} differs from its stated value in the same way in all runs: the records "
+            f"shift it by "
             f"{self._estimate(unit)}, {abs(self.value) / self.u:.1f} standard uncertainties of the "
-            "difference. Check what is stated."
+            "difference. Check the stated value."
         )
         return Described(
             code="prior-conflict", subject=symbol, text=text, name=f"{symbol} of all runs"
@@ -126,18 +127,18 @@ class Explanation:
             f"{name} of {self._estimate(unit_of(self.other.symbol))} would explain the records; "
             "the model leaves it out. "
         )
-        called = f"{name}, which is left out"
+        called = f"{name}, which the model leaves out"
         if abs(self.value) > limit:
             shown, factor = field_unit(unit_of(self.other.symbol))
             most = f"{format_number(limit * factor, 3)} {shown}"
             text += (
-                f"That is more than the {most} that is credible of it, but nothing credible "
-                "explains as much. If it may be so large, add it to the terms and state its limit; "
-                "or else look for a mistake that does the like."
+                f"That exceeds the largest credible size, {most}, but nothing credible explains "
+                f"as much. If it can be so large, add it to the terms and state its limit; "
+                "otherwise look for a mistake that has the same effect."
             )
             called += " and would be larger than is credible"
         else:
-            text += "Add it to the terms, or say what is known of it."
+            text += "Add it to the terms, or state what is known of it."
         return Described(code="term-missing", subject=self.other.name, text=text, name=called)
 
     @property
@@ -151,8 +152,8 @@ class Explanation:
     def _scale(self) -> Described:
         text = (
             f"The record of {self._place} would fit if it were {format_number(1 - self.value, 6)} "
-            f"times as large (u {format_number(self.u, 2)}): check its scale, its unit and what is "
-            "stated of the scale factor."
+            f"times as large (u {format_number(self.u, 2)}): check its scale, its "
+            "unit and the stated scale factor."
         )
         name = f"scale of the record of {self._place}"
         return Described(code="wrong-scale", subject=self.other.owner, text=text, name=name)
@@ -164,7 +165,7 @@ class Explanation:
         way = "larger" if self.value > 0.0 else "smaller"
         text = (
             f"The records would fit if the angle{where} were {size} {way}: check its zero, and "
-            "when it is sampled."
+            "the time at which it is sampled."
         )
         return Described(
             code="wrong-angle",
@@ -178,8 +179,8 @@ class Explanation:
         whose, stated = ("the platform's", "platform") if own else ("its own", "own velocity")
         text = (
             f"The records look like those of a computer that uses {whose} velocity for the "
-            f"Coriolis acceleration: {format_number(self.value, 4)} times what that does is in "
-            f"them (u {format_number(self.u, 2)}). If it does, state reference = "
+            f"Coriolis acceleration: {format_number(self.value, 4)} times that effect "
+            f"is in them (u {format_number(self.u, 2)}). If it does, state reference = "
             f'"{stated}" in [records].'
         )
         name = f"velocity in the Coriolis acceleration, {whose}"
@@ -188,8 +189,8 @@ class Explanation:
     def _bias(self) -> Described:
         text = (
             f"{self._place} would fit with a bias of its own, {self._estimate('g')} more than in "
-            "the other runs: the bias has changed, or the record has a slow error. Look at the "
-            "record."
+            "the other runs: the bias has changed, or the record has a slow error. "
+            "Inspect the record."
         )
         return Described(
             code="run-differs", subject=self.other.owner, text=text, name=f"bias of {self._place}"
@@ -200,7 +201,7 @@ class Explanation:
         when = "" if alone else " from the start of every run"
         text = (
             f"{self._place} would fit with a bias that drifts by {self._estimate('g/s')}{when}: "
-            "it warms up or creeps, or something else adds a slow error. Look at the records."
+            "warm-up, creep or another slow error. Inspect the records."
         )
         return Described(
             code="bias-drifts",
@@ -212,8 +213,8 @@ class Explanation:
     def _bias_step(self) -> Described:
         text = (
             f"{self._place} would fit with a bias that changes by {self._estimate('g')} at about "
-            f"{self.other.at:.4g} s: it was switched on, or warmed up, shortly before, or "
-            "something else adds a slow error. Leave out what was recorded before, or the run."
+            f"{self.other.at:.4g} s: switching on, warm-up or another slow "
+            "error. Leave out the part before that time, or the whole run."
         )
         return Described(
             code="bias-drifts",
@@ -244,8 +245,9 @@ def conflict(
 ) -> str:
     """Return what is said of a prior that the records contradict."""
     text = (
-        f"{name} is stated as {_shown(*stated, unit)}; the records and all else that is known say "
-        f"{_shown(*found, unit)}, {size:.1f} standard uncertainties of the difference away"
+        f"{name} is stated as {_shown(*stated, unit)}; the records and all other priors give "
+        f"{_shown(*found, unit)}, which differs by {size:.1f} standard uncertainties of the "
+        f"difference"
     )
     if hint := _mistaken(found[0], stated[0]):
         text += f" ({hint})"

@@ -92,8 +92,8 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
         raise CampaignError(
             "apply",
             [
-                f"the result does not say where the axes of {name} point; it was written by an "
-                "earlier version. Calibrate again, or give the force along the axes instead"
+                "the result, which an earlier version wrote, does not state the "
+                f"axes of {name}. Calibrate again, or give the force along the axes instead"
             ],
         )
     mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE

@@ -27,8 +27,8 @@ def model_blocks(result: Result) -> Iterator[Block]:
     """Yield the equations of the fit with the terms that it had."""
     yield Heading("Model")
     yield Paragraph(
-        "What an accelerometer indicates, in g, with the specific force a along its input, "
-        "pendulous and output axes I, P and O:"
+        "Indication of an accelerometer in g, with the specific force a along its "
+        "input, pendulous and output axes I, P and O:"
     )
     for name, accelerometer in result.accelerometers.items():
         # A term without a value was not in the fit.
@@ -41,13 +41,14 @@ def model_blocks(result: Result) -> Iterator[Block]:
     )
     if turns := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
         yield Paragraph(
-            "The platform's small attitude error turns what is sensed, f − ψ × f; it is "
+            "The small attitude error ψ of the platform turns the sensed force to f − ψ × f; it is "
             "ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Taken into account: "
             f"{_list(turns)}."
         )
     if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
         yield Paragraph(
-            "Errors of the path, by which the platform is not where radius and recorded angle say: "
+            "Errors of the path, which displace the platform from the position given by radius "
+            "and recorded angle: "
             f"{_list(paths)}."
         )
     yield from reading_blocks(result)
@@ -63,8 +64,8 @@ def _recorded(result: Result) -> Iterator[Block]:
         for accelerometer in result.accelerometers.values()
     }
     yield Paragraph(
-        "What was recorded, a_h being the harmful acceleration (gravity, Coriolis and centrifugal) "
-        "that the system takes away; fitted along the motion of the spindle:"
+        "The recorded signal, where a_h is the harmful acceleration (gravity, Coriolis and "
+        "centrifugal) that the system subtracts; fitted along the motion of the spindle:"
     )
     for observable in sorted(observables):
         yield Paragraph(_OBSERVED[observable], "equation")
@@ -76,28 +77,30 @@ def _recorded(result: Result) -> Iterator[Block]:
 def _method(result: Result) -> str:
     if result.model == "as-printed":
         return (
-            "The observation model is the paper's as printed, which returns half the true K_II; it "
-            "serves comparison only."
+            "The observation model is the paper's as printed, which returns half the true "
+            "K_II; it is for comparison only."
         )
     if result.method == "two-stage":
         return (
             "Two stages, as in the paper: a parabola through one sample a revolution where the "
             "reference displacement is zero, then its curvature against the rate."
         )
-    readings = ["all readings of all kinds of test"] if readings_of(result) else []
+    readings = ["all readings of all test methods"] if readings_of(result) else []
     poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
     if readings or poses:
         records = ["all samples of the records"] if result.runs else []
         every = " and ".join([*records, *readings, *poses])
         return (
-            f"{every[:1].upper()}{every[1:]} in one weighted least-squares fit, with what was "
-            "known beforehand as further observations; what is held and not estimated enters u by "
-            "its sensitivity."
+            f"{every[:1].upper()}{every[1:]} in one weighted least-squares fit, with prior "
+            f"knowledge as further observations; quantities that are held and not estimated "
+            f"contribute "
+            "to u by their sensitivity."
         )
     return (
-        "All samples of all runs and accelerometers in one weighted least-squares fit, with what "
-        "was known beforehand as further observations; what is held and not estimated enters u by "
-        "its sensitivity. Each run has a start offset and a start velocity of its own."
+        "All samples of all runs and accelerometers in one weighted least-squares fit, with "
+        "prior knowledge as further observations; quantities that are held and not estimated "
+        "contribute to "
+        "u by their sensitivity. Each run has a start offset and a start velocity of its own."
     )
 
 
@@ -133,8 +136,8 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     if result.provenance.in_memory:
         those = "; ".join(f"{name} ({how})" for name, how in result.provenance.in_memory.items())
         yield Paragraph(
-            f"{made} Not from files: {those}. So no command line gives the same result; "
-            "`Campaign.write` writes a folder from which one does."
+            f"{made} Not from files: {those}. Therefore no command line gives the same "
+            "result; `Campaign.write` writes a folder from which one does."
         )
         return
     yield Paragraph(f"{made} In the folder that holds these files, the same result comes from")

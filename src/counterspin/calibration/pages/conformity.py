@@ -81,15 +81,16 @@ def rule_in_words(verdict: Conformity) -> str:
         return f"Decision rule: simple acceptance, by the estimate alone. {risk}"
     if verdict.rule == "guarded":
         return (
-            "Decision rule: guard bands. Pass where the estimate is inside the tolerance limits by "
-            "at least w, fail where it is outside by more than w, undecided between. "
+            "Decision rule: guard bands. Pass if the estimate is inside the tolerance limits "
+            "by at least w, fail if it is outside by more than w, otherwise undecided. "
             f"{risk}"
         )
     assert verdict.needed is not None
     needed = format_number(100.0 * verdict.needed, 6)
     return (
-        f"Decision rule: pass where the coefficient conforms with a probability of at least "
-        f"{needed} %, fail where it does not conform with at least that, undecided between. {risk}"
+        f"Decision rule: pass if the coefficient conforms with a probability of at least "
+        f"{needed} %, fail if it fails to conform with at least that probability, otherwise "
+        f"undecided. {risk}"
     )
 
 

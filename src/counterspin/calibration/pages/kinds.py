@@ -41,7 +41,7 @@ def kind_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     )
     level = level_of_kinds(kinds)
     words = "; ".join(_words(kind, level) for kind in kinds)
-    yield Paragraph("Each kind of test against the others: " + words + ".")
+    yield Paragraph("Each test method against the others: " + words + ".")
 
 
 def _has(kind: KindOfTest, symbol: str) -> bool:
@@ -57,7 +57,7 @@ def _cell(coefficient: Coefficient | None) -> str:
 
 def _words(kind: KindOfTest, level: float) -> str:
     if kind.p is None:
-        return f"{kind.kind}: nothing that the others predict"
+        return f"{kind.kind}: not predicted by the others"
     verdict = "agrees" if kind.p >= level else "does not agree"
     text = (
         f"{kind.kind}: {verdict} (chi-square/dof {format_number(kind.chi2 / kind.dof, 3)}, "

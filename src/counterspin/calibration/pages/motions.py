@@ -38,7 +38,7 @@ def readings_of(result: Result) -> dict[str, list[ReadingResult]]:
 
 
 def poses_of(result: Result) -> list[PoseResult]:
-    """Return the poses at attitudes that nobody knows."""
+    """Return the poses of unknown attitude."""
     return [] if result.triad is None else result.triad.poses
 
 
@@ -48,7 +48,7 @@ def lines_of_tests(result: Result) -> Iterator[str]:
         count = _counted(len(readings), "reading")
         if motion == "static":
             where = _counted(len(_positions(readings)), "position")
-            yield f"Read at rest in {where}, {count} (multi-position test, IEEE Std 1293)."
+            yield f"Readings at rest in {where}, {count} (multi-position test, IEEE Std 1293)."
             continue
         rates = sorted({abs(reading.rate) for reading in readings})
         range_ = f"{_counted(len(rates), 'rate')}, {_range(rates)} rad/s"
@@ -57,19 +57,19 @@ def lines_of_tests(result: Result) -> Iterator[str]:
         named = ", ".join(mountings)
         places = f", {_counted(len(mountings), 'mounting')} ({named})" if mountings else ""
         carried = (
-            "Carried round by the arm of a centrifuge (IEEE Std 836)"
+            "Readings on the arm of a centrifuge (IEEE Std 836)"
             if motion == "arm"
-            else "Carried round on a double turntable"
+            else "Readings on a double turntable"
         )
         yield (
             f"{carried} at {range_}, {senses}{places}: {count}, each the mean over whole "
             "revolutions."
         )
     if poses := poses_of(result):
-        yield f"At rest in {_counted(len(poses), 'pose')} whose attitudes were unknown."
+        yield f"At rest in {_counted(len(poses), 'pose')} of unknown attitude."
     if result.runs:
         runs = _counted(len(result.runs), "record")
-        yield f"Carried round by a double turntable centrifuge at the rates stated: {runs}."
+        yield f"Records of a double turntable centrifuge at the stated rates: {runs}."
 
 
 def table_of_tests(readings: Sequence[ReadingResult]) -> Table:
@@ -111,8 +111,8 @@ def reading_blocks(result: Result) -> Iterator[Block]:
     if not motions:
         return
     yield Paragraph(
-        "A reading is what is indicated at rest, or its mean over whole revolutions. The specific "
-        "force, with the radius R, the rate w, the Earth's rate Ω and the latitude L:"
+        "A reading is the indication at rest, or its mean over whole revolutions. The "
+        "specific force, with the radius R, the rate w, the Earth's rate Ω and the latitude L:"
     )
     for motion in motions:
         yield Paragraph(_FORCES[motion], "equation")

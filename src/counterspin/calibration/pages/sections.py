@@ -116,8 +116,8 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     yield Paragraph(
         f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
         f"(k = 1). Coefficients are in units of the site's own gravity, g = {gravity} m/s^2, and "
-        "of an error model that is not divided by K_I: IEEE Std 1293 divides by it, so that its "
-        "K2 is K_II/K_I.",
+        f"of an error model that is not divided by K_I, unlike that of IEEE Std 1293, "
+        "whose K2 is K_II/K_I.",
         "quiet",
     )
 

@@ -35,7 +35,7 @@ def triad_line(result: Result) -> Iterator[Block]:
     if triad is None or triad.rms_before is None:
         return
     names = ", ".join(triad.accelerometers)
-    text = f"Triad {names}: {len(triad.poses)} poses at attitudes that nobody knows"
+    text = f"Triad {names}: {len(triad.poses)} poses of unknown attitude"
     before = f"{format_number(triad.rms_before, 3)} m/s^2"
     if triad.rms_after is None:
         yield Paragraph(f"{text}; |f| - g has an rms of {before}, uncorrected.")

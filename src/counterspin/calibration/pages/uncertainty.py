@@ -90,7 +90,7 @@ def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     largest = max(unstated, key=lambda line: line.share)
     said = (
         f"{format_share(largest.share)} of u^2 of {symbol} comes from {in_words(largest.source)}, "
-        f"which is not stated (typical {_size(largest, 1.0)})"
+        f"which is not stated (typical size {_size(largest, 1.0)})"
     )
     update = accelerometer.what_if
     if update is None or largest.source not in update.known:
@@ -138,7 +138,7 @@ def assumption(result: Assuming) -> str:
     shown = ", ".join(names[:_MOST_NAMES])
     more = len(names) - _MOST_NAMES
     listed = f"{shown} and {more} more" if more > 0 else shown
-    return f"Taken as perfect, and so no part of u: {listed}."
+    return f"Assumed perfect, so not included in u: {listed}."
 
 
 def knowledge_blocks(result: Result) -> Iterator[Block]:
@@ -151,8 +151,8 @@ def knowledge_blocks(result: Result) -> Iterator[Block]:
     if rows:
         rows.sort(key=lambda row: -shares[row.name])
         yield Paragraph(
-            "Known beside the data, and weighed with them: as the description states it, or, "
-            "where it states nothing, at the typical size of the table of terms. The share is the "
+            "Prior knowledge, weighted in the fit: as stated in the description, or at the "
+            "typical size where nothing is stated. The share is the "
             "largest that each has in the u^2 of any coefficient.",
             "quiet",
         )

@@ -12,7 +12,7 @@ from counterspin.reports.blocks import Block, Column, Paragraph, Table
 
 _OPENINGS: Final = {
     "good": "is good",
-    "reservations": "is to be used with reservations",
+    "reservations": "can be used with reservations",
     "contradicted": "is contradicted by its records and must not be used",
 }
 
@@ -40,7 +40,7 @@ def finding_text(finding: Finding) -> str:
     if not finding.explains:
         return finding.text
     others = " ".join(other.text for other in finding.explains)
-    return f"{finding.text} That accounts for what else was found: {others}"
+    return f"{finding.text} That explains the other findings: {others}"
 
 
 def verdict_blocks(result: Result) -> Iterator[Block]:
@@ -60,7 +60,7 @@ def verdict_tables(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
         found, count = accelerometer.findings, len(accelerometer.findings)
-        why = f"{count} findings, the gravest first" if found else "no check found a fault"
+        why = f"{count} findings, the most serious first" if found else "no check found a fault"
         why = "1 finding" if count == 1 else why
         yield Paragraph(
             f"{name} {_OPENINGS[accelerometer.state]}: {why}.",
@@ -92,8 +92,8 @@ def misfit_blocks(result: Result) -> Iterator[Block]:
         return
     first = result.findings[0]
     yield Paragraph(
-        f"The records contradict this result ({first.subject}): {first.text} The numbers below "
-        "are not to be used, and their uncertainties do not hold.",
+        f"The records contradict this result ({first.subject}): {first.text} Do not "
+        "use the numbers below; their uncertainties are not valid.",
         "warning",
     )
     if result.accepted_misfit is not None:

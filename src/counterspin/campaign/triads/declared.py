@@ -1,4 +1,4 @@
-"""[triad]: three accelerometers in one frame, and their poses at attitudes that nobody knows."""
+"""[triad]: three accelerometers in one frame, and their poses of unknown attitude."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Triad:
 
     @property
     def posed(self) -> bool:
-        """Whether there are poses at attitudes that nobody knows."""
+        """Whether there are poses of unknown attitude."""
         return bool(self.poses or self.records)
 
 
