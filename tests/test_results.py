@@ -59,7 +59,7 @@ def test_json_schema_says_what_is_written():
     [
         ("[]", "not a log file: Input should be"),
         ("{", "not a log file, or a damaged one (Expecting"),
-        ('{"rooms": {"attic": {"value": NaN}}}', "NaN is not a number that JSON knows"),
+        ('{"rooms": {"attic": {"value": NaN}}}', "NaN is not a valid number in JSON"),
         ('{"rooms": {"attic": {"valve": 1}}}', "not a log file: rooms: attic: value: Field req"),
         ('{"rooms": {"attic": {"value": 1, "u": 2}}}', "attic: u: Extra inputs are not permitted"),
         ('{"rooms": {}, "series": []}', "a damaged log: it has no rooms"),

@@ -20,7 +20,7 @@ from counterspin.workers import Workers, one_blas_thread
 def test_more_workers_than_a_machine_can_use_are_capped_and_told(monkeypatch):
     monkeypatch.setattr(workers, "usable_cores", lambda: 3)
     with pytest.warns(
-        CounterspinWarning, match=r"100000 were asked for; more than 6 .*3 processor"
+        CounterspinWarning, match=r"100000 were requested; more than 6 .*3 processor"
     ):
         assert Workers(100_000).capped() == Workers(6)
     assert Workers(6).capped() == Workers(6)
@@ -37,7 +37,7 @@ def test_command_says_that_it_has_capped_them(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(workers, "usable_cores", lambda: 1)
     main(["calibrate", str(tmp_path / "a"), str(tmp_path / "b"), "--workers", "5000"])
     error = capsys.readouterr().err
-    assert error.count("counterspin: --workers: 5000 were asked for; more than 2") == 1
+    assert error.count("counterspin: --workers: 5000 were requested; more than 2") == 1
 
 
 def test_cluster_of_a_laptop_listens_to_nobody_else_and_runs_nothing_of_its_folder(tmp_path):

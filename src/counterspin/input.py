@@ -60,7 +60,7 @@ def open_file(path: Path) -> FileIO:
     try:
         require_file(path, path.stat().st_mode)
     except ValueError as error:
-        raise OSError(errno.EINVAL, "no file can have this name", str(path)) from error
+        raise OSError(errno.EINVAL, "this is not a valid file name", str(path)) from error
     file = FileIO(path, opener=_without_waiting)
     try:
         # What stands there may have been exchanged since.

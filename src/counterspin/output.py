@@ -62,7 +62,8 @@ def reserve(
             same = False
         if not same:
             raise CounterspinError(
-                f"{path} exists and is not {expected.words}; it is not replaced: name another file"
+                f"{path} exists and is not {expected.words}; it is not replaced: choose another "
+                f"file"
             )
     if not overwrite:
         advice = "" if kind is None else ", or give `overwrite=True`"
@@ -106,7 +107,7 @@ def make_folder(folder: Path) -> None:
         if isinstance(error, FileExistsError):
             raise CounterspinError(f"{folder} is a file, not a folder; name a folder") from error
         raise CounterspinError(
-            f"{folder}: cannot be made ({error.strerror}); choose another place"
+            f"{folder}: cannot be created ({error.strerror}); choose another place"
         ) from error
 
 
@@ -234,13 +235,13 @@ def _place(path: Path) -> Path:
         raise CounterspinError(_refusal(path, error)) from error
     if around:
         raise CounterspinError(
-            f"{path}: cannot be written, for a link in it leads to itself; name another file"
+            f"{path}: cannot be written because a link in it leads to itself; name another file"
         )
     return place
 
 
 def _refusal(path: Path, error: OSError) -> str:
     if isinstance(error, IsADirectoryError) or path.is_dir():
-        return f"{path}: cannot be written, being a folder; give the name of a file"
+        return f"{path}: cannot be written because it is a folder; give the name of a file"
     reason = error.strerror or str(error)
-    return f"{path}: cannot be written ({reason}); choose another place or free this one"
+    return f"{path}: cannot be written ({reason}); choose another place or make it writable"

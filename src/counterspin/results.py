@@ -143,7 +143,7 @@ class ResultFile(ResultPart):
             text = content.decode("utf-8")
             document = json.loads(text, parse_constant=_not_a_number)
             if _HALF.search(text) and document != _escaped(document):
-                raise ValueError("a text in it holds half of a character")
+                raise ValueError("a text in it contains half of a character")
         except OSError as error:
             raise RecordError(f"{path}: cannot be read ({error.strerror}); {wanted}") from error
         except (ValueError, RecursionError) as error:
@@ -171,8 +171,8 @@ class ResultFile(ResultPart):
         seal = document.get("seal")
         if seal is not None and seal != _seal_of(text):
             raise RecordError(
-                f"{path}: was changed after it was written: its seal does not fit what it says; "
-                "give the file as it was written, or make it again"
+                f"{path}: was changed after it was written: its seal does not match "
+                "its content; give the original file, or compute it again"
             )
         for fault in (*result.faults(), *_odd_numbers(result.model_dump(by_alias=True), "")):
             raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
@@ -212,14 +212,14 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
             yield from _odd_numbers(item, f"{path}[{index}]", key)
     elif isinstance(value, int | float):
         if not abs(value) <= _LARGEST_NUMBER:
-            yield f"{path} is larger than any number that is measured"
+            yield f"{path} is implausibly large"
         elif value < _SMALLEST_UNCERTAINTY and value != 0 and _UNCERTAINTY.fullmatch(key):
             wrong = "not negative" if value < 0 else "0 or not so small"
             yield f"{path} is {value:g}, and an uncertainty is {wrong}"
 
 
 def _not_a_number(word: str) -> None:
-    raise ValueError(f"{word} is not a number that JSON knows")
+    raise ValueError(f"{word} is not a valid number in JSON")
 
 
 def environment() -> dict[str, str]:

@@ -119,14 +119,14 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     names = _names(written, kind, accepted)
     if not names <= set(UNITS):
         unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
-        raise ValueError(f"unknown unit {unknown}; {kind} is wanted ({accepted})")
+        raise ValueError(f"unknown unit {unknown}; {kind} is needed ({accepted})")
     if names & {"Hz", "kHz"} and "Hz" not in wanted:
         if wanted == "rad/s":
             raise ValueError(
                 f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions a "
                 f"second, or rad/s ({accepted})"
             )
-        raise ValueError(f"{unit!r} is a frequency; {kind} is wanted ({accepted})")
+        raise ValueError(f"{unit!r} is a frequency; {kind} is needed ({accepted})")
     factor, dimension = _evaluate(written)
     wanted_factor, wanted_dimension = _evaluate(wanted)
     factor /= wanted_factor
@@ -151,7 +151,7 @@ def _plain(unit: str) -> str:
 def check_unit(unit: str) -> str:
     """Return a unit in which something is wanted, in plain signs; ValueError if it is none."""
     written = _plain(unit[:_MAX_CHARACTERS])
-    wrong = f"{unit!r} is not a unit that is known here"
+    wrong = f"{unit!r} is an unknown unit"
     try:
         known = _names(written, wrong, "m, V, mA, ...") <= set(UNITS)
         factor, _ = _evaluate(written) if known else (math.nan, {})
@@ -186,12 +186,12 @@ def advice(wanted: str) -> tuple[str, str]:
 def _names(written: str, kind: str, accepted: str) -> set[str]:
     """Return the unit names in an expression, having checked that it is nothing but one."""
     if re.search(r"[*/]\s*[*/]", written):
-        raise ValueError(f"{written!r} is not a unit; {kind} is wanted ({accepted})")
+        raise ValueError(f"{written!r} is not a unit; {kind} is needed ({accepted})")
     names, position = set(), 0
     while position < len(written):
         match = _FACTOR.match(written, position)
         if match is None:
-            raise ValueError(f"{written!r} is not a unit; {kind} is wanted ({accepted})")
+            raise ValueError(f"{written!r} is not a unit; {kind} is needed ({accepted})")
         if match[1]:
             names.add(match[1])
         position = match.end()

@@ -163,9 +163,9 @@ class Workers:
         if self.cluster is not None or self.processes <= most:
             return self
         warnings.warn(
-            f"`workers`: {self.processes} were asked for; more than {most} would bring nothing on "
-            f"this machine, which has {usable_cores()} processor cores to give, so {most} are "
-            "started",
+            f"`workers`: {self.processes} were requested; more than {most} would not help on this "
+            f"machine, which has {usable_cores()} processor cores available, so "
+            f"{most} are started",
             CounterspinWarning,
             stacklevel=3,
         )
@@ -305,11 +305,12 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
             yield WorkerPool(_DaskExecutor(client), (KilledWorker,), count)
         except CancelledError as error:
             raise CounterspinError(
-                f"{address}: the connection with the Dask scheduler was lost; see to it and run "
-                "the command again (a study with an `output` folder goes on with `resume=True`)"
+                f"{address}: the connection with the Dask scheduler was lost; restore it and "
+                "run the command again (a study with an `output` folder continues with "
+                "`resume=True`)"
             ) from error
         except ImportError as error:
             raise CounterspinError(
-                f"a worker of the cluster cannot load counterspin ({error}); every worker needs "
-                "the same version of it, and of Python, as this computer"
+                f"a worker of the cluster cannot load counterspin ({error}); every worker "
+                "needs the same versions of it and of Python as this computer"
             ) from error

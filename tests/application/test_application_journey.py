@@ -59,10 +59,10 @@ LABORATORY = {
 #: What a person knows that no file says: how a question begins -> the answer.
 KNOWN = {
     "Which sheet is the table": "all",
-    "What is gravity": "9.8066 m/s^2",
-    "At which latitude": "45.75 deg",
-    "How far is the platform": "2.5 ± 1e-5 m",
-    "In which sense does the angle grow": "counterclockwise",
+    "What is the local gravity": "9.8066 m/s^2",
+    "What is the latitude": "45.75 deg",
+    "What is the radius": "2.5 ± 1e-5 m",
+    "In which sense does the angle increase": "counterclockwise",
     "How many samples a second": "20 Hz",
     "Which column is the time": "column 1",
     "Which column is the angle": "column 2",
@@ -211,7 +211,7 @@ def test_from_files_to_a_signed_certificate(opened, frames, folder, tmp_path, wr
     hand.read(tab.locator(".drop"))
     hand.fill(tab.get_by_label("Folder of the new campaign"), "mine")
     hand.bring(tab.get_by_label("The recorder's files"), sorted(files.iterdir()))
-    tab.get_by_label("What is gravity").wait_for()
+    tab.get_by_label("What is the local gravity").wait_for()
     hand.read(tab.locator(".preview"), tab.locator(".drop form"))
     for question, answer in KNOWN.items():
         for field in tab.get_by_label(question).all():

@@ -107,7 +107,7 @@ def test_no_record_outside_of_the_folder_is_read(page, folder, record):
     name = record.replace("../", "../../")
     write(folder / "three", SMALL.replace("slow.csv", name), "campaign.toml")
     told = page.get("/api/campaign", params={"name": "three"}).json()
-    assert "not in the folder that is served" in told["mistakes"][0] or "records end" in str(told)
+    assert "outside the served folder" in told["mistakes"][0] or "records end" in str(told)
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 422
 
 

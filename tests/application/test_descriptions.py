@@ -69,7 +69,7 @@ def test_a_text_that_names_files_elsewhere_reads_none_of_them(page, folder):
     told = page.post("/api/check", json={"file": FILE, "text": text}).json()
     ((key, words),) = mistakes(told)
     assert key == "readings.file"
-    assert "not in the folder that is served" in words
+    assert "outside the served folder" in words
 
 
 def test_the_laboratory_s_data_begin_with_the_example(page, folder):

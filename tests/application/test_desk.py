@@ -55,7 +55,7 @@ def test_no_key_of_a_description_leads_out(desk, folder, outside, line, key):
     file = folder / "three" / "campaign.toml"
     assert desk.campaign("three").runs
     file.write_text(file.read_text().replace("[[runs]]\n", f"[[runs]]\n{line}\n", 1))
-    with pytest.raises(CampaignError, match="not in the folder that is served") as refused:
+    with pytest.raises(CampaignError, match="outside the served folder") as refused:
         desk.campaign("three")
     assert [problem.partition(":")[0] for problem in refused.value.problems] == [f"runs[0].{key}"]
 

@@ -41,8 +41,8 @@ def test_what_is_put_away_is_kept(desk, folder, page):
         ("three", "three exists, and is not replaced"),
         ("", "this folder exists"),
         ("three/inside", "lies in three"),
-        ("../out", "is no name of a file in this folder"),
-        (".hidden", "is no name of a file in this folder"),
+        ("../out", "is not a valid file name in this folder"),
+        (".hidden", "is not a valid file name in this folder"),
     ],
 )
 def test_nothing_is_replaced_and_nothing_leaves(desk, folder, how, to, told):
@@ -80,7 +80,7 @@ def test_nothing_moves_while_a_job_is_at_work(desk, folder, page):
         for name, said in (("rename", {"to": "third"}), ("put-away", {})):
             told = page.post(f"/api/{name}", json={"name": "three"} | said)
             assert told.status_code == 422
-            assert "a job is at work in it" in told.json()["error"]
+            assert "a job is running in it" in told.json()["error"]
         desk.jobs.stop(desk.jobs.all()[-1].number)
     assert (folder / "three").is_dir()
 
@@ -88,5 +88,5 @@ def test_nothing_moves_while_a_job_is_at_work(desk, folder, page):
 def test_the_folder_that_is_served_stays(desk, folder):
     text = (folder / "three" / "campaign.toml").read_text()
     (folder / "campaign.toml").write_text(text)
-    with pytest.raises(CounterspinError, match="is the folder that is served"):
+    with pytest.raises(CounterspinError, match="is the served folder itself"):
         put_away(desk, "")

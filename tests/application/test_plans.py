@@ -91,7 +91,7 @@ def test_a_search_that_has_no_room_fails_in_a_sentence(planned, folder):
     text = file.read_text().replace('"700 s"', '"1e8 s"')
     walk = 'displacement = "0.01 m"\nacceleration = "3e-6 g/Hz^0.5"'
     file.write_text(text.replace('displacement = "0.01 m"', walk))
-    assert "there is room to search" in refused(planned)
+    assert "the search is limited" in refused(planned)
 
 
 def test_more_time_than_is_tabulated_is_searched_anew(planned, folder):

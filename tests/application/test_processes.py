@@ -49,7 +49,7 @@ def test_it_tells_its_progress_its_answers_and_what_it_made():
     [
         (wrong, (CounterspinError,), "in words"),
         (wrong, (ValueError,), "internal error (ValueError: in words)"),
-        (exit, (), "the process that worked on it died; perhaps memory ran out"),
+        (exit, (), "its process died; perhaps memory ran out"),
     ],
 )
 def test_that_it_failed_is_told(work, words, told):

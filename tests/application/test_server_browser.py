@@ -29,9 +29,9 @@ pytestmark = needs_chromium
 
 #: What no file says.
 PLACE = (
-    ("What is gravity", "9.8066 m/s^2"),
-    ("At which latitude", "45.75 deg"),
-    ("How far is the platform", "2.5 ± 1e-5 m"),
+    ("What is the local gravity", "9.8066 m/s^2"),
+    ("What is the latitude", "45.75 deg"),
+    ("What is the radius", "2.5 ± 1e-5 m"),
 )
 PHONE = {"width": 360, "height": 740}
 
@@ -54,16 +54,16 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     tab.get_by_role("button", name="Write the campaign").click()
     tab.get_by_text("Needed, such as m/s.").wait_for()
     assert not (folder / "mine" / "campaign.toml").exists()
-    assert tab.get_by_label("At which latitude").input_value() == "45.75 deg"
+    assert tab.get_by_label("What is the latitude").input_value() == "45.75 deg"
     what.select_option("displacement")
     tab.get_by_text("Needed, such as m/s.").wait_for(state="detached")
-    tab.get_by_label("At which latitude").fill("45.75 degs")
+    tab.get_by_label("What is the latitude").fill("45.75 degs")
     tab.get_by_role("button", name="Write the campaign").click()
     tab.get_by_text("unknown unit 'degs'").wait_for()
     # The files may be brought once more: they are the same.
     with tab.expect_response(lambda answer: answer.url.endswith("/api/draft")):
         tab.get_by_label("The recorder's files").set_input_files(records[::-1])
-    tab.get_by_label("At which latitude").wait_for()
+    tab.get_by_label("What is the latitude").wait_for()
     for question, said in PLACE:
         tab.get_by_label(question).fill(said)
     tab.get_by_role("button", name="Write the campaign").click()
@@ -106,7 +106,7 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     tab = opened("/certificate/three%2Fresult.json")
     # What is left of the example is seen before anything is signed.
     tab.get_by_text(
-        "Still the example's: customer (name). What is issued now is a draft"
+        "Still example text: customer (name). A certificate issued now is a draft"
     ).wait_for()
     assert tab.get_by_label("Password of the key").is_hidden()
     tab.get_by_label("Signature").select_option("With a key in a file")
@@ -115,7 +115,7 @@ def test_a_certificate_is_signed_by_mouse(opened, folder, tmp_path, kind):
     assert button.is_disabled()
     tab.locator('[id="f-customer.name"]').fill("Own customer")
     tab.get_by_label("File of the certificate").click()
-    tab.get_by_text("Still the example's").wait_for(state="hidden")
+    tab.get_by_text("Still example text").wait_for(state="hidden")
     assert button.is_enabled()
     tab.get_by_label("Key, PEM or PKCS #12").set_input_files(key)
     if kind == "pem":
@@ -177,7 +177,7 @@ def test_what_was_said_outlives_another_kind_of_test(opened, folder):
         tab.get_by_label(question).fill(said)
     kind = tab.get_by_label("What the files are")
     kind.select_option("tumble")
-    tab.get_by_label("How far is the platform").wait_for(state="detached")
+    tab.get_by_label("What is the radius").wait_for(state="detached")
     kind.select_option("double-turntable")
     for question, said in PLACE:
         tab.get_by_label(question).wait_for()
@@ -245,7 +245,7 @@ def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     tab = opened()
     tab.get_by_label("Folder of the new campaign").fill("triad")
     tab.get_by_label("The recorder's files").set_input_files(tmp_path / "imu.log")
-    answers = (*PLACE[:2], ("How many rows are there a second", "100 Hz"))
+    answers = (*PLACE[:2], ("What is the sampling rate", "100 Hz"))
     for question, said in answers:
         tab.get_by_label(question).fill(said)
     # What was guessed is shown.
@@ -264,11 +264,11 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):
     tab = opened("/campaign/three")
     tab.get_by_role("navigation", name="On this page").get_by_role("button", name="Runs").click()
     assert tab.evaluate("document.activeElement.textContent") == "Runs"
-    tab.get_by_text("Copy, rename, put away").click()
+    tab.get_by_text("Copy, rename, archive").click()
     tab.get_by_label("Name of the folder").fill("four")
     tab.get_by_role("button", name="Copy").click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
-    tab.get_by_text("Copy, rename, put away").click()
+    tab.get_by_text("Copy, rename, archive").click()
     tab.get_by_label("Name of the folder").fill("three")
     tab.get_by_role("button", name="Rename").click()
     tab.get_by_text("three exists, and is not replaced").wait_for()
@@ -278,7 +278,7 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):
     tab.get_by_text("1 of 2").wait_for()
     tab.locator(".card a").click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
-    tab.get_by_text("Copy, rename, put away").click()
+    tab.get_by_text("Copy, rename, archive").click()
     tab.get_by_role("button", name="Put away").click()
     tab.wait_for_url("**#/")
     assert not (folder / "four").exists()
@@ -342,11 +342,11 @@ def test_a_plan_is_made_by_a_job_and_its_search_can_be_stopped(opened, desk, fol
     example.write_text(changed(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     ask, desk.live.ask = desk.live.ask, lambda *_: time.sleep(0.2)
     tab = opened("/plan/PLAN.toml")
-    tab.get_by_text("Searching the best plan,").wait_for()
+    tab.get_by_text("Searching for the best plan,").wait_for()
     tab.get_by_role("button", name="Stop").click()
     tab.get_by_text("The search was stopped.").wait_for()
     desk.live.ask = ask
-    tab.get_by_text("with its forecast in full").click()
+    tab.get_by_text("The complete plan, with its forecast").click()
     tab.get_by_role("heading", name="What limits the plan").wait_for()
     tab.get_by_label("Folder of the planned campaign").fill("new")
     tab.get_by_role("button", name="Write these limits and the campaign").click()
@@ -513,10 +513,10 @@ def test_of_two_windows_none_loses_an_edit(opened, folder):
     first.get_by_role("button", name="Save").click()
     first.get_by_text("Saved").wait_for()
     second.get_by_role("button", name="Save").click()
-    second.get_by_text("was changed meanwhile").wait_for()
-    assert 'radius = "3 m"' in second.get_by_label("What the file holds now").input_value()
+    second.get_by_text("was changed in the meantime").wait_for()
+    assert 'radius = "3 m"' in second.get_by_label("The file as it is now").input_value()
     assert 'radius = "3 m"' in file.read_text()
-    second.get_by_role("button", name="Replace it by mine").click()
+    second.get_by_role("button", name="Overwrite with my version").click()
     second.get_by_text("Saved").wait_for()
     assert 'radius = "4 m"' in file.read_text()
 
@@ -553,7 +553,7 @@ def test_a_try_is_shown_in_its_own_place(opened, desk):
     tab = opened("/campaign/three")
     tab.get_by_text("Method, file and command").click()
     tab.get_by_label("Method").select_option("two-stage")
-    tab.get_by_label("Result's file").fill("try.json")
+    tab.get_by_label("Result file").fill("try.json")
     tab.get_by_role("button", name="Calibrate").click()
     tab.wait_for_url("**/#/result/three%2Ftry.json")
     tab.get_by_role("heading", name="Is it good?").wait_for()

@@ -80,4 +80,4 @@ def test_records_that_would_lie_outside_are_not_made(page, folder):
     )
     told = page.post("/api/simulation", json={"name": "a/c", "folder": "b"})
     assert told.status_code == 422
-    assert "not in the folder that is served" in told.text
+    assert "outside the served folder" in told.text

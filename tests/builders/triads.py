@@ -1,4 +1,4 @@
-"""Triads at attitudes that nobody knows: plain matrices, which share nothing with the package."""
+"""Triads at unknown attitudes: plain matrices, which share nothing with the package."""
 
 import numpy as np
 

@@ -53,7 +53,7 @@ def test_each_campaign_is_calibrated_as_if_alone(folders, count):
     assert first == calibrate(folders[0])
     assert last == calibrate(folders[2])
     assert first != last
-    assert "no such file" in broken.error
+    assert "file not found" in broken.error
 
 
 def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, capsys):
@@ -142,7 +142,7 @@ def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_
     assert status == 1
     assert "1 of 3 campaigns could not be calibrated" in shown.err
     campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
-    assert "the process that worked on it died" in campaigns[several[1]]["error"]
+    assert "its process died" in campaigns[several[1]]["error"]
     assert all("accelerometers" in campaigns[several[i]] for i in (0, 2))
 
 
@@ -171,7 +171,7 @@ def test_dask_s_workers_calibrate_the_same(folders, cluster, tmp_path, capsys):
     assert status == 1
     assert "1 of 3 campaigns could not be calibrated" in shown.err
     campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
-    assert "no such file" in campaigns[several[1]]["error"]
+    assert "file not found" in campaigns[several[1]]["error"]
     for index in (0, 2):
         assert campaigns[several[index]] == json.loads(calibrate(folders[index]).to_json())
 

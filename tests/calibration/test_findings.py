@@ -191,7 +191,7 @@ def test_no_command_takes_a_result_that_was_edited(whitewashed, tmp_path, capsys
     before = sorted(tmp_path.iterdir())
     assert cli.main(words) == 1
     told = capsys.readouterr()
-    assert "was changed after it was written: its seal does not fit" in " ".join(
+    assert "was changed after it was written: its seal does not match" in " ".join(
         f"{told.out} {told.err}".split()
     )
     assert sorted(tmp_path.iterdir()) == before

@@ -753,14 +753,14 @@ def test_many_outliers_are_left_out_with_a_warning(campaign, result, tmp_path):
     record.with_columns(pl.col("east_m") + wild).write_csv(folder / "run2.csv")
     (warning,) = (w for w in calibrate(folder).warnings if "outliers" in w)
     assert warning.startswith("run2: 81 samples of 1602 ")
-    assert re.match(r"run2: \d+ samples of \d+ were left out as outliers; ", warning)
+    assert re.match(r"run2: \d+ samples of \d+ were left out as outliers. ", warning)
 
 
 def test_a_method_that_is_none_and_options_of_the_other(campaign):
     with pytest.raises(CampaignError, match="'jiont' is not joint or two-stage"):
         calibrate(campaign, method="jiont")
     # As printed returns half of K_II: asked for, it must not be passed over in silence.
-    with pytest.raises(CampaignError, match='say `method="two-stage"`'):
+    with pytest.raises(CampaignError, match='give `method="two-stage"`'):
         calibrate(campaign, options=TwoStageOptions(model="as-printed"))
     assert main(["calibrate", str(campaign), "--model", "as-printed"]) == 2
 

@@ -218,9 +218,9 @@ def test_campaigns_with_other_records_at_rest_are_not_joined(folder, tmp_path):
 
 def test_a_record_that_cannot_be_used_is_named_with_its_key(folder, tmp_path):
     missing = described(folder, **{"from": "none.csv"})
-    with pytest.raises(RecordError, match=r"none\.csv \(noise\.from\): there is no such file"):
+    with pytest.raises(RecordError, match=r"none\.csv \(noise\.from\): file not found"):
         cs.calibrate(missing)
-    with pytest.raises(RecordError, match=r"noise\.from: .*none\.csv: there is no such file"):
+    with pytest.raises(RecordError, match=r"noise\.from: .*none\.csv: file not found"):
         noise_of(missing)
     pl.read_csv(folder / "rest.csv").head(20).write_csv(tmp_path / "short.csv")
     with pytest.raises(RecordError, match=r"noise\.from: .*short\.csv.*20 samples are too few"):

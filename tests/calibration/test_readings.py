@@ -253,7 +253,7 @@ def test_fewer_readings_than_unknowns_are_refused(tmp_path, capsys, u):
         calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), tumble_runs(values, u))
     assert main(["calibrate", str(tmp_path)]) == 1
     out = " ".join(capsys.readouterr().err.split())
-    assert "(K_F, K_I, K_III, delta_O); take more positions" in out
+    assert "(K_F, K_I, K_III, delta_O); add positions" in out
 
 
 ONE_SIDE = tuple(float(size) for size in range(1, 21))
@@ -288,7 +288,7 @@ def test_a_model_that_lacks_a_term_is_one_finding_and_not_one_a_position(tmp_pat
     result = calibrated(tmp_path, model("K_F", "K_I", "K_II"), arm_runs(test, values))
     (found,) = result.findings
     assert found.code == "lack-of-fit"
-    assert "are what K_III makes" in found.text
+    assert "follow K_III, more than its prior allows" in found.text
     assert found.text.endswith("24 of 24 readings on the arm deviate from the model.")
 
 

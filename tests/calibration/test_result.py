@@ -53,7 +53,7 @@ def test_a_whole_result(tmp_path):
         ('"g/g^2"', '"ug/g^2"', "damaged result: K_II of Qx is in ug/g^2, not in g/g^2"),
         ('"u": 1e-09', '"u": -1.0', "damaged result: K_II of Qx is 2e-05 ± -1.0"),
         ('"value": 2e-05', '"value": 1e999', "damaged result: K_II of Qx is inf ± 1e-09"),
-        ('"value": 2e-05', '"value": NaN', "a damaged one (NaN is not a number that JSON knows)"),
+        ('"value": 2e-05', '"value": NaN', "a damaged one (NaN is not a valid number in JSON)"),
         ('"u": 1e-09', '"u": 1e-09, "dof": 0.0', "K_II of Qx has 0.0 degrees of freedom"),
         ('"gravity": 9.8', '"gravity": 0.0', "damaged result: the gravity is 0.0 m/s^2"),
         ('"rate": 3.25', '"rate": 0.0', "damaged result: the rate of run1 is 0.0 rad/s"),

@@ -449,7 +449,7 @@ def test_fewer_rates_than_unknowns_are_refused(tmp_path, capsys):
     assert main(["calibrate", str(folder), "--method", "two-stage"]) == 1
     error = capsys.readouterr().err
     assert "K_II, K_F" in error
-    assert "different rates, whatever their sense; the campaign has 1" in error
+    assert "different rates, in either sense; the campaign has 1" in error
     assert "Traceback" not in error
 
 
@@ -480,7 +480,7 @@ def test_as_printed_is_half_and_says_so(tmp_path):
         assert c.value == pytest.approx(2.7e-5 / 2, abs=4 * c.u)
         assert abs(c.value - 2.7e-5) > 10 * c.u
         assert found.second_unknown["spindle.ripple"].unit == unit
-        assert "K_II is half of what" in found.warnings[0]
+        assert "the result is half the true K_II" in found.warnings[0]
 
 
 def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
@@ -516,7 +516,7 @@ def test_runs_that_do_not_agree_are_named(tmp_path):
     first = qx(result_of(tmp_path / "a", wrong)).findings[0]
     assert first.code == "lack-of-fit"
     assert "do not agree with the model" in first.text
-    assert "slow is farthest off" in first.text
+    assert "slow deviates most" in first.text
     # Without weights the sum of squares is not distributed like chi-square.
     unweighted = qx(result_of(tmp_path / "b", wrong, weighted=False))
     assert "lack-of-fit" not in {finding.code for finding in unweighted.findings}

@@ -81,8 +81,8 @@ def test_where_nobody_took_a_temperature_it_rises_by_a_kelvin_from_run_to_run(tm
 def test_slopes_need_the_conditions_of_every_run(tmp_path):
     text = with_conditions(BARE, runs=("slow",)) + model(', "K_F.trend", "K_I.temperature"')
     assert problems(tmp_path, text) == [
-        f"runs[{place}].{key}: is missing: {symbol} is in the model; write {key} = {example}, "
-        f'or the like (run "{name}")'
+        f"runs[{place}].{key}: is missing: {symbol} is in the model; write for example "
+        f'{key} = {example} (run "{name}")'
         for key, symbol, example in (
             ("temperature", "K_I.temperature", '"23.4 degC"'),
             ("time", "K_F.trend", '"12 min"'),
@@ -113,7 +113,7 @@ def test_a_reference_that_is_no_temperature_is_told(stated, tmp_path):
 
 def test_heating_is_never_asked_for(tmp_path):
     (problem,) = problems(tmp_path, BARE + model(', "K_F.heating"'))
-    assert '"K_F.heating" cannot be told from K_II' in problem
+    assert '"K_F.heating" cannot be separated from K_II' in problem
     known = '"K_F.heating" = "0 ± 0.1 ug/g^2"'
     for hold in ("", '"K_F.heating"'):
         campaign = campaign_of(tmp_path, BARE + model(hold=hold, priors=known))

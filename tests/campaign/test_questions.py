@@ -110,7 +110,7 @@ def test_own_velocity_does_nothing_to_a_recorded_force(tmp_path):
     )
     (found,) = questions(campaign_of(tmp_path, text))
     assert found.subject == "records.reference"
-    assert "changes nothing here" in found.text
+    assert "has no effect here" in found.text
 
 
 def test_values_without_an_uncertainty(tmp_path):
@@ -134,10 +134,13 @@ def test_values_without_an_uncertainty(tmp_path):
 def test_simulate_and_plan_warn_and_calibrate_finds(tmp_path, capsys):
     text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
     assert main(["simulate", str(write(tmp_path, text)), "-o", str(tmp_path / "made")]) == 0
-    assert "Warning: Gravity 9.8066 m/s^2 does not fit latitude 0.8 deg" in capsys.readouterr().out
+    assert (
+        "Warning: Gravity 9.8066 m/s^2 does not agree with latitude 0.8 deg"
+        in capsys.readouterr().out
+    )
     assert main(["plan", "--check", str(tmp_path / "made")]) == 0
     words = " ".join(capsys.readouterr().out.split())
-    assert "Warning: Gravity 9.8066 m/s^2 does not fit latitude 0.8 deg" in words
+    assert "Warning: Gravity 9.8066 m/s^2 does not agree with latitude 0.8 deg" in words
     from counterspin.calibration.calibrate import calibrate
 
     result = calibrate(tmp_path / "made")

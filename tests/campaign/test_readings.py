@@ -109,7 +109,7 @@ SLIPS = {
     ),
     "an arm without axes": (
         HEAD + ARM + ON_ARM.replace("axes", "# axes"),
-        "runs[0]: on an arm the axes follow from no attitude",
+        "runs[0]: on an arm there is no attitude",
     ),
     "another unit": (
         HEAD + RUN.replace("2e-6 mA", "2e-6 V"),
@@ -138,15 +138,15 @@ SLIPS = {
     ),
     "a direction of another frame": (
         HEAD + ARM + ON_ARM.replace("inward", "east"),
-        'runs[0]: no direction is called "east" here',
+        'runs[0]: unknown direction "east" here',
     ),
     "no such file": (
         HEAD + '[readings]\nfile = "none.csv"\ncolumns = { reading = "mA" }\n',
-        "none.csv: there is no such file",
+        "none.csv: file not found",
     ),
     "a term that no reading shows": (
         HEAD + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.droop"]\n' + RUN,
-        'no reading shows "centrifuge.droop"',
+        'no reading depends on "centrifuge.droop"',
     ),
     "the zero of a head where no reading has one": (
         HEAD

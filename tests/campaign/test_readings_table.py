@@ -303,7 +303,7 @@ SLIPS = {
     "no value": (
         "# made by hand\nangle,mA\n0,1.25\n30,\n",
         SIMPLE,
-        'readings."r.csv line 4".reading: has no value yet; write what was read',
+        'readings."r.csv line 4".reading: has no value yet; enter the reading',
     ),
     "no position": (
         "angle,mA\n0,1.25\n,0.5\n",
@@ -345,7 +345,7 @@ SLIPS = {
     "a rate in no unit of it": (
         "n,side,mA\n6,innen,1.25\n",
         f'rate_unit = "kg"\n{ARM}',
-        "readings.rate_unit: unknown unit 'kg'; an angular rate is wanted",
+        "readings.rate_unit: unknown unit 'kg'; an angular rate is needed",
     ),
     "an acceleration with a sign": (
         "n,side,mA\n-6,innen,1.25\n",

@@ -74,7 +74,7 @@ def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
     assert [run.part for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
     for second in ('start = "39 s"', "", 'start = "x"'):
         told = problems(tmp_path, *parts('stop = "40 s"', second))
-        assert any("is used by runs[0] already" in line or "start" in line for line in told)
+        assert any("is already used by runs[0]" in line or "start" in line for line in told)
     with pytest.raises(CampaignError, match="a simulated record is of one run"):
         simulate(read, tmp_path / "out")
 
@@ -93,7 +93,7 @@ def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
     # The same table, or one that may be the same, is of one run.
     for first, second in (("two", own), ("one", "")):
         told = problems(tmp_path, *tables(first, second))
-        assert any("is used by runs[0] already" in line for line in told)
+        assert any("is already used by runs[0]" in line for line in told)
 
 
 @pytest.mark.parametrize(
@@ -155,6 +155,6 @@ def test_each_recorder_has_one_clock(tmp_path):
         'runs: "slow" and "middle" state two clocks of the recorder "B"; state one',
     )
     (nameless,) = problems(tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }'))
-    assert "name the recorder that has it" in nameless
+    assert "name the recorder to which it belongs" in nameless
     (slow,) = problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
-    assert "a clock that is off by more than 1 % is none" in slow
+    assert "a clock error above 1 % is not plausible" in slow

@@ -255,7 +255,7 @@ def test_campaign_without_truth_cannot_be_simulated(tmp_path):
     with pytest.raises(CampaignError, match=r"truth: missing; .*\[truth.NAME\]"):
         simulate(write(tmp_path, text), tmp_path / "made")
     campaign = campaign_of(tmp_path, text)
-    with pytest.raises(ValueError, match="nothing of what to simulate"):
+    with pytest.raises(ValueError, match="does not state what to simulate"):
         simulate_run(campaign, campaign.runs[0], np.random.default_rng(0))
 
 
@@ -369,5 +369,5 @@ def test_another_seed_is_another_record(tmp_path):
 
 def test_a_campaign_without_its_description_is_not_simulated_in_memory(tmp_path):
     campaign = replace(campaign_of(tmp_path, SMALL), title="other")
-    with pytest.raises(CounterspinError, match="no description of it is known"):
+    with pytest.raises(CounterspinError, match="its description is unknown"):
         simulate(campaign)

@@ -60,9 +60,9 @@ def test_range_and_tolerance_say_the_same(middle, half):
         ("abs <= 5e-5", "has no unit"),
         ("abs <= 5e-5 g", "is not a unit of"),
         ("abs <= 5e-5 gg", "unknown unit 'gg'"),
-        ("abs <= -5e-5 g/g^2", "must be allowed to be greater than zero"),
-        ("abs <= 0 g/g^2", "must be allowed to be greater than zero"),
-        ("abs >= 5e-5 g/g^2", "only be limited from above"),
+        ("abs <= -5e-5 g/g^2", "the limit of a magnitude must be greater than zero"),
+        ("abs <= 0 g/g^2", "the limit of a magnitude must be greater than zero"),
+        ("abs >= 5e-5 g/g^2", "only have an upper limit"),
         ("<= nan g/g^2", "not a finite number"),
         ("<= 1 ± 0.1 ug/g^2", "leave out the ±"),
         ("2 to 1 ug/g^2", "the first limit must be below the second"),
@@ -138,12 +138,12 @@ def test_all_mistakes_at_once_by_key():
         "specification.guard_factor: must not be negative",
         "specification.conformance_probability: must lie between 0.5 and 1",
         "specification.K_II: '5e-5 g/g^2' is no specification",
-        'specification.K_IV: no term is called "K_IV"; did you mean "K_I',
-        'specification.decisionrule: no term is called "decisionrule"; did you mean "deci',
+        'specification.K_IV: unknown term "K_IV"; did you mean "K_I',
+        'specification.decisionrule: unknown term "decisionrule"; did you mean "deci',
         'specification."platform.tilt": belongs to the machine',
-        'specification.Qz: no accelerometer is called "Qz"',
+        'specification.Qz: there is no accelerometer "Qz"',
         "specification.Qx.K_F: ",
-        'specification.Qx.bias: no term is called "bias"',
+        'specification.Qx.bias: unknown term "bias"',
     ]
     assert len(lines) == len(starts)
     for start in starts:
@@ -153,8 +153,8 @@ def test_all_mistakes_at_once_by_key():
 @pytest.mark.parametrize(
     ("table", "line"),
     [
-        ({}, "specification: names no term; write for example K_II ="),
-        ({"decision_rule": "simple", "Qx": {}}, "specification: names no term"),
+        ({}, "specification: contains no term; write for example K_II ="),
+        ({"decision_rule": "simple", "Qx": {}}, "specification: contains no term"),
         (
             {"decision_rule": "simple", "guard_factor": 1, "K_F": "<= 1 g"},
             "specification.guard_factor: is for the decision rule 'guarded', not for 'simple'",

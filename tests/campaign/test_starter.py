@@ -42,7 +42,7 @@ SAID = {
     "tumble": "Readings at rest in 24 positions, 24 readings",
     "arm": "Readings on the arm of a centrifuge (IEEE Std 836) at 6 rates, 3.132 to "
     "14.01 rad/s, one sense, 2 mountings (in, out): 24 readings",
-    "double-turntable": "The item was carried round by a double turntable centrifuge at the rates",
+    "double-turntable": "The item was carried on a double turntable centrifuge at the stated",
 }
 
 
@@ -94,7 +94,7 @@ def test_tables_of_readings_that_are_there_stay(tmp_path):
     assert not (tmp_path / "campaign.toml").exists()
     with pytest.raises(CounterspinError, match="`test` is one of double-turntable, tumble, arm"):
         init(tmp_path, "centrifuge")
-    with pytest.raises(CounterspinError, match="made of a sensor's own log"):
+    with pytest.raises(CounterspinError, match="from a sensor's own log"):
         init(tmp_path, "poses")
 
 

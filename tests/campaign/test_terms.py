@@ -173,13 +173,13 @@ def test_what_is_assumed_to_be_perfect(assume, taken, not_taken):
 @pytest.mark.parametrize(
     ("assume", "problem"),
     [
-        (["K_II", "K_OOO"], 'model.assume[1]: no term is called "K_OOO"; did you mean "K_OO"?'),
+        (["K_II", "K_OOO"], 'model.assume[1]: unknown term "K_OOO"; did you mean "K_OO"?'),
         (
             ["plattform.*"],
-            'model.assume[0]: no term is called "plattform.*"; did you mean "platform"?',
+            'model.assume[0]: unknown term "plattform.*"; did you mean "platform"?',
         ),
-        ("al", 'model.assume[0]: no term is called "al"; did you mean "all"?'),
-        (["platform.tlt"], 'no term is called "platform.tlt"; did you mean "platform.tilt"?'),
+        ("al", 'model.assume[0]: unknown term "al"; did you mean "all"?'),
+        (["platform.tlt"], 'unknown term "platform.tlt"; did you mean "platform.tilt"?'),
     ],
 )
 def test_what_is_assumed_must_be_there(assume, problem):
@@ -226,7 +226,7 @@ def test_what_is_neither_asked_for_nor_held_may_have_a_prior():
 
 def test_terms_must_name_an_accelerometer_coefficient():
     _, _, (problem,) = resolve({"Qx": QX}, terms=["platform.tilt"])
-    assert problem == "model.terms: names no accelerometer term to estimate"
+    assert problem == "model.terms: contains no accelerometer term to estimate"
 
 
 def test_every_platform_term_has_a_bare_name():
@@ -293,7 +293,7 @@ def test_sizes_of_every_row_of_the_table():
         assert model.limits[symbol] == pytest.approx(size, rel=1e-14)
     assert set(model.typical) == set(model.limits) == set(sizes)
     _, _, (told,) = resolve({"Qx": QX}, terms=["K_II"], typical={"centrifuge.radios": "1 mm"})
-    assert told.startswith('model.typical."centrifuge.radios": no term is called')
+    assert told.startswith('model.typical."centrifuge.radios": unknown term')
 
 
 def test_names_of_the_path_mean_harmonics_and_their_quadratures():

@@ -45,7 +45,7 @@ def test_the_stretch_may_stand_with_the_machine_or_the_centrifuge(tmp_path):
 SLIPS = {
     "[truth.machine]\n'centrifuge.radius.out' = '1 mm'": "truth.machine.",
     "[truth.machine]\n'centrifuge.dropp' = '1 rad s^2'": 'did you mean "centrifuge.droop"?',
-    "[truth.machine]\n'K_F.trend' = '1e-9 g/s'": "write it in its table, [truth.NAME]",
+    "[truth.machine]\n'K_F.trend' = '1e-9 g/s'": "write it in [truth.NAME]",
     "[truth.machine]\n'centrifuge.stretch' = '1e-9 m'": "centrifuge.stretch",
     "[truth.machine]\n'centrifuge.stretch' = '1e-9 s^2/m'\n"
     "[truth.centrifuge]\nstretch = '1e-9 s^2/m'": ("is in [truth.centrifuge] too; keep one"),
@@ -57,7 +57,7 @@ SLIPS = {
     ),
     "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' is not a unit",
     "[truth.noise]\nreading = '-1 uA'": "a standard deviation is not negative",
-    "[truth.noise]\nreading = { B = '1 uA' }": 'no accelerometer is called "B"',
+    "[truth.noise]\nreading = { B = '1 uA' }": 'there is no accelerometer "B"',
 }
 
 

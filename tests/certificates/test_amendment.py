@@ -75,18 +75,18 @@ def test_statements_that_come_and_go_are_told(desk):
     old = certificate(result(), "LAB.toml").xml
     write_lab(desk, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]'))
     assert changes(old, certificate(result(), "LAB.toml").xml) == [
-        'the statement "What was known beforehand" reads otherwise.',
+        'the statement "Prior knowledge" reads otherwise.',
         'the statement "Remarks" is gone.',
         'the statement "Data supplied by the customer" is new.',
     ]
 
 
 def test_what_cannot_be_amended_is_refused(desk, capsys):
-    with pytest.raises(CampaignError, match="say in words why"):
+    with pytest.raises(CampaignError, match="state why"):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "old.xml", " "))
     write_lab(desk, LAB.replace('language = "de"', 'identifier = "7"'))
     certificate("r.json", "LAB.toml").write("seven.xml")
-    with pytest.raises(CampaignError, match='"7" is that of the certificate that is amended'):
+    with pytest.raises(CampaignError, match='"7" is the identifier of the amended certificate'):
         certificate("r.json", "LAB.toml", amends=Amendment(desk / "seven.xml", "why"))
     with pytest.raises(RecordError, match="amends no certificate"):
         check_certificate(desk / "seven.xml", amends=desk / "old.xml")

@@ -243,7 +243,7 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     )
     (statement,) = find(
         document(tmp_path, given),
-        "//dcc:statement[starts-with(dcc:name/dcc:content, 'What the result rests on')]",
+        "//dcc:statement[starts-with(dcc:name/dcc:content, 'Basis of the result')]",
     )
     assert statement.get("refId") == "item-1"
     path = "dcc:declaration/dcc:content"
@@ -252,12 +252,12 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     # ± precedes U alone.
     assert apart.endswith("determined: K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
     assert unknown == (
-        "Not stated, and so in U with a typical standard uncertainty: K_OO, 2.0 ug/g^2."
+        "Not stated, so included in U with a typical standard uncertainty: K_OO, 2.0 ug/g^2."
     )
 
 
 def test_a_result_that_nobody_may_certify_is_refused():
-    with pytest.raises(RecordError, match="half of the true one"):
+    with pytest.raises(RecordError, match="half the true K_II"):
         check_certifiable(result().model_copy(update={"model": "as-printed"}), ["Qx"])
     unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
     with pytest.raises(RecordError, match="determine no coefficient of Qx"):
@@ -376,9 +376,9 @@ def test_verdicts_in_the_words_of_the_schema(tmp_path, rule, verdict, high, word
     said = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
     words = [said.get(w, w) for w in word] or [verdict]
     assert f"K_II of Qx, specified as <= {high} g/g^2: {words[0]}." in lines
-    assert "Probability of conforming: 90.0 %" in lines
+    assert "Probability of conformity: 90.0 %" in lines
     assert ("guard band 0.0020 ug/g^2" in lines) == (rule == "guarded")
-    assert ("probability needed 0.95" in lines) == (rule == "probability")
+    assert ("required probability 0.95" in lines) == (rule == "probability")
 
 
 MORE = """
@@ -395,18 +395,18 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
     assert [e.text for e in find(made, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
     assert not find(made, f"{method}/dcc:norm")  # IEEE Std 1293 is departed from
     (described,) = find(made, f"{method}/dcc:description/dcc:content")
-    assert described.text.startswith("Based on IEEE Std 1293,")
+    assert described.text.startswith("Based on the terms of IEEE Std 1293")
     assert described.text.endswith("Deviation: Two rates in place of three.")
     (state,) = find(made, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data")
     assert "".join(state.itertext()).strip() == "The item was calibrated as received."
     (known, supplied) = (
         find(made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content")
-        for name in ("What was known beforehand", "Data supplied by the customer")
+        for name in ("Prior knowledge", "Data supplied by the customer")
     )
     assert known[0].text == (
-        "Known beforehand, for Qx: K_I, standard uncertainty 5.0e-6 g/g, supplied by the customer."
+        "Prior for Qx: K_I, standard uncertainty 5.0e-6 g/g, supplied by the customer."
     )
-    assert "the laboratory does not answer for them" in supplied[0].text
+    assert "the laboratory is not responsible for them" in supplied[0].text
 
 
 def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
@@ -420,7 +420,9 @@ def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
     # What was added is independent of K_F: the covariance stays.
     assert found.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
     said = find(made, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
-    assert said[0].text.startswith("K_II of Qx: evaluated was U = 0.0020 ug/g^2; stated is")
+    assert said[0].text.startswith(
+        "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2; the certificate states"
+    )
     assert "K_F" not in said[0].text
     # The attached result is as it was calibrated.
     (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")

@@ -73,7 +73,7 @@ def test_a_draft_is_not_entered(desk):
 def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
     assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
-    assert "give the ledger alone" in capsys.readouterr().err
+    assert "give only the ledger" in capsys.readouterr().err
     more = ("--who", "B", "--why", "w")
     assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *more]) == 1
     assert not (desk / "ledger.jsonl").exists()
@@ -82,7 +82,7 @@ def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
         file.write(b'{"number"')
     capsys.readouterr()
     assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
-    assert "after entry 1 stands an unfinished line of 9 bytes" in capsys.readouterr().err
+    assert "after entry 1 comes an incomplete line of 9 bytes" in capsys.readouterr().err
 
 
 class KilledError(BaseException):
@@ -141,7 +141,7 @@ def test_an_identifier_stands_for_one_content(desk, monkeypatch, capsys):
     result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
     told = " ".join(capsys.readouterr().err.split())
-    assert "has certificate K 7 already (entry 4), with other content" in told
+    assert "has certificate K 7 already (entry 4), with different content" in told
     assert not (desk / "c.xml").exists()
     assert verify_ledger(desk / "ledger.jsonl").entries == found
 

@@ -107,8 +107,8 @@ def test_a_result_that_assumes_nothing_says_nothing_of_it():
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ('K_O = "Bericht"', 'evidence.K_O: no term is called "K_O"'),
-        ('Qz.K_OO = "Bericht"', 'no term is called "Qz.K_OO"'),
+        ('K_O = "Bericht"', 'evidence.K_O: unknown term "K_O"'),
+        ('Qz.K_OO = "Bericht"', 'unknown term "Qz.K_OO"'),
         ('K_OO = "  "', "evidence.K_OO: must not be empty"),
         ("K_OO = 1", "evidence.K_OO: must be text"),
     ],

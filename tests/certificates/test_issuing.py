@@ -144,7 +144,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     (desk / "f.pdf").write_bytes(sign_pages(plain, other, datetime.now(UTC)))
     status, out, err = command(capsys, "--verify", "f.pdf", "--cert", cert)
     assert (status, out) == (1, "")
-    assert "the signature of the pages is not that of the holder of" in err
+    assert "the pages were not signed by the holder of" in err
     # What is attached counts, whatever the pages show.
     writer = pypdf.PdfWriter(clone_from="c.pdf")
     writer.add_attachment("second.xml", b"<a/>")
@@ -215,21 +215,21 @@ def test_only_those_chosen_are_certified(desk, capsys):
     write_lab(desk, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
     status, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
     assert status == 0
-    assert out.endswith("Not certified, as certificate.accelerometers has it: Qx.\n")
+    assert out.endswith("Not certified, according to certificate.accelerometers: Qx.\n")
     assert list(read_certificate((desk / "c.xml").read_bytes(), "").accelerometers) == ["Qy"]
 
 
 def test_a_day_of_issue_before_the_end_is_told(desk, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     _, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
-    assert "The day of issue, 2023-11-14, lies before certificate.end, 2026-01-14." in out
+    assert "The day of issue, 2023-11-14, is before certificate.end, 2026-01-14." in out
 
 
 def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     assert command(capsys, "--init", "mine.toml")[0] == 0
     status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.pdf")
     assert status == 0
-    assert "It is a draft. Still the example's: certificate.traceability, laboratory.name" in out
+    assert "It is a draft. Still example text: certificate.traceability, laboratory.name" in out
     pages = [page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages]
     assert all(page.startswith("DRAFT, not a calibration certificate DRAFT-CS-") for page in pages)
     made = certificate(desk / "r.json", desk / "mine.toml").xml
@@ -241,9 +241,9 @@ def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
     assert "certificate.traceability, laboratory.name" in err
-    assert "still the example's; replace that before signing" in err
+    assert "still example text; replace it before signing" in err
     # Before anything is signed: nobody is asked for a key.
-    with pytest.raises(CampaignError, match="still the example's"):
+    with pytest.raises(CampaignError, match="still example text"):
         certificate(desk / "r.json", desk / "mine.toml", signer=lambda: pytest.fail("asked"))
 
 
@@ -327,7 +327,7 @@ def test_objects_give_the_certificate_of_their_files(desk, capsys):
     assert made.pdf() == (desk / "a.pdf").read_bytes()
     assert (made.identifier, made.accelerometers) == (known_by(), ["Qx"])
     assert made.write("b.xml").read_bytes() == made.xml
-    with pytest.raises(CounterspinError, match="exists; a certificate replaces no file"):
+    with pytest.raises(CounterspinError, match="exists; a certificate never replaces a file"):
         made.write(desk / "b.xml")
     with pytest.raises(CampaignError, match=r"name the file \.xml or \.pdf"):
         made.write("b.txt")
@@ -338,7 +338,7 @@ def test_mistakes_of_objects_are_told_by_their_keys():
     del lab["item"]
     with pytest.raises(CampaignError, match=r"(?s)the laboratory's data: .*item\.name: is missing"):
         certificate(result(), lab)
-    with pytest.raises(RecordError, match="this result was computed by the paper's equations"):
+    with pytest.raises(RecordError, match="this result was computed with the paper's equations"):
         certificate(result().model_copy(update={"model": "as-printed"}), tomllib.loads(LAB))
 
 
@@ -360,7 +360,7 @@ def test_a_result_without_a_seal_is_certified_and_the_certificate_says_so(desk, 
     (desk / "r.json").write_text(text, encoding="utf-8")
     for name in ("a.xml", "a.pdf"):
         assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
-    said = "made by an earlier version of counterspin, without seal"
+    said = "written by an earlier version of counterspin, without a seal"
     assert said.encode() in (desk / "a.xml").read_bytes()
     pages = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "a.pdf").pages)
     assert said in " ".join(pages.split())

@@ -148,7 +148,10 @@ def test_a_command_signs_with_a_key_that_is_never_seen(tmp_path, keys, kind):
     [
         ("import sys; sys.exit('no card in the reader')", "ended with 1: no card in the reader"),
         ("import sys; sys.exit(3)", "ended with 3: it does not say why"),
-        ("print('words')", "wrote 6 bytes that are no signature by the key of its certificate"),
+        (
+            "print('words')",
+            "wrote 6 bytes that are not a signature with the key of its certificate",
+        ),
     ],
 )
 def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):

@@ -216,7 +216,7 @@ def test_no_uncertainty_of_a_parameter_is_below_the_capability(tmp_path, poses):
     c = poses.triad.parameters["sensitivity.Z"]
     assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
     said = "".join(find(made, "//dcc:statements")[0].itertext())
-    assert "offset of Y: evaluated was U = " in said
+    assert "offset of Y: the evaluated uncertainty is U = " in said
     assert "sensitivity of Z: evaluated" not in said
 
 

@@ -61,11 +61,11 @@ def test_the_result_is_entered_as_it_was_written(desk, capsys):
     [
         (("--ledger", "l.jsonl", *WHO), 2, "give --json FILE, --who NAME and --why REASON"),
         (("--json", "r.json", "--ledger", "l.jsonl"), 2, "--who NAME and --why REASON"),
-        (("--json", "r.json", "--who", "B"), 2, "--who and --why go with --ledger FILE"),
+        (("--json", "r.json", "--who", "B"), 2, "--who and --why need --ledger FILE"),
         ((".", "--json", "r.json", "--ledger", "l.jsonl", *WHO), 2, "the result of one campaign"),
         (("--json", "r.json", "--ledger", "./r.json", *WHO), 2, "name the same file"),
         (("--json", "r.json", "--ledger", "no/l.jsonl", *WHO), 1, "there is no folder no"),
-        (("--json", "r.json", "--ledger", "altered.jsonl", *WHO), 1, "entry 1 is not as it was"),
+        (("--json", "r.json", "--ledger", "altered.jsonl", *WHO), 1, "entry 1 was altered"),
     ],
 )
 def test_what_cannot_be_entered_is_told_before_the_work(desk, capsys, words, status, told):

@@ -100,7 +100,7 @@ def test_wrong_usage_is_told_in_two_lines(words, message, capsys):
 
 def test_campaign_that_is_not_there(tmp_path, capsys):
     assert cli.main(["calibrate", str(tmp_path / "nowhere")]) == 2
-    assert "there is no such file; `counterspin init DIR` makes" in capsys.readouterr().err
+    assert "file not found; `counterspin init DIR` makes" in capsys.readouterr().err
 
 
 def test_work_that_fails(tmp_path, capsys):
@@ -109,7 +109,7 @@ def test_work_that_fails(tmp_path, capsys):
     assert "exists; edit it, or choose another folder" in capsys.readouterr().err
     assert cli.main(["calibrate", str(tmp_path)]) == 1
     told = capsys.readouterr().err
-    assert all(f"run{i}.csv: there is no such file.\n" in told for i in (1, 2, 3))
+    assert all(f"run{i}.csv: file not found.\n" in told for i in (1, 2, 3))
 
 
 def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
@@ -123,12 +123,12 @@ def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (OSError(errno.ENOSPC, "No space left on device"), "there is no space left"),
-        (MemoryError(), "there is not enough memory"),
-        (OSError(errno.EIO, "worn out"), "the operating system refuses: worn out"),
+        (OSError(errno.ENOSPC, "No space left on device"), "no space left"),
+        (MemoryError(), "not enough memory"),
+        (OSError(errno.EIO, "worn out"), "the operating system reports: worn out"),
         (
             ImportError("libworn.so: cannot map"),
-            "cannot be loaded (libworn.so: cannot map); install",
+            "cannot be loaded (libworn.so: cannot map); reinstall",
         ),
         (ValueError("worn out"), "internal error (ValueError: worn out)"),
     ],
@@ -160,7 +160,7 @@ def test_an_interrupted_study_is_told_once_and_how_to_go_on(hostile, monkeypatch
     assert cli.main(["study", str(hostile)]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
     assert cli.main(["study", str(hostile), "-o", str(hostile)]) == 130
-    told = "counterspin: stopped; the same command with --resume goes on\n"
+    told = "counterspin: stopped; continue with the same command and --resume\n"
     assert capsys.readouterr().err == told
 
 

@@ -208,7 +208,9 @@ def test_a_result_is_written_before_it_is_printed(way, here):
     assert cli.main(["report", "new.json", "-o", "new.md"]) == 0
     if way == "full":
         assert run.returncode == 1
-        assert run.stderr == "counterspin: the output cannot be written: there is no space left\n"
+        assert (
+            run.stderr == "counterspin: the output cannot be written: no space left on the device\n"
+        )
     else:
         assert (run.returncode, run.stderr) == (0, "")
 
@@ -232,7 +234,7 @@ def test_an_output_that_is_a_link_to_itself_is_told(words, here, capsys):
     write_lab(here)
     (here / words[-1]).symlink_to(words[-1])
     assert cli.main(words) == 1
-    assert f"{words[-1]}: cannot be written, for a link in it leads" in capsys.readouterr().err
+    assert f"{words[-1]}: cannot be written because a link in it leads" in capsys.readouterr().err
 
 
 #: Commands that write a page or a figure.

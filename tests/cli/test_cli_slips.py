@@ -103,7 +103,7 @@ def test_a_damaged_result(told, tmp_path):
     del document["seal"]
     whole = json.dumps(document)
     for text, words in (
-        (whole.replace("By hand", r"By \ud800 hand"), "holds half of a character"),
+        (whole.replace("By hand", r"By \ud800 hand"), "contains half of a character"),
         ("[" * 100_000, "not a result file"),
         ('{"schema": ' + "1" * 10_000 + "}", "not a result file"),
         (whole.replace("9.8", "1e400"), "r.json"),
@@ -137,10 +137,10 @@ WANTED = (
     (("watch", "X"), ("campaign.toml", "."), "give the folder that holds campaign.toml"),
     (("plan", "X"), ("plan.toml",), "`counterspin plan --init FILE` writes a plan"),
     (("certificate", "r.json", "X", "-o", "o.xml"), ("LAB.toml",), "--init LAB.toml` makes one"),
-    (("certificate", "--verify", "X"), ("c.xml",), "give a certificate's XML or PDF"),
+    (("certificate", "--verify", "X"), ("c.xml",), "give the XML or PDF of a certificate"),
     (("compare", "r.json", "X"), ("r.json",), "give the JSON file of a result"),
     (("rerun", "X"), ("r.json",), "give the JSON file of a result"),
-    (("ledger", "verify", "X"), ("empty", "."), "Name the ledger, or a file that is not there"),
+    (("ledger", "verify", "X"), ("empty", "."), "Name the ledger, or a new file"),
 )
 
 
@@ -177,7 +177,7 @@ def test_another_s_file_of_one_line_is_no_unfinished_ledger(told, tmp_path):
     words = ("ledger", "add", "notes", "r.json", "--who", "A. Erste", "--why", "yearly")
     status, complaint = told(*words)
     assert (status, (tmp_path / "notes").read_bytes()) == (1, b"mine")
-    assert "or this is no ledger" in complaint
+    assert "or this is not a ledger" in complaint
 
 
 @pytest.mark.parametrize(

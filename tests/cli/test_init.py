@@ -51,7 +51,7 @@ def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
     assert "Guessed from the files:" in said
     assert f"counterspin calibrate {folder}" in said
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
-    assert "# - pendulous axes: down" in text
+    assert "# - pendulous axes: assumed down" in text
     found = result_of(folder)
     assert abs(found.value - reference.value) < 0.01 * reference.u
 
@@ -67,7 +67,7 @@ def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
     assert main(["init", *words]) == 0
     told = capsys.readouterr().out
     assert "4 readings at rest, where the rate is 0" in told
-    assert "'left' is none of counterclockwise, clockwise. Once more:" in told
+    assert "'left' is none of counterclockwise, clockwise. Try again:" in told
     assert "It is about 1 V/g. (such as 1.25 V/g)" in told
     assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
     found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
@@ -79,8 +79,8 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
     told = capsys.readouterr().err
-    assert 'Say it with --answer, such as "radius=2.5' in told
-    assert "sense: In which sense does the angle grow" in told
+    assert 'Answer with --answer, such as "radius=2.5' in told
+    assert "sense: In which sense does the angle increase" in told
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # nobody is there to be asked
 
@@ -88,11 +88,11 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     assert main(words) == 0
     told = capsys.readouterr().out
     assert "unknown unit 'kg'" in told
-    assert "'left' is none of counterclockwise, clockwise. Once more:" in told
+    assert "'left' is none of counterclockwise, clockwise. Try again:" in told
     assert 'sense = "clockwise"' in (tmp_path / "campaign.toml").read_text(encoding="utf-8")
     monkeypatch.setattr("sys.stdin", Terminal(""))
     assert main(["init", str(tmp_path / "b"), *words[2:]]) == 1
-    assert "no answer came" in capsys.readouterr().err
+    assert "no answer was given" in capsys.readouterr().err
 
 
 def test_words_that_make_no_sense(tmp_path, plain, capsys):
@@ -100,4 +100,4 @@ def test_words_that_make_no_sense(tmp_path, plain, capsys):
     assert "--from FILE" in capsys.readouterr().err
     words = ["init", str(tmp_path), "--from", str(plain / "slow.csv"), "--answer", "radius"]
     assert main(words) == 2
-    assert "no KEY=VALUE" in capsys.readouterr().err
+    assert "not of the form KEY=VALUE" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from counterspin.cli.words import spoken
     [
         (["simulate", "x"], "give `overwrite=True`", "give --overwrite"),
         (["apply", "r", "f"], "name it with `column`", "name it with --input"),
-        (["calibrate"], 'say `method="two-stage"`', "say --method two-stage"),
+        (["calibrate"], 'give `method="two-stage"`', "give --method two-stage"),
         (["calibrate"], "`weighted=False`, `fit_bias=True`", "--no-weighted, --fit-bias"),
         (["study"], "`keep_trials` needs `output`", "--keep-trials needs --output"),
         (["study"], '`engine="a b"`', "--engine 'a b'"),
@@ -32,4 +32,4 @@ def test_an_error_is_told_with_the_options_of_the_command(tmp_path, capsys):
     assert "with them give --method two-stage" in capsys.readouterr().err
     assert not description.exists()
     assert cli.main(["history", str(tmp_path), "--term", "K_2"]) == 2
-    assert capsys.readouterr().err.startswith("counterspin: --term: no term is called")
+    assert capsys.readouterr().err.startswith("counterspin: --term: unknown term")

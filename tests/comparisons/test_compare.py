@@ -120,7 +120,7 @@ def test_the_two_methods_are_as_the_joint_fit_has_them(one):
     check = joint.accelerometers["Qx"].two_stage
     assert k_ii(compared).u_difference == pytest.approx(check.u_difference, rel=1e-12)
     assert k_ii(compared).z == pytest.approx(check.z, rel=1e-9)
-    assert any("joint method is taken" in text for text in compared.agreements[0].assumed)
+    assert any("joint method is assumed" in text for text in compared.agreements[0].assumed)
     method = next(c for c in compared.changes if c.subject == "method")
     assert method.values == ["joint", "two-stage"]
 

@@ -105,7 +105,7 @@ def test_a_file_has_all_three_corrected(tmp_path, result):
 def test_which_accelerometer_is_asked_where_there_is_no_triad(tmp_path, result):
     pl.DataFrame({"X": [1.0]}).write_csv(tmp_path / "in.csv")
     plain = result.model_copy(update={"triad": None})
-    with pytest.raises(CampaignError, match="say with `accelerometer` which one"):
+    with pytest.raises(CampaignError, match="name the one to be corrected with `accelerometer`"):
         apply_file(plain, None, tmp_path / "in.csv", tmp_path / "out.csv")
-    with pytest.raises(CampaignError, match="say with `accelerometer` which one"):
+    with pytest.raises(CampaignError, match="name the one to be corrected with `accelerometer`"):
         apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv", column="X")

@@ -168,7 +168,7 @@ def test_known_slopes_need_a_temperature():
         apply(result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
     (said,) = refused.value.problems
     assert said.startswith("K_F.temperature of A changes with the temperature of the record; give")
-    with pytest.raises(CampaignError, match="does not say at which temperature it was calibrated"):
+    with pytest.raises(CampaignError, match="does not state the temperature of its calibration"):
         apply(
             result(MODEL | SLOPES, reference=None), "A", [1.0], ApplyOptions(temperature="20 degC")
         )
@@ -215,7 +215,7 @@ def test_what_lies_beyond_the_calibration_is_said():
     (said,) = apply(other, "A", [1.0]).warnings
     assert "not applied: K_F.trend, K_F.heating" in said
     (note,) = apply(result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
-    assert note == "No slope with temperature is known: the temperature changes nothing."
+    assert note == "The result has no slope with temperature: the temperature has no effect."
 
 
 # --- files ----------------------------------------------------------------------------------

@@ -103,7 +103,9 @@ def test_guesses_may_be_overruled(tmp_path):
     assert document["accelerometers"]["Qx"]["input_axis"] == "west"
     assert document["records"]["angle"]["zero"] == "west"
     alone = drafted(files, angle="none", rate="30 deg/s", **{"temp_m is": "unused"})
-    assert alone.problems == ("rate: is not asked; asked: gravity, latitude, radius, sense",)
+    assert alone.problems == (
+        "rate: is not a question here; questions: gravity, latitude, radius, sense",
+    )
 
 
 def test_a_unit_that_is_answered_shows_the_rate_of_each_run(tmp_path):

@@ -80,7 +80,7 @@ def test_what_the_file_does_not_say_is_asked(tmp_path, values):
     found = poses_draft(look_at([write_log(tmp_path, values)]))
     asked = [question.key for question in found.open_questions]
     assert asked == ["gravity", "latitude", "sampling_rate"]
-    with pytest.raises(CampaignError, match="sampling_rate: No column has the time"):
+    with pytest.raises(CampaignError, match="sampling_rate: There is no time column"):
         found.document(tmp_path)
 
 

@@ -128,11 +128,13 @@ def test_what_a_table_does_not_say_is_asked(tmp_path):
 def test_a_table_without_readings_says_so(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     answers = ANSWERS | {"Signal is": "unused", "axis at 0": "up"}
-    with pytest.raises(CampaignError, match=r"no column holds readings \(known: Winkel, Signal, u"):
+    with pytest.raises(
+        CampaignError, match=r"no column of readings was found \(columns: Winkel, Signal, u"
+    ):
         tumble_draft(look_at([path]), answers).document(tmp_path)
 
 
 def test_one_table(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
-    with pytest.raises(CampaignError, match="one table of readings: name one file"):
+    with pytest.raises(CampaignError, match="one table of readings: give one file"):
         drafted(look_at([path, path]), {}, "tumble")

@@ -98,13 +98,13 @@ def test_drift_is_per_year(tmp_path):
 @pytest.mark.parametrize(
     ("shifts", "verdict", "words"),
     [
-        ([0], "single", "one result, with nothing to compare it with"),
+        ([0], "single", "one result, nothing to compare it with"),
         ([0, 1], "constant", "2 results agree with"),
-        ([0, 6], "differ", "Two results cannot tell a drift from a jump"),
-        ([0, 0.5, -0.5, 0.5, 0], "constant", "No drift is seen"),
+        ([0, 6], "differ", "Two results cannot distinguish a drift from a jump"),
+        ([0, 0.5, -0.5, 0.5, 0], "constant", "No significant drift"),
         ([0, 2, 4, 6, 8], "drifts", "better than with a constant"),
-        ([0, 0, 0, 0, 8], "disagree", "Farthest from the others is"),
-        ([0, 6, 0, 6, 0], "disagree", "not by a steady drift"),
+        ([0, 0, 0, 0, 8], "disagree", "The largest deviation is that of"),
+        ([0, 6, 0, 6, 0], "disagree", "not as a steady drift"),
     ],
 )
 def test_verdicts(tmp_path, shifts, verdict, words):
@@ -217,8 +217,8 @@ def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
         (result(model="as-printed"), "which return half the true K_II"),
         (without_estimate(), "does not determine K_II"),
         (without_term(), "has no K_II"),
-        (result(2.9e-5, run="same"), "rests on the same records as"),
-        (result(2.8e-5, run="same", method="two-stage"), "rests on the same records as"),
+        (result(2.9e-5, run="same"), "uses the same records as"),
+        (result(2.8e-5, run="same", method="two-stage"), "uses the same records as"),
         ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),
     ],
 )
@@ -292,7 +292,7 @@ def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
     told = capsys.readouterr()
     assert "Q-104" in told.out
     assert "bad.json" in told.out.replace("\n", "")
-    assert told.err.startswith("counterspin: 1 of the files are results that cannot be read")
+    assert told.err.startswith("counterspin: 1 of the result files cannot be read")
     assert History.read(kept).damaged[0].file.endswith("bad.json")
 
 
@@ -310,10 +310,10 @@ def test_wrong_usage(tmp_path, capsys):
     assert main(["history", str(tmp_path / "x"), str(tmp_path / "y")]) == 2
     told = capsys.readouterr().err
     assert "2 mistakes" in told
-    assert told.count("there is no such file or folder") == 2
+    assert told.count("no such file or folder") == 2
     stored(tmp_path, a=result())
     for term, words in (
-        ("K_IV", "no term is called"),
+        ("K_IV", "unknown term"),
         ("platform.tilt.up", "to the machine"),
         ("offset.X", '"offset" follows those of all accelerometers'),
     ):
@@ -398,7 +398,9 @@ def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
     longer = only(history([tmp_path], reliability=0.999)).due.date
     assert longer < instrument.due.date
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert f"Due on {instrument.due.date}: until then it is in specification with 95.0 %" in told
+    assert (
+        f"Due on {instrument.due.date}: until then it is within specification with 95.0 %" in told
+    )
     lines = [one.label for one in control_plot(found, instrument).series]
     assert lines.count("specification") == 1
     with pytest.raises(CampaignError, match="does not lie between"):
@@ -412,7 +414,7 @@ def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
     }
     found = history([stored(tmp_path / "b", **jump)])
-    assert "do not agree with a line" in only(found).due.reason
+    assert "do not agree with a straight line" in only(found).due.reason
 
 
 def test_laboratories_are_compared(tmp_path):
@@ -513,7 +515,7 @@ def test_hidden_files_and_pipes_are_no_results(tmp_path):
     assert len(only(found).points) == 1
     (hidden,) = found.left_out
     assert hidden.file.endswith(".tmpx1y2.json")
-    assert "is hidden, as what an interrupted command leaves behind" in hidden.reason
+    assert "is a hidden file left by an interrupted command" in hidden.reason
     (pipe,) = found.damaged
     assert "it is a pipe, not a file" in pipe.reason
     # One that is named is meant as a result.

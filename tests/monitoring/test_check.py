@@ -99,11 +99,11 @@ def test_frames_and_other_files_are_judged_too(folder, tmp_path):
     frame.write_csv(tmp_path / "slow.csv")
     assert cs.check(tmp_path / "slow.csv", folder).run.rate == by_file.run.rate
     frame.write_csv(tmp_path / "other.csv")
-    with pytest.raises(CampaignError, match="say which run this is, one of: slow, middle, fast"):
+    with pytest.raises(CampaignError, match="name the run, one of: slow, middle, fast"):
         cs.check(tmp_path / "other.csv", folder)
-    with pytest.raises(CampaignError, match='no run is called "sloww"'):
+    with pytest.raises(CampaignError, match='there is no run "sloww"'):
         cs.check(tmp_path / "other.csv", folder, run="sloww")
-    with pytest.raises(RecordError, match="no such file"):
+    with pytest.raises(RecordError, match="file not found"):
         cs.check(tmp_path / "nowhere.csv", folder)
 
 
@@ -116,4 +116,4 @@ def test_the_command_says_all_of_it(folder, tmp_path, capsys):
     assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
     (folder / "slow.csv").write_text("")
     assert main(words) == 1
-    assert "should not be kept" in capsys.readouterr().err
+    assert "has faults and should be repeated" in capsys.readouterr().err

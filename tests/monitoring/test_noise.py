@@ -153,7 +153,7 @@ def test_a_filter_is_told():
     [
         ({"a": np.arange(100.0) % 7}, {}, "no column is a time"),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
-        ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all its samples are the same"),
+        ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all its samples are equal"),
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),
     ],
 )
@@ -168,7 +168,7 @@ def test_what_cannot_be_used_is_refused(frame, words, message):
         ({"columns": ["Qy"]}, "there is no 'Qy'"),
         ({"columns": ["temp"]}, "has no unit"),
         ({"columns": ["temp"], "unit": "degC"}, "is in 'degC'"),
-        ({"unit": "kg"}, "`unit`: 'kg': one of a length, a velocity"),
+        ({"unit": "kg"}, "`unit`: 'kg': a unit of length, velocity"),
         ({"rate": "1 Hz"}, "rate"),
         ({"gravity": "9.8 s"}, "gravity"),
     ],
@@ -244,4 +244,4 @@ def test_the_command_writes_json_report_and_plot(tmp_path, capsys):
 
 def test_a_file_that_is_not_there(tmp_path, capsys):
     assert main(["noise", str(Path(tmp_path) / "none.csv")]) != 0
-    assert "there is no such file" in capsys.readouterr().err
+    assert "file not found" in capsys.readouterr().err

@@ -98,7 +98,7 @@ def test_too_few_poses_say_what_is_missing_and_are_kept_with_others(tmp_path):
     posed_records.campaign(tmp_path, {"few": FEW, "many": None})
     checked = cs.check(tmp_path / "few.log", tmp_path)
     assert not checked.good
-    assert "cannot tell their noise" in checked.remarks[0]
+    assert "do not determine their noise" in checked.remarks[0]
     assert (checked.run.state, checked.run.poses.count) == ("read", 5)
     assert checked.run.poses.rms is None
     assert len(checked.run.poses.missing) >= 4  # of nine unknowns five are known at best
@@ -117,7 +117,7 @@ def test_a_record_shorter_than_a_rest_should_not_be_kept(tmp_path, capsys):
     assert (checked.good, checked.run.state, checked.run.poses) == (False, "failed", None)
     assert "all.log: the record lasts 0.99 s, less than one rest" in checked.run.why
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 1
-    assert "should not be kept" in capsys.readouterr().err
+    assert "has faults and should be repeated" in capsys.readouterr().err
     (state,) = cs.watch(tmp_path, once=True)
     assert (state.runs[0].state, state.runs[0].why) == ("waiting", "1.0 s of 1.5 s of rest")
 
@@ -167,7 +167,7 @@ def test_poses_are_followed_while_they_are_recorded(tmp_path, suffix):
 
 def test_a_run_that_is_none_and_a_campaign_without_records_are_told(tmp_path):
     posed_records.campaign(tmp_path, {"all": MANY})
-    with pytest.raises(CampaignError, match='no run is called "al"'):
+    with pytest.raises(CampaignError, match='there is no run "al"'):
         cs.check(tmp_path / "all.log", tmp_path, run="al")
     values = triads.indications(triads.directions(20, np.random.default_rng(1)))
     folder = triads.table(tmp_path / "table", values)

@@ -72,10 +72,10 @@ def test_what_happens_to_files_is_told(folder):
     content = (folder / "middle.csv").read_bytes()
     (folder / "middle.csv").write_bytes(content[: len(content) // 2])
     state = next(states)
-    assert state.events == ["middle.csv has become shorter, and is read again from its start."]
+    assert state.events == ["middle.csv has become shorter, and is now read again from its start."]
     (folder / "middle.csv").unlink()
     state = next(states)
-    assert state.events == ["middle.csv is no longer there."]
+    assert state.events == ["middle.csv has disappeared."]
     assert state.runs[1].state == "waiting"
     (folder / "middle.csv").write_bytes(content)
     assert next(states).runs[1].state == "read"

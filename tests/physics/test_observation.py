@@ -283,7 +283,7 @@ def test_the_platform_is_seen_through_the_scale_factor():
 
 
 def test_unknown_terms_are_refused():
-    with pytest.raises(ValueError, match="no term is called 'K_IV'"):
+    with pytest.raises(ValueError, match="unknown term 'K_IV'"):
         columns(TRAJECTORY, QX, ["K_II", "K_IV"], np.array([1.0]))
 
 

@@ -239,5 +239,5 @@ def test_samples_that_cannot_tell_harmonics_apart_are_refused(harmonics):
 def test_a_rate_that_does_not_settle_is_reported():
     # A tenth of a revolution with noise: the harmonics take the place of the rate.
     times = np.linspace(0.0, 0.1, 200)
-    with pytest.raises(ConvergenceError, match=r"did not settle near 6\.28"):
+    with pytest.raises(ConvergenceError, match=r"did not converge near 6\.28"):
         fit_spindle(times, recorded(DRIFTING, 0.3, 23, times), DRIFTING.rate, harmonics=2)

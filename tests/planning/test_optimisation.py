@@ -315,5 +315,5 @@ def test_target_that_no_plan_reaches(predictor):
 
 
 def test_no_run_fits(predictor):
-    with pytest.raises(NotIdentifiableError, match="not one run fits into 5 s"):
+    with pytest.raises(NotIdentifiableError, match="no run fits into 5 s"):
         optimise(predictor, replace(DAY, total_time=5.0), K_II)

@@ -12,10 +12,10 @@ from counterspin.planning.result import GoalResult
         ("minimise", 1.0, True, "No plan within these limits is better by more than 0.05 %."),
         ("minimise", 0.9, True, "can reduce the uncertainty by more than 10 %"),
         ("target", 0.98, True, "can be more than 2 % shorter"),
-        ("target", 0.8, False, "can do with more than 20 % fewer readings"),
+        ("target", 0.8, False, "needs more than 20 % fewer readings"),
         # A bound that allows next to nothing says nothing of the plan.
-        ("target", 0.001, True, "is not known: the bound that holds for every plan"),
-        ("target", None, True, "is not known: no theorem"),
+        ("target", 0.001, True, "is unknown: the bound for all plans"),
+        ("target", None, True, "is unknown: no theorem"),
     ],
 )
 def test_what_another_plan_could_gain(kind, efficiency, timed, told):

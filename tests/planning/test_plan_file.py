@@ -12,7 +12,11 @@ from counterspin.planning.plan_file import read_plan
         ("fewest_revolutions = 5", "fewest_revolutions = 1e-12", "must be one revolution at least"),
         ('highest_rate = "1 rev/s"', 'highest_rate = "1e30 rev/s"', "samples at 50 Hz; give a"),
         ('sampling_rate = "50 Hz"', 'sampling_rate = "1e-9 Hz"', "5e-09 samples at 1e-09 Hz"),
-        ('total_time = "700 s"', 'total_time = "1e30 s"', "longer than any that can be made"),
+        (
+            'total_time = "700 s"',
+            'total_time = "1e30 s"',
+            "longer than the longest possible record",
+        ),
     ],
 )
 def test_sizes_of_no_machine_are_refused_with_their_reason(starter, old, new, words):

@@ -53,7 +53,7 @@ def test_the_first_lines_say_what_decides_u_and_what_is_assumed(tmp_path):
     _, answer, decides = sentences(honest)[:3]
     assert answer.startswith("u(K_II of Qx) = 2.")
     assert "coefficient, K_OO, which is not stated (typical 2 ug/g^2)" in decides
-    assert any("Nothing is taken as perfect" in text for text in sentences(honest))
+    assert any("Nothing is assumed perfect" in text for text in sentences(honest))
     assert sentences(taken)[2].startswith("Assumed perfect, so not included in u: ")
     assert not any("which is not stated" in text for text in sentences(taken))
 

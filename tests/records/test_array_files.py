@@ -44,7 +44,7 @@ def bomb(path):
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
 def test_columns_that_no_file_of_this_size_holds(tmp_path, name):
     message = refusal(bomb(tmp_path / name))
-    assert re.search(r"its \d+ bytes say that they hold \d+ bytes of numbers", message)
+    assert re.search(r"its \d+ bytes claim to contain \d+ bytes of numbers", message)
 
 
 def hdf5(path, signal=None):
@@ -88,8 +88,8 @@ def inner_link(file, values):
 @pytest.mark.parametrize(
     ("signal", "words"),
     [
-        (outside, "stand in another file"),
-        (virtual, "stand in another file"),
+        (outside, "are in another file"),
+        (virtual, "are in another file"),
         (external_link, f"'{SIGNAL}' is a link"),
         (inner_link, f"'{SIGNAL}' is a link"),
     ],

@@ -54,7 +54,7 @@ def test_a_file_without_names_says_so(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
     message = refusal(path)
     assert "there is no column" in message
-    assert "no line above the first numbers, line 1, would name the columns." in message
+    assert "since no line above the first numbers, line 1, would name them." in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
     record = read(path, time=ColumnSpec("column 1"), **numbered)
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
@@ -113,7 +113,7 @@ def test_a_quotation_mark_that_stands_alone(tmp_path, line):
     text = lines(table())
     text[500] = line.format(text[500])
     message = refusal(write(tmp_path / "run.csv", text))
-    assert "line 501: a quotation mark lacks the one that closes it" in message
+    assert "line 501: a quotation mark is not closed" in message
 
 
 @pytest.mark.parametrize("end", ['"', '"\r', '1.0,2.0,"'])
@@ -121,11 +121,11 @@ def test_a_quotation_mark_that_ends_the_file(tmp_path, end, capfd):
     """Where a number belongs, Polars prints a backtrace of it."""
     path = write(tmp_path / "run.csv", table())
     path.write_bytes(path.read_bytes() + end.encode())
-    assert "line 1002: a quotation mark lacks the one that closes it" in refusal(path)
+    assert "line 1002: a quotation mark is not closed" in refusal(path)
     assert capfd.readouterr().err == ""
     wide = path.read_text("utf-8").encode("utf-16")
     path.write_bytes(wide)
-    assert "line 1002: a quotation mark lacks the one that closes it" in refusal(path)
+    assert "line 1002: a quotation mark is not closed" in refusal(path)
     assert capfd.readouterr().err == ""
 
 

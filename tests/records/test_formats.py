@@ -19,7 +19,7 @@ from counterspin.records.record import ColumnSpec
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("run.csv.gz", "the file is packed; unpack it, and name the file that is in it."),
+        ("run.csv.gz", "the file is packed; unpack it, and give the file inside."),
         ("runs.ZIP", "the file is packed; unpack it"),
         ("run.doc", "a record file ends in one of .csv, .txt,"),
     ],
@@ -55,7 +55,7 @@ def test_every_format_gives_the_same_record(tmp_path):
 
 
 def test_missing_file_directory_and_unknown_kind(tmp_path):
-    assert "no such file" in refusal(tmp_path / "none.csv")
+    assert "file not found" in refusal(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     assert "directory" in refusal(tmp_path / "folder.csv")
     assert ".parquet" in refusal(tmp_path / "run.docx")
@@ -87,7 +87,7 @@ def test_no_name_is_a_pattern(tmp_path, suffix, names):
         write(tmp_path / f"{name}{suffix}", table(n=n))
     assert len(read(tmp_path / f"{names[0]}{suffix}").time) == 1000
     (tmp_path / f"{names[0]}{suffix}").unlink()
-    assert "no such file" in refusal(tmp_path / f"{names[0]}{suffix}")
+    assert "file not found" in refusal(tmp_path / f"{names[0]}{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
@@ -123,7 +123,7 @@ def test_a_folder_whose_name_is_no_text(tmp_path, suffix, readable):
     if readable:
         assert len(read(folder / f"run{suffix}").time) == 1000
     else:
-        assert "the path is no text in UTF-8" in refusal(folder / f"run{suffix}")
+        assert "the path is not valid UTF-8" in refusal(folder / f"run{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])

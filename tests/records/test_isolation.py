@@ -73,7 +73,7 @@ def test_a_crash_is_a_refusal_of_the_file(file):
 
 @linux
 def test_memory_without_end_is_refused(file):
-    with pytest.raises(DamagedFileError, match="more memory than it may have"):
+    with pytest.raises(DamagedFileError, match="more memory than is allowed"):
         isolated(misbehaving.take_memory, file)
 
 

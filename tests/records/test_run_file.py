@@ -106,7 +106,7 @@ def test_the_angle_passes_through_pulses_that_scatter_without_a_jump():
     [
         (stamps()[:2], RATE, "too few"),
         (stamps()[::-1], RATE, "not later"),
-        (stamps(), 2 * RATE, "should every 0.5 s"),
+        (stamps(), 2 * RATE, "should be 0.5 s"),
         (np.insert(stamps(), 5, stamps()[4] + 0.4), RATE, "pulse 6 comes 0.4 s after"),
     ],
 )
@@ -125,5 +125,5 @@ def test_pulses_of_another_file(tmp_path):
     np.testing.assert_allclose(record.angle, angle[: len(record.angle)], atol=1e-4)
     assert record.others[pulses].size == pulses.stat().st_size
     pulses.write_text("time_s\n1\n2.5\n4\n")
-    with pytest.raises(RecordError, match=r"index.csv: column 'time_s': .* should every 2 s"):
+    with pytest.raises(RecordError, match=r"index.csv: column 'time_s': .* should be 2 s"):
         read(tmp_path / "run.csv", angle=spec, pulses=pulses)

@@ -128,7 +128,7 @@ def test_a_result_may_have_any_name(stored, capsys):
 
 def test_a_description_is_calibrated_first(tmp_path, capsys):
     assert main(["report", str(tmp_path / "campaign.toml")]) == 2
-    assert "there is no such file; `counterspin init DIR`" in capsys.readouterr().err
+    assert "file not found; `counterspin init DIR`" in capsys.readouterr().err
     (tmp_path / "campaign.toml").write_text("schema = 1", "utf-8")
     assert main(["report", str(tmp_path / "campaign.toml")]) == 2
     assert "site: is missing" in capsys.readouterr().err

@@ -330,7 +330,7 @@ def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
         full(), Console(file=stream, force_terminal=True, color_system="standard", width=100)
     )
     assert "\x1b[33mWarning: run2" in stream.getvalue()
-    assert "\x1b[33mQx is to be used" in stream.getvalue()
+    assert "\x1b[33mQx can be used" in stream.getvalue()
     assert "\x1b[1;33mK_II of Qx" in stream.getvalue()
 
 

@@ -114,7 +114,7 @@ def test_another_campaign_is_left_alone(tmp_path):
 
 def test_records_of_somebody_else_are_left_alone(tmp_path):
     (tmp_path / "run1.csv").write_text("measured")
-    with pytest.raises(CounterspinError, match=r"run1\.csv is of no demonstration"):
+    with pytest.raises(CounterspinError, match=r"run1\.csv does not belong to a demonstration"):
         demo(tmp_path, overwrite=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["measured"]
 

@@ -180,7 +180,7 @@ def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):
     [
         ('"site.gravity" = { normal = "9.8 ± 1e-4 m/s^2", per = "run" }', "is common to the runs"),
         ('"site.gravity" = { fixed = "8 m/s^2" }', "must be between 9.76 and 9.84 m/s^2"),
-        ('"C.records.clock" = { fixed = "1 ppm" }', "is of nothing that is recorded or read here"),
+        ('"C.records.clock" = { fixed = "1 ppm" }', "does not apply to any record or reading here"),
     ],
 )
 def test_an_input_that_cannot_vary_so_is_refused(tmp_path, vary, words):

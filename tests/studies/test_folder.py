@@ -115,7 +115,10 @@ def test_progress_that_is_cut_short_is_told_and_the_study_done_anew(campaign, be
     file = begun / "progress.npz"
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
-    with pytest.warns(CounterspinWarning, match=r"progress\.npz is damaged: the study begins anew"):
+    with pytest.warns(
+        CounterspinWarning,
+        match=r"progress\.npz is damaged: the study starts again from the beginning",
+    ):
         outcome = resumed(campaign, begun)
     assert outcome[2] == 0
     assert_whole(outcome, whole)
@@ -150,7 +153,7 @@ def test_progress_that_does_not_fit_is_told(campaign, begun, whole, change):
     with np.load(begun / "progress.npz") as kept:
         arrays = dict(kept) | change
     np.savez(begun / "progress.npz", **arrays)
-    with pytest.warns(CounterspinWarning, match="begins anew"):
+    with pytest.warns(CounterspinWarning, match="starts again from the beginning"):
         outcome = resumed(campaign, begun)
     assert_whole(outcome, whole)
 
@@ -197,10 +200,10 @@ def test_what_is_whole_is_not_done_again(campaign, begun, whole):
 def test_begun_study_is_not_begun_anew_by_a_slip(campaign, begun, whole, capsys):
     (begun / "study.json").unlink()
     before = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
-    with pytest.raises(CounterspinError, match="holds a study that was begun; go on with it"):
+    with pytest.raises(CounterspinError, match="contains an unfinished study; continue it"):
         study(campaign, trials=TRIALS, output=begun)
     assert main(["study", str(campaign), "-o", str(begun)]) == 1
-    assert "give it up by --overwrite" in " ".join(capsys.readouterr().err.split())
+    assert "discard it with --overwrite" in " ".join(capsys.readouterr().err.split())
     assert {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()} == before
     folder = StudyFolder(begun, overwrite=True)
     assert study(campaign, trials=TRIALS, output=folder) == whole[0]

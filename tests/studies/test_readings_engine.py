@@ -235,11 +235,11 @@ SLIPS = {
     ),
     "a spindle": (
         '[study.vary]\n"spindle.drift" = { fixed = "1e-6 1/s" }\n',
-        "acts on records of a double turntable, of which there are none here",
+        "acts on records of a double turntable only, and there are none",
     ),
     "another mounting": (
         '[study.vary]\n"centrifuge.radius.inn" = { fixed = "1 mm" }\n',
-        'is nothing that a study can vary; did you mean "centrifuge.radius"?',
+        'cannot be varied in a study; did you mean "centrifuge.radius"?',
     ),
     "no noise": ("", "truth.noise.reading: missing"),
 }

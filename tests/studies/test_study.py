@@ -238,7 +238,7 @@ def two_stage_part(folder, noise):
     ("noise", "reason"),
     [
         ('acceleration = "1e-5 g/Hz^0.5"', "the noise that the analysis assumes is not white"),
-        ('acceleration = "estimate"', "the accelerometer's noise has to be found"),
+        ('acceleration = "estimate"', "the accelerometer's noise has to be estimated"),
         ('timing = "1e-3 s"', "recorded time that the analysis assumes"),
     ],
 )
@@ -492,9 +492,9 @@ def test_resuming_another_study_is_refused(varying, paper, tmp_path):
             raise KeyboardInterrupt
 
     study(varying, trials=120_000, output=out, progress=stop)
-    with pytest.raises(CounterspinError, match="another one"):
+    with pytest.raises(CounterspinError, match="begun there differs"):
         study(paper, trials=120_000, output=StudyFolder(out, resume=True))
-    with pytest.raises(CounterspinError, match="holds no study"):
+    with pytest.raises(CounterspinError, match="contains no study"):
         study(varying, output=StudyFolder(tmp_path / "new", resume=True))
 
 
@@ -533,13 +533,13 @@ terms = ["K_XX"]
     with pytest.raises(CampaignError) as caught:
         read_study(folder)
     for words in (
-        "study.vary.K_IX: is nothing that a study can vary",
+        "study.vary.K_IX: cannot be varied in a study",
         'study.vary.K_II: a normal distribution is written "MEAN ± SD UNIT"',
         "study.vary.K_III: the least value must be below the greatest",
         "study.vary.\"centrifuge.radius\": 's' is not a unit of",
-        'study.vary."noise.displacement": has one of normal, uniform and fixed',
+        'study.vary."noise.displacement": needs one of normal, uniform and fixed',
         "study.analyses.one.weighted: is an option of the two-stage method",
-        'study.analyses.two: model.terms[0]: no term is called "K_XX"',
+        'study.analyses.two: model.terms[0]: unknown term "K_XX"',
     ):
         assert words in str(caught.value)
     write(folder, text)
@@ -586,7 +586,9 @@ def test_joint_fit_without_a_recorded_angle_is_studied_by_whole_records(tmp_path
     text = SHORT.replace('angle = { column = "angle_rad", unit = "rad" }', "")
     text += '[study.analyses.joint]\nmethod = "joint"\n'
     (found,) = study(write(tmp_path / "angle", text), trials=4).analyses.values()
-    assert found.engine == "full records (no angle is recorded, and the rotation has to be found)"
+    assert (
+        found.engine == "full records (no angle is recorded, and the rotation has to be estimated)"
+    )
 
 
 # The command
@@ -620,5 +622,5 @@ def test_a_campaign_in_memory_is_studied_as_its_file(tmp_path):
     assert len(study(changed, trials=50, seed=2).varying) == 1
     with pytest.raises(CampaignError, match=r"campaign.toml, changed in memory: study\.trails"):
         study(campaign.change(study={"trails": 5}))
-    with pytest.raises(CounterspinError, match="no description of it is known"):
+    with pytest.raises(CounterspinError, match="its description is unknown"):
         study(replace(campaign, title="other"))

@@ -50,7 +50,7 @@ class Signing(BaseModel):
         if self.key is None:
             if desk.signer is None:
                 raise CounterspinError(
-                    "This server was started without a command that signs; bring a key."
+                    "This server was started without a signing command; use a key file."
                 )
             return replace(desk.signer, signed=partial(_while_others_draw, desk))
         own = None if self.certificate is None else self.certificate.read()

@@ -133,7 +133,7 @@ class Desk:
         document: A campaign's description, a plan, the laboratory's data.
         """
         wrong = [
-            f"{key}: {name!r} is not in the folder that is served, and is not used from here"
+            f"{key}: {name!r} is outside the served folder and cannot be used here"
             for key, name in _texts(document)
             if not self.folder.holds_named(folder, name)
         ]

@@ -123,7 +123,7 @@ def changed(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
         try:
             value = datetime.date.fromisoformat(value)
         except (TypeError, ValueError) as error:
-            raise CounterspinError(f"{value!r} is no date: write 2026-03-01") from error
+            raise CounterspinError(f"{value!r} is not a date: write 2026-03-01") from error
     said = _document(text)
     try:
         wanted = _with(said, path, value)
@@ -138,9 +138,7 @@ def changed(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     return made
 
 
-_NOT_HERE: Final = (
-    "The file is written in a way that this field cannot change; change it in the text beside it."
-)
+_NOT_HERE: Final = "This field cannot change the file as it is written; edit the text instead."
 
 
 def _with(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:

@@ -47,8 +47,8 @@ class ChangedMeanwhileError(CounterspinError):
     def __init__(self, name: str, now: FileVersion) -> None:
         self.now = now
         super().__init__(
-            f"{name} was changed meanwhile, by another window or another program; nothing is "
-            "written. Compare the two, then save again."
+            f"{name} was changed in the meantime by another window or program; nothing "
+            "was written. Compare the two, then save again."
         )
 
 
@@ -83,7 +83,7 @@ class ServedFolder:
             raise OutsideError(f"{name!r} has more than {_MOST_PARTS} folders")
         odd = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
         if odd or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
-            raise OutsideError(f"{name!r} is no name of a file in this folder")
+            raise OutsideError(f"{name!r} is not a valid file name in this folder")
         path = self.root.joinpath(*parts)
         if not self.holds(path):
             raise OutsideError(f"{name!r} leads out of this folder")

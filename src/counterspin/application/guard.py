@@ -60,8 +60,8 @@ _HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
 #: What is told to who asks for something of the folder without the key.
 NO_KEY: Final = (
-    "This window does not have the server's key. Open the newest link in the terminal in which "
-    "`counterspin serve` runs; each link counts once."
+    "This window does not have the server's key. Open the newest link in the terminal in "
+    "which `counterspin serve` runs; each link works once."
 )
 
 #: What the page may load: its own modules, styles and data; pictures have styles of their own.
@@ -183,16 +183,16 @@ class Guard:
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
         if len(hosts) != 1 or hosts[0] not in self._door.hosts:
-            yield 403, "This page is reached by its own address alone."
+            yield 403, "This page can only be reached by its own address."
         origins = headers.getlist("origin")
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
-            yield 403, "Another page asked for this; it gets no answer."
+            yield 403, "Another page sent this request, which is refused."
         if scope["method"] not in _READING_METHODS and not origins:
-            yield 403, "The request does not say where it comes from."
+            yield 403, "The request does not state its origin."
         if path.startswith("/api/"):
             if not same_site:
-                yield 403, "Another page asked for this; it gets no answer."
+                yield 403, "Another page sent this request, which is refused."
             if not (known or path == SESSION or path.startswith(TICKETS)):
                 yield 401, NO_KEY
         length = headers.get("content-length", "0")

@@ -208,7 +208,9 @@ def prepare_way(
     else:
         further = (_searched(desk, name) or {}).get(accelerometer)
         if further is None:
-            raise NotThereError(f"{accelerometer}: no further runs were found; look for them first")
+            raise NotThereError(
+                f"{accelerometer}: no further runs were found; search for them first"
+            )
         first, ending = len(load_document(source).get("runs", [])), "further-runs"
         for place, run in enumerate(further.runs):
             text = changed(text, ["runs", first + place], run)
@@ -254,7 +256,9 @@ def _symbol(found: AccelerometerResult) -> str:
 def _asked(found: AccelerometerResult) -> tuple[str, WhatIf]:
     symbol = _symbol(found)
     if found.what_if is None or not symbol:
-        raise NotThereError("the result does not say what its uncertainty depends on; make it anew")
+        raise NotThereError(
+            "the result does not state what its uncertainty depends on; calibrate again"
+        )
     return symbol, found.what_if
 
 

@@ -149,7 +149,7 @@ def form_of(respond: Callable[..., Any]) -> type[BaseModel]:
 def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:
     """Answer one request; whatever goes wrong is an answer, too."""
     if (method, name) not in ENDPOINTS:
-        return Answer(404, {"error": "There is nothing of that name."})
+        return Answer(404, {"error": "There is nothing with that name."})
     respond = ENDPOINTS[method, name]
 
     def made() -> Any:
@@ -165,7 +165,7 @@ def taken(desk: Desk, ticket: str) -> Answer:
     """Answer what a ticket was issued for, the first time that it is shown."""
     target = desk.tickets.take(ticket)
     if target is None:
-        return Answer(404, {"error": "This address counted once; click again on the page."})
+        return Answer(404, {"error": "This address works once; click again on the page."})
     return answer(desk, "GET", *target)
 
 
@@ -197,7 +197,7 @@ def _failed(error: Exception) -> Answer:
             first = error.errors(include_url=False)[0]
             return Answer(400, {"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"})
         case json.JSONDecodeError() | UnicodeDecodeError() | RecursionError():
-            return Answer(400, {"error": "The request is no JSON."})
+            return Answer(400, {"error": "The request is not JSON."})
         case OSError():
             return Answer(422, {"error": f"The operating system refuses: {error.strerror}"})
     return Answer(500, {"error": f"internal error ({type(error).__name__}: {error})"})

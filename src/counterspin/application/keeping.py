@@ -53,9 +53,9 @@ def _source(desk: Desk, name: str) -> Path:
     """Return a campaign's folder; OutsideError of what would lead out of the folder served."""
     source = desk.description(name).parent
     if source == desk.folder.root:
-        raise CounterspinError("this campaign is the folder that is served; move it by hand")
+        raise CounterspinError("this campaign is the served folder itself; move it by hand")
     if desk.folder.root.joinpath(*Path(name).parts).is_symlink():
-        raise OutsideError(f"{name} is a link to a folder; nothing is done with it from here")
+        raise OutsideError(f"{name} is a link to a folder, which the application leaves alone")
     for path in source.rglob("*"):
         if path.is_symlink():
             raise OutsideError(f"{desk.folder.name(path)} is a link; copy or move it by hand")
@@ -67,7 +67,7 @@ def _idle(desk: Desk, name: str) -> Path:
     source = _source(desk, name)
     busy = [job for job in desk.jobs.all() if job.state in ("waiting", "running")]
     if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in busy):
-        raise CounterspinError(f"{name}: a job is at work in it; wait for its end, or stop it")
+        raise CounterspinError(f"{name}: a job is running in it; wait until it ends, or stop it")
     return source
 
 

@@ -114,7 +114,7 @@ class LiveViews:
             view = None
         if view is None:
             if len(self._views) >= _MAX_FOLLOWED:
-                raise CounterspinError("too many campaigns and plans are looked at at once")
+                raise CounterspinError("too many campaigns and plans are open at once")
             view = self._views[key] = _View(Worker(work, *words), stamp)
             if len(self._views) == 1:
                 threading.Thread(target=self._forget, daemon=True).start()

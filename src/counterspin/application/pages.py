@@ -159,7 +159,7 @@ def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: i
 
     made = _page(desk, kind, names, term)
     if isinstance(made, Job):
-        raise NotThereError("the page of this picture is still being made")
+        raise NotThereError("the page of this picture is still being prepared")
     pictures = [block for block in made.blocks if isinstance(block, Picture)]
     if not 0 <= place < len(pictures):
         raise NotThereError(f"there is no picture {place}")

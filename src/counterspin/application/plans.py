@@ -135,7 +135,7 @@ def _plan(desk: Desk, file: Path) -> Plan:
         document = load_document(file)
         desk.require_inside(file.parent, document)
         if not is_plan(document):
-            raise CampaignError(str(file), ["no plan of records: it has no [limits] and [goal]"])
+            raise CampaignError(str(file), ["not a plan of records: it has no [limits] and [goal]"])
         return read_plan(file)
 
     return desk.remembered.get(("plan", file), [file], make)
@@ -225,7 +225,7 @@ def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
     limits = _moved(search.plan, moved)
     if not limits.possible:
         raise CounterspinError(
-            "No campaign fits into these limits: its runs would take longer than there is."
+            "No campaign is possible within these limits: its runs would take too long."
         )
     optimum = search.best(limits)
     if optimum is None:
@@ -261,7 +261,7 @@ def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
     for key, value in (moved or {}).items():
         limit = PLAN_KEYS.get(key)
         if limit is None:
-            raise CounterspinError(f"{key}: there is no such limit to move")
+            raise CounterspinError(f"{key}: there is no such limit")
         values[key] = min(max(value, _low(limit, values[key])), highs[key])
     total = values["total_time"]
     longest = limits.longest_run

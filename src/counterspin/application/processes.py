@@ -26,9 +26,7 @@ class Worker:
             self._process.start()
         except OSError as error:  # no memory, or too many processes
             self._here.close()
-            raise CounterspinError(
-                f"the process that works on it cannot begin: {error.strerror}"
-            ) from error
+            raise CounterspinError(f"its process cannot be started: {error.strerror}") from error
         finally:
             there.close()
 
@@ -50,7 +48,7 @@ class Worker:
         try:
             told: tuple[Any, ...] | None = self._here.recv() if self._here.poll(seconds) else None
         except (EOFError, OSError):
-            return "failed", "the process that worked on it died; perhaps memory ran out"
+            return "failed", "its process died; perhaps memory ran out"
         return told
 
     def end(self) -> None:

@@ -60,7 +60,9 @@ def application(desk: Desk, door: Door) -> Starlette:
         except (ValueError, KeyError, TypeError, RecursionError):
             key = None
         if key is None:
-            why = "That link was used, or is not of this server; open the newest in its terminal."
+            why = (
+                "That link has been used or is not of this server; open the newest in its terminal."
+            )
             return JSONResponse({"error": why}, 403)
         if door.tell is not None:
             await run_in_threadpool(door.tell, door.link)
@@ -168,11 +170,11 @@ def serve(
     with listening(port) as listener, tempfile.TemporaryDirectory(prefix="counterspin-") as own:
 
         def tell(link: str) -> None:
-            say("That link was used, and counts once. For another browser or window:")
+            say("That link has been used; each works once. For another browser or window:")
             say(f"  {link}")
 
         door = Door(listener.getsockname()[1], tell=tell)
-        say(f"Serving {folder} to this machine alone. Ctrl-C ends it.")
+        say(f"Serving {folder} to this machine only. Ctrl-C stops the server.")
         say(f"  {door.link}")
         if browser:
             opening = threading.Timer(0.3, webbrowser.open, [_leading(Path(own), door.link)])
@@ -259,7 +261,7 @@ def listening(port: int) -> socket.socket:
         listener.close()
         reason = getattr(error, "strerror", None) or str(error)
         raise CounterspinError(
-            f"port {port} of this machine cannot be had ({reason}); give another `port`, or 0 "
-            "for any that is free"
+            f"port {port} is in use or not permitted ({reason}); give another "
+            "`port`, or 0 for any free one"
         ) from error
     return listener

@@ -285,7 +285,7 @@ class ReadingResult(ResultPart):
 
 
 class PoseResult(ResultPart):
-    """One pose of a triad at an attitude that nobody knows, in g.
+    """One pose of a triad at an unknown attitude, in g.
 
     `z` is the residual over its own standard deviation, None where the fit follows it wholly.
     """
@@ -341,7 +341,7 @@ class TriadResult(ResultPart):
     rms_before: float | None = None
     #: The same by matrix and bias, once second-order terms that were asked for are taken away.
     rms_after: float | None = None
-    poses: list[PoseResult] = []  #: Those at attitudes that nobody knows.
+    poses: list[PoseResult] = []  #: Those at unknown attitudes.
     records: dict[str, PosesInRecord] = {}  #: By run: records in which poses were found.
 
     def frame(self, library: str = "polars") -> Any:

@@ -211,6 +211,6 @@ class AccelerometersReader:
         for key, column in others.items():
             if column in seen:
                 self.problems.add(
-                    tuple(key.split(".")), f'column "{column}" is used by {seen[column]} already'
+                    tuple(key.split(".")), f'column "{column}" is already used by {seen[column]}'
                 )
             seen[column] = key

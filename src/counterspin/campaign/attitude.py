@@ -23,7 +23,7 @@ def read_direction(value: object) -> tuple[float, float, float]:
     """Return the unit vector in east-north-up."""
     if isinstance(value, str):
         if value not in DIRECTIONS:
-            raise ValueError(f'no direction is called "{value}"' + did_you_mean(value, DIRECTIONS))
+            raise ValueError(f'unknown direction "{value}"' + did_you_mean(value, DIRECTIONS))
         return DIRECTIONS[value]
     numbers = isinstance(value, list) and all(
         isinstance(c, int | float) and not isinstance(c, bool) for c in value
@@ -51,7 +51,7 @@ def attitude_rows(value: object) -> Array:
         turn = parse(match[1], "rad")
         if turn.u != 0.0:
             raise ValueError(
-                "an attitude has no uncertainty here; give the term platform.tilt a prior"
+                "an attitude takes no uncertainty here; give platform.tilt a prior instead"
             )
         return _turned(turn.value, np.array(read_direction(match[2])))
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:

@@ -123,7 +123,7 @@ def a_part(text: object, info: ValidationInfo) -> Quantity:
 def a_clock(value: Quantity) -> Quantity:
     """Return by how much of itself a clock is fast, if it is one."""
     if abs(value.value) > 0.01:
-        raise ValueError("a clock that is off by more than 1 % is none; check the unit of the time")
+        raise ValueError("a clock error above 1 % is not plausible; check the unit of the time")
     return value
 
 
@@ -167,7 +167,7 @@ def a_latitude(value: Any) -> Any:
 def an_error(value: Quantity) -> Quantity:
     """Refuse what is not about zero, or has no uncertainty."""
     if value.value != 0.0 or not value.u > 0.0:
-        raise ValueError('is as likely to either side, and has a size; write "0 ± 0.5 deg"')
+        raise ValueError('needs the value zero and an uncertainty; write "0 ± 0.5 deg"')
     return value
 
 
@@ -230,8 +230,8 @@ def file_name(name: str) -> str:
     """Return a file's name; one whose backslashes TOML has taken for something else is refused."""
     if any(ord(character) < 32 for character in name):
         raise ValueError(
-            f"{name!r} has a line break, tab or the like in it: in double quotation marks TOML "
-            f"reads a backslash as the beginning of one; {BACKSLASH_ADVICE}"
+            f"{name!r} contains a line break, tab or similar: in double quotation "
+            f"marks TOML reads a backslash as an escape; {BACKSLASH_ADVICE}"
         )
     return name
 
@@ -320,7 +320,9 @@ def an_encoding(name: str) -> str:
     try:
         codecs.lookup(name)
     except LookupError:
-        raise ValueError(f'there is no encoding "{name}"; usual: utf-8, latin-1, utf-16') from None
+        raise ValueError(
+            f'unknown encoding "{name}"; common ones: utf-8, latin-1, utf-16'
+        ) from None
     return name
 
 

@@ -140,7 +140,7 @@ def resolve_model(
         if symbol in terms:
             problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
-        problems.add(("model", "terms"), "names no accelerometer term to estimate")
+        problems.add(("model", "terms"), "contains no accelerometer term to estimate")
     shared, own = _resolve_priors(settings.priors, given, on, problems, gravity)
     of_machine = on.stated((*terms, *held))
     for symbol in shared.keys() & of_machine.keys() if not on.read else ():
@@ -168,7 +168,7 @@ def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
         bare = name.removesuffix("*").removesuffix(".")
         if bare not in ("", EVERYTHING) and bare not in families and not is_term(bare):
             known = [EVERYTHING, *TABLE, *families]
-            message = f'no term is called "{name}"' + did_you_mean(bare, known)
+            message = f'unknown term "{name}"' + did_you_mean(bare, known)
             problems.add(("model", "assume", place), message)
     return tuple(names)
 
@@ -177,7 +177,7 @@ def refuse_encoder(model: ErrorModel, problems: Problems) -> None:
     """Note terms of an encoder that records nothing."""
     for key, symbols in (("terms", model.terms), ("hold", model.considered)):
         if any(symbol.startswith("encoder.") for symbol in symbols):
-            problems.add(("model", key), "has errors of the encoder, but no angle is recorded")
+            problems.add(("model", key), "contains errors of the encoder, but no angle is recorded")
 
 
 def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -> tuple[str, ...]:
@@ -192,7 +192,8 @@ def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -
         if key == "terms" and row is not None and row.effect.condition == "force":
             problems.add(
                 path,
-                f'"{name}" cannot be told from K_II; state what is known of it in [model.priors]',
+                f'"{name}" cannot be separated from K_II; state what is known of it in '
+                f"[model.priors]",
             )
         symbols |= dict.fromkeys(found)
     return tuple(symbols)
@@ -221,7 +222,7 @@ def _read(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[str
     """Return what a name of the machine, or of a slope, stands for among what readings show."""
     found = expand(name, on.shown)
     if not found:
-        problems.add(path, f'no reading shows "{name}"' + did_you_mean(name, on.shown))
+        problems.add(path, f'no reading depends on "{name}"' + did_you_mean(name, on.shown))
     return found
 
 
@@ -230,7 +231,7 @@ def _unknown(name: str, path: Path, problems: Problems) -> None:
     hint = did_you_mean(name, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*OWN_TERMS, *BARE_NAMES])}"
-    problems.add(path, f'no term is called "{name}"' + hint)
+    problems.add(path, f'unknown term "{name}"' + hint)
 
 
 def _widest_first(names: Iterable[str]) -> list[str]:
@@ -360,7 +361,7 @@ def check_conditions(
             if not there:
                 example = '"23.4 degC"' if key == "temperature" else '"12 min"'
                 problems.add(
-                    ("runs", place, key), f"is missing: {why}; write {key} = {example}, or the like"
+                    ("runs", place, key), f"is missing: {why}; write for example {key} = {example}"
                 )
         if asking and key == "temperature" and reference is None and runs and all(stated):
             temperatures = {run.temperature for _, run in runs}

@@ -77,7 +77,7 @@ def parse(
         if isinstance(text, bool) or not isinstance(text, int | float):
             raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
         if not math.isfinite(text):
-            raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
+            raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
         written = _with_unit(repr(text), unit, usual)
         raise ValueError(f"a number without its unit; write {written} ({kind}: {accepted})")
     if len(text) > _MAX_CHARACTERS:
@@ -86,12 +86,12 @@ def parse(
         )
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
-        raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
+        raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
     if BARE.fullmatch(clean):
         written = _with_unit(clean, unit, usual)
-        raise ValueError(f"{text!r} has no unit; {kind} is wanted ({accepted}); write {written}")
+        raise ValueError(f"{text!r} has no unit; {kind} is needed ({accepted}); write {written}")
     if re.match(r"[+-]?\d+,\d", clean):
-        raise ValueError(f"{text!r} has a comma; decimals are written with a point")
+        raise ValueError(f"{text!r} contains a comma; write decimals with a point")
     match = _QUANTITY.fullmatch(clean)
     if match is None:
         raise ValueError(
@@ -105,13 +105,11 @@ def parse(
     value = float(match[1]) * factor
     u = float(match[2] or 0.0) * factor
     if not (math.isfinite(value) and math.isfinite(u)):
-        raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
+        raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
     if u < 0.0:
         raise ValueError(f"{text!r} has a negative uncertainty")
     if any(size and not _SIZE_RANGE[0] < size < _SIZE_RANGE[1] for size in (abs(value), u)):
-        raise ValueError(
-            f"{text!r} is too large or too small to be real; {kind} is wanted ({accepted})"
-        )
+        raise ValueError(f"{text!r} is implausibly large or small; {kind} is needed ({accepted})")
     return Quantity(value, u, unit)
 
 
@@ -119,7 +117,7 @@ def _with_unit(number: str, unit: str, usual: str | None) -> str:
     """Say how a number is written with the unit that it is most likely in."""
     scales = (usual,) if usual else _SCALES.get(unit, (advice(unit)[1].split(",")[0],))
     *others, last = (f'"{number} {scale}"' for scale in scales)
-    return f"{', '.join(others)} or {last}, whichever it is" if others else last
+    return f"{', '.join(others)} or {last}, whichever applies" if others else last
 
 
 def last_digit(text: str) -> str:
@@ -138,4 +136,4 @@ def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
         example = f'"{value} ± {same:.12g} {unit}"'
     except (ValueError, KeyError):  # a unit that nobody knows, on either side
         example = '"VALUE ± U UNIT"'
-    return f"has a unit before its ±; the unit is written once, at the end: {example}"
+    return f"has a unit before its ±; write the unit once, at the end: {example}"

@@ -52,9 +52,9 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
     margin = 3.0 * math.hypot(campaign.gravity.u, _slope(campaign) * campaign.latitude.u)
     degrees = math.degrees(campaign.site.latitude)
     removed = campaign.site.removed_gravity
-    stated = [("site", "Gravity", campaign.site.gravity, "Is one of the two of another place?")]
+    stated = [("site", "Gravity", campaign.site.gravity, "Do both belong to the same place?")]
     if removed is not None and removed not in _STANDARD_GRAVITIES:
-        words = "Does the computer really take this away?"
+        words = "Does the computer really subtract this value?"
         stated.append(("site.removed_gravity", "The removed gravity", removed, words))
     for subject, what, gravity, question in stated:
         if low - margin <= gravity <= high + margin:
@@ -62,7 +62,7 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="gravity-latitude",
             subject=subject,
-            text=f"{what} {gravity:.6g} m/s^2 does not fit latitude {degrees:.4g} deg: from "
+            text=f"{what} {gravity:.6g} m/s^2 does not agree with latitude {degrees:.4g} deg: from "
             f"{HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m of height it is {low:.4f} to {high:.4f} "
             f"m/s^2 there. {question}",
         )
@@ -86,8 +86,8 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
             subject=f"{name}.K_I",
             text=f"{name} is upright in {runs}, and its {accelerometer.observable} has what the "
             "navigation computer leaves of gravity, which is known to "
-            f"{campaign.gravity.u:.2g} m/s^2 only. Taken is that the computer removes it exactly; "
-            "if it removes a fixed value, state that as removed_gravity in [site].",
+            f"{campaign.gravity.u:.2g} m/s^2 only. It is assumed that the computer removes it "
+            "exactly; if it removes a fixed value, state that as removed_gravity in [site].",
         )
 
 
@@ -112,8 +112,8 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="unrecorded-axis",
             subject="records.reference",
-            text='reference = "own velocity" changes nothing here: from a specific force no '
-            "Coriolis acceleration is removed. Leave it out, or record displacement or velocity.",
+            text='reference = "own velocity" has no effect here: no Coriolis acceleration '
+            "is removed from a specific force. Leave it out, or record displacement or velocity.",
         )
     for name, coupled in lacking.items():
         if coupled > _CORIOLIS_PART:
@@ -122,8 +122,9 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
             yield Question(
                 code="unrecorded-axis",
                 subject=f"{name}.K_F",
-                text=f"The computer's own velocity along directions that nobody recorded acts on "
-                f"{name}, and is taken to be free of errors: an error of 1 mg there moves K_F by "
+                text=f"The computer's own velocity along unrecorded directions "
+                f"affects {name}, and is assumed to be free of errors: an error of 1 mg there "
+                f"moves K_F by "
                 f"{moved:.1g} g in a run of 100 s. Record all three axes in the same run.",
             )
 

@@ -204,7 +204,7 @@ def resolve_readings(
         others = f", nor have {len(blank) - 1} others" if len(blank) > 1 else ""
         problems.add(
             blank[0],
-            f"has no value yet{others}; write what was read, or [truth] to simulate it",
+            f"has no value yet{others}; enter the reading, or [truth] to simulate it",
         )
     return tuple(readings)
 
@@ -243,7 +243,7 @@ def resolve_reading(
         problems.add(path, "give one of reading and record")
         return []
     if settings.poses is not None:
-        problems.add((*path, "poses"), 'are found where attitude = "unknown"')
+        problems.add((*path, "poses"), 'are searched for only with attitude = "unknown"')
     values = settings.reading
     if settings.record is not None:
         values = dict.fromkeys(mountings, "")
@@ -262,7 +262,7 @@ def resolve_reading(
         )
         if name not in mountings:
             problems.add(
-                where, f'no accelerometer is called "{name}"' + did_you_mean(name, mountings)
+                where, f'there is no accelerometer "{name}"' + did_you_mean(name, mountings)
             )
             continue
         read: _Value | None = _Value(0.0, None)
@@ -411,7 +411,7 @@ def _axes(settings: ReadingRunSettings, mounting: Mounting, attitude: _Attitude 
     if settings.axes is None:
         if settings.motion == "arm":
             raise ValueError(
-                'on an arm the axes follow from no attitude; write axes = { input = "inward", '
+                'on an arm there is no attitude; write axes = { input = "inward", '
                 'pendulous = "up" }'
             )
         return mounting if attitude is None else mounting.turned(attitude[0])
@@ -426,6 +426,6 @@ def _axes(settings: ReadingRunSettings, mounting: Mounting, attitude: _Attitude 
 def _direction(value: str | list[float], names: Mapping[str, Any]) -> list[float]:
     if isinstance(value, str):
         if value not in names:
-            raise ValueError(f'no direction is called "{value}" here' + did_you_mean(value, names))
+            raise ValueError(f'unknown direction "{value}" here' + did_you_mean(value, names))
         return list(names[value])
     return value

@@ -152,7 +152,7 @@ def _once(value: Any, seen: dict[str, int], path: KeyPath, problems: Problems) -
     index = path[1]
     assert isinstance(index, int)
     if isinstance(value, str) and seen.setdefault(value, index) != index:
-        problems.add(path, f'"{value}" is used by runs[{seen[value]}] already')
+        problems.add(path, f'"{value}" is already used by runs[{seen[value]}]')
 
 
 def _duration(
@@ -174,7 +174,7 @@ def _truth(
     if defaults.truth is not None:
         return defaults.truth.of_run(settings.rate, settings.truth or {}, (*path, "truth"))
     if settings.truth is not None:
-        problems.add((*path, "truth"), "needs [simulation] or [truth] beside it")
+        problems.add((*path, "truth"), "needs [simulation] or [truth]")
     return None
 
 
@@ -187,7 +187,7 @@ def _own_recording(
     path = (*path, "records")
     for key in settings.records:
         if key not in _OWN:
-            problems.add((*path, key), f"is not of one run; known: {', '.join(_OWN)}")
+            problems.add((*path, key), f"cannot be set for one run; known: {', '.join(_OWN)}")
     if "angle" in settings.records and "angle" not in defaults.records:
         problems.add((*path, "angle"), "state an angle in [records], for all runs")
     own = problems.check(RecordsSettings, patched(defaults.records, settings.records), path)
@@ -196,7 +196,9 @@ def _own_recording(
     recording = own.recording
     if recording.recorder == (defaults.records.get("recorder") or ""):
         if "clock" in settings.records:
-            problems.add((*path, "clock"), 'name the recorder that has it, as in recorder = "B"')
+            problems.add(
+                (*path, "clock"), 'name the recorder to which it belongs, as in recorder = "B"'
+            )
         return replace(recording, recorder="")
     return recording
 

@@ -128,8 +128,8 @@ def simulate(
     own = description.exists() and read_from is not None and description.samefile(read_from)
     if description.exists() and not own and not _is_simulated(description):
         raise CounterspinError(
-            f"{description} is not of a simulated campaign; its files are not replaced: simulate "
-            "into another folder"
+            f"{description} is not of a simulated campaign, so its files are not replaced: "
+            "simulate into another folder"
         )
     replaced = [description] if text is not None or not own else []
     taken_along = _rest_taken_along(campaign, folder)
@@ -298,7 +298,7 @@ def _rest_taken_along(campaign: Campaign, folder: Path) -> dict[Path, Path | Mem
     if not named or place is None or Path(named).is_absolute():
         return {}
     if ".." in place.parts:
-        words = "is not inside the campaign's folder; name a file beside the description"
+        words = "is outside the campaign's folder; name a file beside the description"
         raise CampaignError(str(campaign.path), [f"noise.from: {named} {words}"])
     target, rest = folder / named, campaign.record_at(place)
     there = isinstance(rest, Path) and target.exists() and target.samefile(rest)
@@ -313,8 +313,8 @@ def _inside(campaign: Campaign, folder: Path, files: Mapping[str, Path]) -> tupl
             problems.append(f"{key}: {file.name} cannot be simulated; write .csv or .parquet")
         elif ".." in file.parts or not file.is_relative_to(campaign.folder):
             problems.append(
-                f"{key}: {file} is not inside the campaign's folder, so that "
-                "a simulation has no place for it; name a file beside the description"
+                f"{key}: {file} is outside the campaign's folder, "
+                "where a simulation does not write; name a file beside the description"
             )
         else:
             targets.append(folder / file.relative_to(campaign.folder))
@@ -332,7 +332,7 @@ def simulate_run(
         column for each accelerometer.
     """
     if campaign.simulation is None or run.truth is None or run.duration is None:
-        raise ValueError("this campaign says nothing of what to simulate")
+        raise ValueError("this campaign does not state what to simulate")
     rate = campaign.simulation.sampling_rate
     true, recording = with_true_inputs(campaign), campaign.recording_of(run)
     trajectory = Trajectory(

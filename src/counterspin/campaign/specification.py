@@ -103,9 +103,9 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
         limit = exact(match[3], unit, gravity)
         if match[1]:
             if match[2] == ">=":
-                raise ValueError(f'{text!r}: a size can only be limited from above, "abs <= A"')
+                raise ValueError(f'{text!r}: a magnitude can only have an upper limit, "abs <= A"')
             if limit <= 0.0:
-                raise ValueError(f"{text!r}: a size must be allowed to be greater than zero")
+                raise ValueError(f"{text!r}: the limit of a magnitude must be greater than zero")
             low, high = -limit, limit
         else:
             low, high = (None, limit) if match[2] == "<=" else (limit, None)
@@ -157,11 +157,11 @@ def resolve_specifications(
             continue
         if name not in accelerometers:
             problems.add(
-                (*path, name), f'no accelerometer is called "{name}"' + _hint(name, accelerometers)
+                (*path, name), f'there is no accelerometer "{name}"' + _hint(name, accelerometers)
             )
         own[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
     if not shared and not any(own.values()) and len(problems.lines) == before:
-        problems.add(path, f"names no term; write for example K_II = {_FORMS.split(',')[0]}")
+        problems.add(path, f"contains no term; write for example K_II = {_FORMS.split(',')[0]}")
     if settings is None or len(problems.lines) > before:
         return None
     return Specifications(
@@ -187,7 +187,7 @@ def _terms(
             if symbol.split(".")[0] in ("platform", "centrifuge", "encoder"):
                 message = _PLATFORM_TERM_REFUSAL
             else:
-                message = f'no term is called "{symbol}"' + did_you_mean(symbol, known)
+                message = f'unknown term "{symbol}"' + did_you_mean(symbol, known)
             problems.add((*path, symbol), message)
             continue
         specification = problems.attempt(

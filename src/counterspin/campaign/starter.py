@@ -52,8 +52,8 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
     """
     if test == "poses":
         raise CounterspinError(
-            "there is no example of poses to write; a campaign of them is made of a sensor's own "
-            "log: name that file"
+            "there is no example of poses; make a campaign from a sensor's own "
+            "log by naming that file"
         )
     if test not in _EXAMPLES:
         raise CounterspinError(f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}")

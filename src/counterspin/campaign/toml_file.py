@@ -76,7 +76,7 @@ def load_with_checksum(
         if kind is not None and (seen := _is_other(file, content)):
             raise CampaignError(str(file), [f"{seen}, not {_KINDS[kind]}; {wanted}"])
     except FileNotFoundError:
-        problem = f"there is no such file; {advice}"
+        problem = f"file not found; {advice}"
     except OSError as error:
         problem = f"cannot be read: {error.strerror}"
         problem += f"; {advice}" if isinstance(error, IsADirectoryError) else ""
@@ -123,14 +123,14 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
             return document
         raise CampaignError(source, faults)
     except UnicodeDecodeError:
-        problem = "is not UTF-8 text; save it as UTF-8 (the sign ± needs it; +/- serves as well)"
+        problem = "is not UTF-8 text; save it as UTF-8 (needed for the sign ±; +/- works too)"
     except RecursionError:
         problem = "is nested too deeply"
     except tomllib.TOMLDecodeError as error:
         place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         what, where = (place[1], place[2]) if place else (str(error), "TOML")
         what = what[:1].lower() + what[1:]
-        advice = "text such as a quantity is written in quotation marks"
+        advice = "write text, such as a quantity, in quotation marks"
         if "\\" in what or "hex value" in what:
             advice = (
                 "in double quotation marks a backslash begins an escape such as \\n; "

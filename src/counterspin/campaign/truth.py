@@ -388,6 +388,6 @@ def _stated(table: Any, keys: Sequence[str]) -> float | None:
 
 def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) -> Ripple:
     if (entry.ratio is None) == (entry.amplitude is None):
-        problems.add(path, "each ripple has either a ratio w_n/w0 or an amplitude in rad/s")
+        problems.add(path, "give each ripple either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
     return Ripple(entry.harmonic, amplitude, entry.phase)

@@ -72,12 +72,12 @@ class Amended:
 def read_amended(amendment: Amendment) -> tuple[Amended, bytes]:
     """Return what is to be said of a certificate that is replaced, and its XML."""
     if not amendment.reason.strip():
-        raise CampaignError("certificate", ["`reason`: say in words why a certificate is replaced"])
+        raise CampaignError("certificate", ["`reason`: state why the certificate is replaced"])
     data = read_document(amendment.path)
     found = read_certificate(data, str(amendment.path))
     if found.identifier.startswith("DRAFT-"):
         raise RecordError(
-            f"{amendment.path}: is a draft, which was never issued; nothing amends it"
+            f"{amendment.path}: is a draft, which was never issued and cannot be amended"
         )
     checksum = hashlib.sha256(data).hexdigest()
     return Amended(found.identifier, checksum, " ".join(amendment.reason.split())), data
@@ -118,7 +118,7 @@ def check_amends(new: bytes, old: Path, source: str) -> str:
     if not previous:
         raise RecordError(f"{source}: amends no certificate")
     if previous[0].text != hashlib.sha256(data).hexdigest():
-        raise RecordError(f"{source}: does not amend {old}, or {old} was changed since")
+        raise RecordError(f"{source}: does not amend {old}, or {old} has been changed since")
     return read_certificate(data, str(old)).identifier
 
 

@@ -41,7 +41,7 @@ def _content(path: Path) -> bytes:
         return read_file(path)
     except OSError as error:
         raise RecordError(
-            f"{path}: cannot be read ({error.strerror}); give a certificate's XML or PDF"
+            f"{path}: cannot be read ({error.strerror}); give the XML or PDF of a certificate"
         ) from error
 
 
@@ -59,7 +59,7 @@ def _attached(path: Path) -> bytes:
         raise _damaged(path, error) from error
     if len(found) != 1:
         held = "no XML file is" if not found else f"{len(found)} XML files are"
-        raise RecordError(f"{path}: {held} attached to it; a certificate's PDF has one")
+        raise RecordError(f"{path}: {held} attached to it; the PDF of a certificate has one")
     return found[0]
 
 

@@ -53,8 +53,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
     """Raise RecordError if a result must not be certified; it is judged already, or is here."""
     if result.model == "as-printed":
         raise RecordError(
-            "this result was computed by the paper's equations as printed, whose K_II is half of "
-            "the true one; calibrate again with the exact model"
+            "this result was computed with the paper's equations as printed, which give "
+            "half the true K_II; calibrate again with the exact model"
         )
     if (refused := refusal(judge_result(result), names)) is not None:
         raise RecordError(refused)

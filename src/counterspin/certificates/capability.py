@@ -110,9 +110,9 @@ def capability_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
             unit, factor = field_unit(c.unit)
             evaluated = format_uncertainty(coverage_factor(c.dof) * c.u * factor)
             lines.append(
-                f"{words}: evaluated was U = {evaluated} {unit}; stated is the "
-                "laboratory's calibration and measurement capability, below which it states "
-                "no uncertainty."
+                f"{words}: the evaluated uncertainty is U = {evaluated} {unit}; the certificate "
+                f"states the laboratory's calibration and measurement capability, the smallest "
+                "uncertainty that it may state."
             )
     return lines
 

@@ -72,8 +72,8 @@ def enter_certificate(
                     return entry
             raise RecordError(
                 f"{kept}: has certificate {of['identifier']} already (entry {earlier[-1].number}), "
-                "with other content; issue an amendment (`amends`), or give another "
-                "certificate.identifier"
+                "with different content; issue an amendment (`amends`), or "
+                "choose another certificate.identifier"
             )
         part = _hidden(path, checksum)
         write_whole(part, lambda place: _write_to_disk(place, data), overwrite=True)
@@ -150,8 +150,9 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
         ),
     )
     yield Paragraph(
-        f"{len(verified.entries)} entries, none altered since. Hash of the last: {verified.head}. "
-        "Kept elsewhere, it shows whether the last ones were taken off, or all were written anew."
+        f"{len(verified.entries)} entries, none altered. Hash of the last: {verified.head}. Keep a "
+        "copy elsewhere: it reveals whether entries were removed at the end, or the whole ledger "
+        "was rewritten."
     )
 
 

@@ -56,9 +56,9 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lacking = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in lacking))
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (
-        f"evidence: the result takes {', '.join(lacking)} as perfect, so that its u holds nothing "
-        "of that; say for each what bounds it, such as a measurement or a data sheet, in "
-        f"[evidence]: {lines}; or calibrate without the assumption"
+        f"evidence: the result assumes {', '.join(lacking)} to be perfect, which u does not "
+        f"include; state for each in [evidence] what bounds it, such as a measurement or "
+        f"a data sheet: {lines}; or calibrate without the assumption"
     )
     raise CampaignError(source, [problem])
 

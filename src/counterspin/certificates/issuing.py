@@ -130,8 +130,8 @@ def check_place(output: Path) -> None:
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
     if output.is_file():
         raise CounterspinError(
-            f"{output} exists; a certificate replaces no file, least of all an issued one: name "
-            "another"
+            f"{output} exists; a certificate never replaces a file, which may be an issued one: "
+            "choose another name"
         )
     reserve(output)
 
@@ -236,7 +236,7 @@ def certificate(
 
 
 def _example_words(keys: list[str]) -> str:
-    return f"{', '.join(keys)}: still the example's; replace that before signing"
+    return f"{', '.join(keys)}: still example text; replace it before signing"
 
 
 def _signed_pages(pages: bytes, signer: Signer | None) -> bytes:
@@ -260,16 +260,16 @@ def _reason(amended: Amended | None, result: Result) -> str:
 def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
     names = lab.certified(result)
     if left_out := [name for name in result.accelerometers if name not in names]:
-        yield f"Not certified, as certificate.accelerometers has it: {', '.join(left_out)}."
+        yield f"Not certified, according to certificate.accelerometers: {', '.join(left_out)}."
     if (day := issue.date.date()) < lab.certificate.end:
-        yield f"The day of issue, {day}, lies before certificate.end, {lab.certificate.end}."
+        yield f"The day of issue, {day}, is before certificate.end, {lab.certificate.end}."
     if lab.conditions.temperature is None:
         yield (
             "No temperature is stated (conditions.temperature): a certificate states the "
             "conditions that influence its results (ISO/IEC 17025 7.8.4.1 b)."
         )
     if keys := example_keys(lab):
-        yield f"It is a draft. Still the example's: {', '.join(keys)}."
+        yield f"It is a draft. Still example text: {', '.join(keys)}."
 
 
 def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
@@ -279,8 +279,8 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
     begin = signer.certificates[0].not_valid_before_utc.date()
     if not begin <= issue.date.date() <= end:
         yield (
-            f"The day of issue, {issue.date.date()}, lies outside of the signer's certificate "
-            f"({begin} to {end}): from {end} on the signature will count for nothing."
+            f"The day of issue, {issue.date.date()}, is outside the validity of the signer's "
+            f"certificate ({begin} to {end}): after {end} the signature will not be accepted."
         )
 
 
@@ -302,7 +302,7 @@ def _issue(
     if amended is not None and identifier == amended.identifier:
         raise CampaignError(
             "certificate.identifier",
-            [f'"{identifier}" is that of the certificate that is amended; each has its own'],
+            [f'"{identifier}" is the identifier of the amended certificate; each needs its own'],
         )
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
@@ -393,13 +393,12 @@ def _checked_pages(path: Path, cert: Path) -> PagesSignature | None:
     found = verify_pages(path, expected)
     if found == "changed":
         raise RecordError(
-            f"{path}: the signature is not valid: the pages were changed after the holder of "
-            f"{cert} had signed them; the XML in it was not"
+            f"{path}: the signature is not valid: the pages were changed after the holder "
+            f"of {cert} had signed them; the attached XML was not"
         )
     if found == "invalid":
         raise RecordError(
-            f"{path}: the signature of the pages is not that of the holder of {cert}; that of the "
-            "XML in it is"
+            f"{path}: the pages were not signed by the holder of {cert}; the attached XML was"
         )
     return found
 

@@ -40,7 +40,7 @@ def _words(value: str) -> str:
     if not stripped:
         raise ValueError("must not be empty")
     if clean(stripped) != stripped:
-        raise ValueError("contains a control character, which no certificate may hold")
+        raise ValueError("contains a control character, which is not allowed in a certificate")
     return stripped
 
 
@@ -267,7 +267,7 @@ class Lab(SettingsSection):
         if symbol not in self.cmc:
             return None
         if symbol not in TERMS:
-            raise ValueError(f'no term is called "{symbol}"{did_you_mean(symbol, TERMS)}')
+            raise ValueError(f'unknown term "{symbol}"{did_you_mean(symbol, TERMS)}')
         stated = parse(self.cmc[symbol], TERMS[symbol].unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
             raise ValueError("must be one positive number, the expanded uncertainty for 95 %")
@@ -305,7 +305,7 @@ def read_lab(
         for key in lab.evidence:
             if not is_evidence_for_something(key, result.accelerometers):
                 hint = did_you_mean(key, [ALL, *TABLE])
-                problems.add(("evidence", key), f'no term is called "{key}"{hint}')
+                problems.add(("evidence", key), f'unknown term "{key}"{hint}')
     _check_accelerometers(raw, result, problems)
     specifications = None
     if isinstance(raw.get("specification"), dict):

@@ -24,8 +24,8 @@ from counterspin.input import DOCUMENT_BYTES, read_file, require_file
 _BEGINNING: Final = "0" * 64
 
 _NO_LEDGER: Final = (
-    "entry 1 is not as it was written, or this is no ledger; nothing from there on is to be relied "
-    "on. Name the ledger, or a file that is not there yet"
+    "entry 1 was altered, or this is not a ledger; do not rely "
+    "on it. Name the ledger, or a new file"
 )
 
 #: Keys of an entry, in the order in which they are written; `hash` is last.
@@ -95,7 +95,7 @@ class OpenLedger:
         self._path, self._file = path, file
         self._size = os.fstat(file).st_size
         if self._size > DOCUMENT_BYTES:
-            raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; begin another ledger")
+            raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; start a new ledger")
         whole = b""
         while part := os.read(file, self._size + 1):
             whole += part
@@ -205,7 +205,7 @@ def _verified(whole: bytes, source: str) -> VerifiedLedger:
             if content is None and number == 1:
                 raise RecordError(f"{source}: {_NO_LEDGER}")
             what = f"entry {which}" if which else "the beginning"
-            raise RecordError(f"{source}: {what} {wrong}; nothing from there on is to be relied on")
+            raise RecordError(f"{source}: {what} {wrong}; do not rely on anything from there on")
         entries.append(_entry(content))
         previous = content["hash"]
     if unfinished and not entries and not _begins_entry(unfinished):

@@ -199,7 +199,7 @@ def _covariance(
     with np.errstate(over="ignore", invalid="ignore"):
         covariance: npt.NDArray[np.float64] = in_si * np.outer(scale, scale)
     if not np.all(np.isfinite(covariance)):
-        raise ValueError("the covariance matrix holds numbers beyond measure")
+        raise ValueError("the covariance matrix contains excessive numbers")
     return covariance
 
 
@@ -243,5 +243,5 @@ def _one(element: Element, path: str, **variables: str) -> str:
 def _text(element: Element) -> str:
     if len(element):
         # Only what stands before it would be read.
-        raise ValueError(f"something else than text stands in {element.tag.rpartition('}')[2]}")
+        raise ValueError(f"there is something other than text in {element.tag.rpartition('}')[2]}")
     return str(element.text or "")

@@ -50,7 +50,7 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
         seen = "" if document.lstrip()[:1] == b"<" else looks_like(document) or "other text"
         reason = f"it is {seen}" if seen else str(error)
         raise RecordError(
-            f"{source}: is not XML, or is damaged ({reason}); give a certificate's XML or PDF"
+            f"{source}: is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"
         ) from error
     if root.getroottree().docinfo.doctype:
         # Entities could stand for what nobody sees, and no certificate needs any.
@@ -83,7 +83,7 @@ def _main_file(schema: Path) -> Path:
     if schema.is_file():
         return schema
     if not schema.is_dir():
-        raise CounterspinError(f"{schema}: there is no such file or folder")
+        raise CounterspinError(f"{schema}: no such file or folder")
     schemas = [path for path in _schema_files(schema) if _space(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]

@@ -131,7 +131,7 @@ def _whose(root: Any, certificate: Path) -> str:
     try:
         stated = load_der_x509_certificate(b64decode(root.findtext(_STATED)))
     except (TypeError, ValueError):
-        return f"it was changed, or is not of the holder of {certificate}; it names no signer"
+        return f"it was changed, or not signed by the holder of {certificate}; it names no signer"
     try:
         _verified(root, stated.public_key())
     except InvalidDigest:
@@ -165,7 +165,7 @@ def _expired(trusted: Any, issued: date | None, certificate: Path, source: str) 
         day = "no day of issue" if issued is None else f"the day of issue {issued}"
         raise RecordError(
             f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and the "
-            f"document states {day}: nothing says that it was signed while the signer could"
+            f"document states {day}: nothing shows that it was signed during that time"
         )
     last: date = end.date()
     return last

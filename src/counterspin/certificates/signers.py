@@ -144,7 +144,7 @@ def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
     except OSError as error:
         raise failed(f"cannot be run ({error.strerror})") from error
     except subprocess.TimeoutExpired as error:
-        raise failed(f"had not ended after {_COMMAND_SECONDS:g} s") from error
+        raise failed(f"did not end within {_COMMAND_SECONDS:g} s") from error
     if made.returncode != 0:
         said = made.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
         raise failed(f"ended with {made.returncode}: {said or 'it does not say why'}")
@@ -152,7 +152,8 @@ def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
         public.verify(made.stdout, data, *_way(public))
     except InvalidSignature as error:
         raise failed(
-            f"wrote {len(made.stdout)} bytes that are no signature by the key of its certificate "
+            f"wrote {len(made.stdout)} bytes that are not a signature with the key of its "
+            f"certificate "
             "(RSA by PKCS #1 v1.5, or ECDSA in DER, of SHA-256, is expected)"
         ) from error
     return made.stdout

@@ -73,9 +73,9 @@ def triad_lines(triad: TriadResult) -> list[str]:
     """Return what was done with the triad, what its parameters are, and which have no value."""
     names = ", ".join(triad.accelerometers)
     lines = [
-        f"{names} are one sensor. Beside their coefficients stand the parameters that do not "
-        "depend on how the sensor stands in its frame: offsets, sensitivities, and the angles "
-        "between the axes along which two of them feel (Geist, Gaitan et al., J. Res. NIST 122 "
+        f"{names} are one sensor. In addition to their coefficients, parameters are given that "
+        f"do not depend on its frame: offsets, sensitivities, "
+        "and the angles between the sensitive axes (Geist, Gaitan et al., J. Res. NIST 122 "
         "(2017) 32)."
     ]
     if triad.poses:
@@ -85,9 +85,9 @@ def triad_lines(triad: TriadResult) -> list[str]:
             after = triad.rms_after
             rms += "." if after is None else f", corrected {format_number(after, 3)} m/s^2."
         lines.append(
-            f"The sensor was at rest in {len(triad.poses)} poses whose attitudes were unknown: the "
-            "direction of each was estimated with the coefficients, and of the specific force "
-            f"nothing but its size, the local gravity, was taken as known.{rms}"
+            f"The sensor was at rest in {len(triad.poses)} poses whose attitudes were unknown: "
+            f"the direction of each was estimated with the coefficients; only the magnitude of "
+            f"the specific force, the local gravity, was taken as known.{rms}"
         )
     lines += [
         f"{parameter_words(name)}: {wording.why_not_determined(c)}; no value is certified."

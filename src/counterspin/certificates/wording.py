@@ -42,8 +42,9 @@ _RULES: Final = {
     "simple": "simple acceptance: pass if the estimate lies within the tolerance limits, else fail",
     "guarded": "guarded acceptance: pass if the estimate lies within the tolerance limits by at "
     "least the guard band, fail if it lies outside by more than that, else undecided",
-    "probability": "by probability: pass if the coefficient conforms with the probability needed, "
-    "fail if it does not conform with that probability, else undecided",
+    "probability": "by probability: pass if the coefficient conforms with at least the required "
+    "probability, "
+    "fail if it does not conform with at least that probability, else undecided",
 }
 
 #: A certificate whose laboratory is still that of the example.
@@ -54,14 +55,14 @@ DRAFT: Final = (
 
 #: How the method stands to the standard.
 BASED_ON: Final = (
-    "Based on IEEE Std 1293, whose terms are used, and not according to it: the model is not "
-    "divided by K_I, as that of the standard is, so that its K2 is K_II/K_I."
+    "Based on the terms of IEEE Std 1293 but not in accordance with it: the model is "
+    "not divided by K_I, unlike that of the standard, whose K2 is K_II/K_I."
 )
 
 #: What ISO/IEC 17025:2017, 7.8.2.2, asks for.
 CUSTOMER_DISCLAIMER: Final = (
-    "The customer supplied these data. They can affect the validity of the results, and the "
-    "laboratory does not answer for them."
+    "The customer supplied these data. They can affect the validity of the results; the "
+    "laboratory is not responsible for them."
 )
 
 # What the statements are called, in the XML and on the pages.
@@ -69,9 +70,9 @@ UNCERTAINTY: Final = "Measurement uncertainty"
 UNITS: Final = "Units"
 TRACEABILITY: Final = "Metrological traceability"
 CAPABILITY: Final = "Calibration and measurement capability"
-RESTS_ON: Final = "What the result rests on"
-KNOWN: Final = "What was known beforehand"
-ASSUMED: Final = "What was taken as perfect, and what bounds it"
+RESTS_ON: Final = "Basis of the result"
+KNOWN: Final = "Prior knowledge"
+ASSUMED: Final = "Assumed perfect, and the evidence"
 SUPPLIED: Final = "Data supplied by the customer"
 CONFORMITY: Final = "Conformity"
 REMARKS: Final = "Remarks"
@@ -92,13 +93,15 @@ def is_determined(coefficient: Coefficient) -> bool:
 def uncertainty_statement() -> str:
     """Return how the expanded uncertainties are defined."""
     return (
-        "What stands after ± is the expanded uncertainty U: the combined standard uncertainty "
-        "multiplied by the coverage factor k stated beside it, evaluated by the GUM (JCGM 100). "
+        "The number after ± is the expanded uncertainty U: the combined standard uncertainty, "
+        "evaluated according to the GUM (JCGM 100), multiplied by the stated coverage factor k. "
         "k is that of Student's t-distribution for the effective degrees of freedom "
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
-        f"coverage probability of {format_share(COVERAGE)}. What the campaign does not state is in "
-        "U and in probabilities of conforming at the typical size of its kind; what is taken as "
-        f'perfect is in neither, and is named under "{ASSUMED}". In the XML, numbers have all '
+        f"coverage probability of {format_share(COVERAGE)}. Quantities that the campaign does "
+        f"not state contribute to U and to probabilities of conformity with their typical size; "
+        f"those assumed "
+        f'perfect contribute to neither, and are named under "{ASSUMED}". In the XML, numbers '
+        f"have all "
         "digits of the computation; significantDigit is the power of ten of the last digit that "
         "the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
@@ -115,8 +118,8 @@ def unit_statement(gravity: float) -> str:
         "n-th power of specific force is g^(1-n) times as large in SI units as in g-units: K_F in "
         "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. Where the "
         "campaign states an uncertainty of g, it is part of the coefficients' uncertainties: of "
-        "those in g-units by what g does to the estimates, of those in SI units by what remains "
-        "of that after the conversion, most of which cancels."
+        "those in g-units through its effect on the estimates, of those in SI units through what "
+        "remains of it after the conversion, in which most of it cancels."
     )
 
 
@@ -124,8 +127,8 @@ def scope_statement() -> str:
     """Return what the results relate to, and that parts may mislead (ISO/IEC 17025 7.8.2.1)."""
     return (
         "The results relate only to the items calibrated, in the state and under the conditions "
-        "stated. Without the laboratory's written approval this certificate may be reproduced in "
-        "full only."
+        "stated. Without the written approval of the laboratory this certificate may only be "
+        "reproduced in full."
     )
 
 
@@ -147,7 +150,7 @@ def test_lines(result: Result) -> list[str]:
     """Return what was done with the item, a sentence for each kind of test."""
     if readings_of(result) or poses_of(result):
         return list(lines_of_tests(result))
-    return ["The item was carried round by a double turntable centrifuge at the rates stated."]
+    return ["The item was carried on a double turntable centrifuge at the stated rates."]
 
 
 def method_lines(result: Result) -> list[str]:
@@ -187,7 +190,7 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
         if line.u:
             size = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
         whose = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
-        said.append(f"Known beforehand, for {name}: {symbol}{size}{whose}.")
+        said.append(f"Prior for {name}: {symbol}{size}{whose}.")
     return said
 
 
@@ -205,7 +208,7 @@ def rest_lines(name: str, result: Result) -> list[str]:
             sizes[line.source] = f"{line.source}, {format_uncertainty(line.u * scale)} {unit}"
     if sizes:
         said.append(
-            "Not stated, and so in U with a typical standard uncertainty: "
+            "Not stated, so included in U with a typical standard uncertainty: "
             f"{'; '.join(sizes.values())}."
         )
     return said
@@ -216,8 +219,8 @@ def seal_lines(result: Result) -> list[str]:
     if result.sealed:
         return []
     return [
-        "The file of the result was made by an earlier version of counterspin, without seal: "
-        "nothing shows whether it was changed since. Its state was judged again from its numbers."
+        "The result file was written by an earlier version of counterspin, without "
+        "a seal: later changes cannot be excluded. Its state was re-evaluated from its numbers."
     ]
 
 
@@ -296,7 +299,7 @@ def why_not_determined(coefficient: Coefficient) -> str:
     assert coefficient.u is not None
     k = coverage_factor(None)
     known = f"{shown_in_g(coefficient, k)} (U, k = {factor(k)})"
-    return f"not determined by the records; its prior, {known}, was used"
+    return f"not determined by the records; the prior, {known}, was used"
 
 
 # Conformity
@@ -309,7 +312,7 @@ def decision_rule(judged: Conformity) -> str:
         unit, scale = field_unit(judged.unit)
         text += f"; guard band {format_uncertainty(judged.guard_band * scale)} {unit}"
     if judged.needed is not None:
-        text += f"; probability needed {format_number(judged.needed)}"
+        text += f"; required probability {format_number(judged.needed)}"
     return f"{text}."
 
 
@@ -340,8 +343,8 @@ def verdict(
     text = f"{symbol} of {name}, specified as {judged.specification}: {said}"
     text += f" ({judged.reason})." if judged.reason else "."
     if judged.probability is not None:
-        text += f" Probability of conforming: {format_probability(judged.probability)}"
+        text += f" Probability of conformity: {format_probability(judged.probability)}"
         if judged.risk is not None:
-            text += f"; of this verdict being wrong: {format_probability(judged.risk)}"
+            text += f"; probability that this verdict is wrong: {format_probability(judged.risk)}"
         text += "."
     return text

@@ -94,22 +94,22 @@ for _command in (
 def _unforeseen(error: Exception) -> str:
     """Return in words what nothing before has caught: mostly, but not always, our own fault."""
     if isinstance(error, MemoryError):
-        return "there is not enough memory for this"
+        return "not enough memory"
     if isinstance(error, OSError) and error.errno == ENOSPC:
-        return "the output cannot be written: there is no space left"
+        return "the output cannot be written: no space left on the device"
     if isinstance(error, OSError) and error.strerror:
         # A name that is too long, a folder that was taken away: none of our faults.
         where = f"{error.filename}: " if error.filename else ""
-        return str(CounterspinError(f"{where}the operating system refuses: {error.strerror}"))
+        return str(CounterspinError(f"{where}the operating system reports: {error.strerror}"))
     if isinstance(error, ImportError):
         return (
             f"a part of this installation cannot be loaded ({CounterspinError(str(error))}); "
-            "install counterspin again, or see whether memory is short"
+            "reinstall counterspin, or check whether memory is short"
         )
     what = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
-        f"internal error ({what}). This is a fault of counterspin, not of your files. Whoever "
-        "maintains your copy can mend it with the output that COUNTERSPIN_DEBUG=1 gives."
+        f"internal error ({what}). This is a fault of counterspin, not of your files. "
+        "The output with COUNTERSPIN_DEBUG=1 helps the maintainers to fix it."
     )
 
 

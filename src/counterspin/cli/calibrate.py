@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _CONTRADICTED: Final = "the records contradict the result"
 _WHAT_TO_DO: Final = (
-    "Find the cause and calibrate again; or, if the result is to be used all the same, say why: "
+    "Find the cause and calibrate again, or state why the misfit is accepted: "
     "--accept-misfit REASON"
 )
 
@@ -114,10 +114,10 @@ class KeepingOptions:
         """Refuse what cannot be entered, before there is a result."""
         if self.ledger is None:
             if self.who or self.why:
-                raise CampaignError("calibrate", ["--who and --why go with --ledger FILE"])
+                raise CampaignError("calibrate", ["--who and --why need --ledger FILE"])
             return
         if campaigns > 1:
-            raise CampaignError("calibrate", ["--ledger enters the result of one campaign"])
+            raise CampaignError("calibrate", ["--ledger takes the result of one campaign only"])
         if json is None or not self.who or not self.why:
             raise CampaignError(
                 "calibrate", ["with --ledger, give --json FILE, --who NAME and --why REASON"]

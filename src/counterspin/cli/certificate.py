@@ -110,8 +110,8 @@ _ISSUED_AS_IS = IssueOptions()
 
 #: What is said of a PDF's pages.
 _PAGES = {
-    None: "This is of the XML that is attached to the PDF; its pages were not checked.",
-    "none": "This is of the XML that is attached to the PDF; its pages are not signed.",
+    None: "This applies to the XML attached to the PDF; its pages were not checked.",
+    "none": "This applies to the XML attached to the PDF; its pages are not signed.",
     "valid": "The pages carry a valid signature of the same signer.",
 }
 
@@ -158,7 +158,7 @@ def certificate(
             "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE"]
         )
     if init is not None:
-        say(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
+        say(f"Wrote {write_example(init)}. Replace all of its example data.")
         return
     if verify is not None:
         checked = check_certificate(

@@ -39,4 +39,4 @@ def check(
     with saved.written(checked):
         report_console().print(checked)
     if not checked.good:
-        raise CounterspinError("the run should not be kept as it is")
+        raise CounterspinError("the run has faults and should be repeated")

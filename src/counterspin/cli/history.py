@@ -39,7 +39,7 @@ def history(
     from counterspin.reports.text import report_console
 
     if not paths:
-        raise CampaignError("history", ["give result files, or folders that hold them"])
+        raise CampaignError("history", ["give result files, or folders that contain them"])
     if figure is not None:
         check_format(figure)
         reserve(figure, lambda: marked(CHART), overwrite=saved.overwrite)
@@ -51,6 +51,5 @@ def history(
         report_console().print(result)
     if result.damaged:
         raise CounterspinError(
-            f"{len(result.damaged)} of the files are results that cannot be read; the history is "
-            "without them"
+            f"{len(result.damaged)} of the result files cannot be read; the history leaves them out"
         )

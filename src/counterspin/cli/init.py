@@ -96,7 +96,7 @@ def _from_files(
         say(*(f"  {statement}" for statement in more))
     written = write_description(found, directory)
     say(
-        f"Wrote {written}. Look through it, then:",
+        f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
     )
 
@@ -106,7 +106,7 @@ def _answers(given: list[str]) -> dict[str, str]:
     for words in given:
         key, mark, value = words.partition("=")
         if not mark or not value.strip():
-            raise CampaignError("init", [f'answer: "{words}" is no KEY=VALUE'])
+            raise CampaignError("init", [f'answer: "{words}" is not of the form KEY=VALUE'])
         answers[key.strip()] = value.strip()
     return answers
 
@@ -119,8 +119,8 @@ def _asked(question: ExportQuestion) -> str:
         try:
             answer = input("> ").strip()
         except EOFError:
-            raise CounterspinError("no answer came; nothing is written") from None
+            raise CounterspinError("no answer was given; nothing is written") from None
         try:
             return question.judged(answer)
         except ValueError as error:
-            say(f"{error}. Once more:")
+            say(f"{error}. Try again:")

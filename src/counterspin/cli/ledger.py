@@ -45,14 +45,14 @@ def ledger(
             add(ledger, file, who=who, why=why)
         return
     if results or who or why:
-        raise CampaignError("ledger", ["with verify, give the ledger alone"])
+        raise CampaignError("ledger", ["with verify, give only the ledger"])
     verified = verify_ledger(ledger)
     report_console().print(Report(list(ledger_blocks(verified))))
     if verified.unfinished:
         raise RecordError(
-            f"{ledger}: after entry {len(verified.entries)} stands an unfinished line of "
-            f"{len(verified.unfinished)} bytes, as an interrupted writer leaves behind, or one "
-            "whose end was altered; those before it are as they were written, and the next keeps it"
+            f"{ledger}: after entry {len(verified.entries)} comes an incomplete line of "
+            f"{len(verified.unfinished)} bytes, left by an interrupted command or altered "
+            "at its end; the entries before it are intact, and the next entry will preserve it"
         )
 
 

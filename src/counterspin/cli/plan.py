@@ -95,7 +95,7 @@ def plan(
         drawn = figures and save_figures(result, figures, overwrite=saved.overwrite)
         report_console().print(result)
     if output is not None and result.readings:
-        say("", f"Wrote {written}. Replace each ? by the value that is read, then:")
+        say("", f"Wrote {written}. Replace each ? by the reading, then:")
         say(f"  counterspin calibrate {shell_word(output)}")
     elif output is not None and written is not None:
         say("", f"Wrote {written}. Record its runs, or simulate them:")

@@ -35,4 +35,4 @@ def rerun(
     with saved.written(repeated):
         report_console().print(repeated)
     if not repeated.same:
-        raise CounterspinError(f"{result}: calibrated again, it is not the same")
+        raise CounterspinError(f"{result}: the repeated calibration differs")

@@ -103,5 +103,5 @@ def study(
             write_figures(result, output, overwrite=resume or saved.overwrite)
         report_console().print(result)
     if not result.complete:
-        more = "" if output is None else "; the same command with --resume goes on"
+        more = "" if output is None else "; continue with the same command and --resume"
         raise KeyboardInterrupt(f"stopped{more}")

@@ -37,5 +37,5 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
         there = dossier.installation
         named = ", ".join([*there.altered, *there.missing])
         raise CounterspinError(
-            f"files of the installation are altered or missing: {named}; install it again"
+            f"files of the installation are altered or missing: {named}; reinstall counterspin"
         )

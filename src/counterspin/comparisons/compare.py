@@ -55,7 +55,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         If a file is no result.
     """
     if len(results) < 2:
-        raise CampaignError("compare", ["give two results or more, or their files"])
+        raise CampaignError("compare", ["give two or more results, or their files"])
     if names is not None and len(names) != len(results):
         raise CampaignError(
             "compare", [f"there are {len(results)} results and {len(names)} `names`"]

@@ -57,7 +57,7 @@ def comparison_blocks(compared: Compared) -> Iterator[Block]:
         yield from _pictures(own)
     yield Paragraph(
         f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
-        "their u counts what both results have in common. z: difference over its u.",
+        "their u accounts for what both results have in common. z: difference over its u.",
         "quiet",
     )
     yield from _what_is_common(compared)
@@ -67,7 +67,7 @@ def comparison_blocks(compared: Compared) -> Iterator[Block]:
         rows = tuple((change.subject, *change.values) for change in compared.changes)
         yield Table(tuple(columns), rows)
     else:
-        yield Paragraph("Nothing that the results say of themselves.")
+        yield Paragraph("No change in their model, noise or inputs.")
 
 
 def _style(agreement: AgreementOfTwo) -> Style:
@@ -110,9 +110,9 @@ def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
-        return f"{whose} determine no coefficient both ({records})."
+        return f"{whose} have no coefficient that both determine ({records})."
     if agreement.p is None:
-        return f"{whose} cannot differ by chance ({records}): a difference is what was changed."
+        return f"{whose} cannot differ by chance ({records}): what was changed makes them differ."
     agree = "agree" if agreement.agrees else "differ significantly"
     words = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
@@ -192,7 +192,7 @@ def _what_is_common(compared: Compared) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
         yield Paragraph(
-            f"Moves both results alike, and was counted so: {', '.join(shared)}.", "quiet"
+            f"Affects both results alike, which is accounted for: {', '.join(shared)}.", "quiet"
         )
     for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
         yield Paragraph(f"Assumed: {text}", "quiet")

@@ -30,15 +30,15 @@ def relation_of(
     assumed = []
     if not all(e.complete for e in estimates):
         assumed.append(
-            "One of the results does not say what its uncertainty consists of or how its estimates "
-            "are correlated, so the terms are compared as if they were uncorrelated."
+            "One of the results has no uncertainty budget or no correlations, "
+            "so the terms are compared as if they were uncorrelated."
         )
     if not all(records):
-        assumed.append("A result names no records: the two are taken as independent.")
+        assumed.append("A result names no records: the two are assumed independent.")
     if not records[0] & records[1]:
         assumed.append(
-            "The radius, the gravity and what is known beforehand count as one measurement where "
-            "both results state them alike; all else is taken as independent."
+            "Radius, gravity and priors that both results state alike count "
+            "as one measurement; everything else is assumed independent."
         )
         return Relation("independent"), assumed
     kind: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
@@ -46,29 +46,29 @@ def relation_of(
     alike = kind == "same" and better is not None and _alike(name, results, estimates)
     if better is None and kind == "part":
         assumed.append(
-            "Some records are common, but neither result rests on all that the other does: they "
-            "are taken as independent, which makes u of a difference rather too large."
+            "Some records are common, but neither result uses all records of the "
+            "other: they are assumed independent, which overestimates u of a difference."
         )
     elif first.model != second.model:
         assumed.append(
-            "One of the results is of the equations as printed, which do not estimate the same: u "
-            "of a difference says little."
+            "One of the results is from the equations as printed, which estimate something else: "
+            "u of a difference has little meaning."
         )
     elif better is None:
         assumed.append(
-            "Neither model is part of the other, or what is known beforehand differs: the result "
-            "with the smaller variance is taken for the best estimate of these records, so that "
-            "the variances subtract."
+            "Neither model is part of the other, or the priors differ: the result with the "
+            "smaller variance is assumed to be the best estimate from these records, "
+            "so that the variances subtract."
         )
     elif first.method != second.method:
         assumed.append(
-            "The joint method is taken for the best estimate of these records, so that the "
-            "variances subtract."
+            "The joint method is assumed to be the best estimate from these records, "
+            "so that the variances subtract."
         )
     elif not alike and _noise(name, first) != _noise(name, second):
         assumed.append(
-            "The noise is stated otherwise: the variances subtract as they stand, though the "
-            "weights differ too."
+            "The stated noise differs: the variances are subtracted although "
+            "the weights differ too."
         )
     return Relation(kind, better, alike, _noise_ratio(name, first, second)), assumed
 

@@ -62,11 +62,11 @@ def rerun(
     before = judge_result(result if isinstance(result, Result) else Result.read(result))
     called = before.title or "the result" if isinstance(result, Result) else str(result)
     if folder is None and isinstance(result, Result):
-        raise RecordError(f"{called}: say in which folder its campaign is: `folder`")
+        raise RecordError(f"{called}: give the folder of its campaign: `folder`")
     place = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
     if before.provenance.in_memory or not before.provenance.inputs:
         raise RecordError(
-            f"{called}: made of what was in memory, which no file holds; only results of a "
+            f"{called}: made from data in memory; only results from a "
             "campaign's files can be repeated"
         )
     method, options, without = asked_by(before.provenance.options)
@@ -140,8 +140,8 @@ def _is_inside(name: str) -> bool:
 def _cannot_move(called: str, moved: dict[str, str]) -> dict[str, str]:
     name, where = next(iter(moved.items()))
     raise RecordError(
-        f"{called}: its input {name} is now {where}; rename it, since other inputs are outside of "
-        "the campaign's folder"
+        f"{called}: its input {name} is now {where}; rename it, since other inputs are "
+        "outside the campaign's folder"
     )
 
 

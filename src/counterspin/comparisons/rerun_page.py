@@ -45,7 +45,7 @@ def in_words(repeated: Repeated) -> str:
     whose = "; ".join(change.subject for change in repeated.changes)
     cause = f" Changed: {whose}." if whose else " Inputs, version and environment are the same."
     if repeated.largest is None:
-        how = "it has other coefficients, or determines others"
+        how = "its coefficients, or those that it determines, differ"
     elif repeated.largest <= repeated.limit:
         how = f"it was {repeated.state_before}, and is {repeated.state_now}"
     elif repeated.largest_in_u is None:

@@ -165,13 +165,15 @@ def apply(
         raise CampaignError(
             _SOURCE,
             [
-                "the result is of the paper's equations as printed, whose K_II is half of what "
-                "the accelerometer has; calibrate again with the exact model, or give `force=True`"
+                "the result is from the paper's equations as printed, which give "
+                "half the true K_II; calibrate again with the exact model, or give `force=True`"
             ],
         )
     indications = {accelerometer: indicated, **options.others}
     if accelerometer in options.others:
-        raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
+        raise CampaignError(
+            _SOURCE, [f"`others`: {accelerometer} is the accelerometer to be corrected"]
+        )
     unit, scales = _scales(result, indications, options.unit)
     factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
     given = {"I", "|I|"}
@@ -288,10 +290,13 @@ def _not_carried(name: str, symbols: Sequence[str]) -> Iterator[str]:
     products = [symbol for symbol in symbols if symbol in TERMS]
     for lost, what in (
         (products, "force along the other axes is not given (`pendulous`, `output_axis`)"),
-        (slopes, "temperature is not given (`temperature`), or not that of the calibration"),
+        (
+            slopes,
+            "temperature is not given (`temperature`), or differs from that of the calibration",
+        ),
     ):
         if lost:
-            yield f"{name}: nothing states {', '.join(lost)}, and the {what}: no part of u."
+            yield f"{name}: {', '.join(lost)} are not stated, and the {what}: no part of u."
 
 
 def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
@@ -305,8 +310,8 @@ def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
     if not others:
         return []
     return [
-        f"{name}: not applied: {', '.join(others)}. The correction is that of the beginning of the "
-        "calibration, without heating by its specific forces."
+        f"{name}: not applied: {', '.join(others)}. The correction applies to the beginning of "
+        "the calibration, without heating by its specific forces."
     ]
 
 
@@ -324,8 +329,8 @@ def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
     if is_possible(covariance_of(accelerometer, determined(accelerometer))):
         return []
     return [
-        f"{name}: the correlations in the result contradict each other, as versions "
-        "before 0.1.0 could write them; u is an upper estimate. Calibrate again."
+        f"{name}: the correlations in the result are inconsistent, a fault "
+        "of versions before 0.1.0; u is an upper estimate. Calibrate again."
     ]
 
 
@@ -362,7 +367,7 @@ def _note(name: str, accelerometer: AccelerometerResult) -> str:
     estimated = ", ".join(s for s, c in terms.items() if c.estimated)
     beforehand = ", ".join(s for s, c in terms.items() if not c.estimated)
     parts = [f"as estimated: {estimated}"] if estimated else []
-    parts += [f"as known beforehand: {beforehand}"] if beforehand else []
+    parts += [f"from priors: {beforehand}"] if beforehand else []
     return f"{name}: applied {'; '.join(parts) or 'nothing'}."
 
 
@@ -372,14 +377,15 @@ def _left_out(name: str, accelerometer: AccelerometerResult) -> list[str]:
     unknown = [symbol for symbol, c in terms.items() if c.value is None]
     if unknown:
         warnings.append(
-            f"{name}: not applied, for the result does not determine them: {', '.join(unknown)}. "
-            "Their uncertainty is no part of u."
+            f"{name}: not applied, because the result does not determine them: "
+            f"{', '.join(unknown)}. "
+            "Their uncertainty is not included in u."
         )
     for symbol, row in TERMS.items():
         if row.nominal and (symbol not in terms or symbol in unknown):
             warnings.append(
                 f"{name}: the result has no value of {symbol} ({row.words}); {row.nominal:g} "
-                f"{row.unit} is taken, as if it were exact."
+                f"{row.unit} is used as if it were exact."
             )
     return warnings
 
@@ -394,6 +400,6 @@ def _stretched(result: Result, name: str, indicated: Array) -> list[str]:
     if largest <= _RANGE_FACTOR * seen:
         return []
     return [
-        f"{name}: the indication reaches {largest:.3g} g, and the calibration reached {seen:.3g} "
-        "g: beyond it, u knows of the model's own terms only."
+        f"{name}: the indication reaches {largest:.3g} g, but the calibration only {seen:.3g} "
+        "g: beyond that, u covers the terms of the model only."
     ]

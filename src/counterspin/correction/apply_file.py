@@ -119,7 +119,7 @@ def apply_file(
     if suffix not in _SEPARATORS:
         raise CampaignError(str(output), [f"must end in one of {', '.join(_SEPARATORS)}"])
     if output.exists() and source.exists() and output.samefile(source):
-        raise CampaignError(str(output), ["is the input; a record is not overwritten"])
+        raise CampaignError(str(output), ["is the input, which is never overwritten"])
     reserve(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
@@ -129,7 +129,7 @@ def apply_file(
             others = {name: name for name in result.triad.accelerometers}
         accelerometer = next(iter(others), None)
         if accelerometer is None or column is not None:
-            raise CampaignError("apply", ["say with `accelerometer` which one is to be corrected"])
+            raise CampaignError("apply", ["name the one to be corrected with `accelerometer`"])
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
         instrument_of(result, name)  # a wrong name is refused before the file is searched for it
@@ -152,7 +152,9 @@ def apply_file(
         values[warm] = _in_celsius(source, warm, values[warm], units[warm])
     for name in (f"{one}_corrected{u}" for one in corrected.values() for u in ("", "_u")):
         if name in frame.columns:
-            raise CampaignError(str(source), [f"has a column '{name}' already; was it corrected?"])
+            raise CampaignError(
+                str(source), [f"has a column '{name}' already; was it corrected before?"]
+            )
     forces: dict[str, Any] = {
         name: values[text] if text in values else _constant(name, text, frame.columns)
         for name, text in given.items()
@@ -187,7 +189,7 @@ def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
         if own and not same_unit(own, stated):
             raise RecordError(
                 f"{source}: column '{name}' is in '{own}' by the file's row of units, but in "
-                f"'{stated}' by `unit`; all forces must be in one unit, which `unit` says."
+                f"'{stated}' by `unit`; all forces must be in one unit, stated with `unit`."
             )
 
 
@@ -235,7 +237,7 @@ def _report(output: Path, column: str, correction: Correction, gravity: float) -
     indicated = correction.indicated
     present = np.flatnonzero(np.isfinite(correction.corrected))
     if present.size == 0:
-        raise RecordError(f"{output}: not written: no row has all the numbers that are needed.")
+        raise RecordError(f"{output}: not written: no row has all the necessary numbers.")
     given, corrected = indicated[present], correction.corrected[present]
     one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
 

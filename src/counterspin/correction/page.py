@@ -19,8 +19,7 @@ def render_application(done: CorrectedFile) -> Report:
     if math.isfinite(correction.dof):
         blocks.append(
             Paragraph(
-                f"It rests on {format_number(correction.dof, 3)} effective degrees of freedom or "
-                "more."
+                f"It has at least {format_number(correction.dof, 3)} effective degrees of freedom."
             )
         )
     blocks += [Paragraph(note) for note in correction.notes]
@@ -35,7 +34,7 @@ def _column_blocks(done: CorrectedFile) -> list[Block]:
         return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
 
     read = f" It was read with {done.found}." if done.found else ""
-    missing = f"; {done.missing} of them lack a number and stay empty" if done.missing else ""
+    missing = f"; {done.missing} of them lack a number and remain empty" if done.missing else ""
     return [
         Paragraph(
             f"{done.rows} rows of {done.column}, from {format_number(done.low, 6)} to "
@@ -47,7 +46,7 @@ def _column_blocks(done: CorrectedFile) -> list[Block]:
         ),
         Paragraph(
             f"Standard uncertainty of the correction (k = 1): {at(done.at_one_g)} (the row nearest "
-            f"to 1 g), {at(done.at_largest)} (the largest). The noise of the indication is no part "
-            "of it."
+            f"to 1 g), {at(done.at_largest)} (the largest). The noise of the indication is "
+            "not included."
         ),
     ]

@@ -38,7 +38,7 @@ def warmth_of(
         words = (
             'give `temperature`: a column, or a constant such as `temperature="23 ± 1 degC"`'
             if reference is not None
-            else "the result does not say at which temperature it was calibrated: calibrate again"
+            else "the result does not state the temperature of its calibration: calibrate again"
         )
         raise CampaignError(
             "apply", [f"{', '.join(needed)} with the temperature of the record; {words}"]
@@ -79,11 +79,11 @@ def notes_of_warmth(
         return
     reference = result.inputs.reference_temperature
     if reference is None or not any(instrument.slopes for instrument in instruments):
-        yield "No slope with temperature is known: the temperature changes nothing."
+        yield "The result has no slope with temperature: the temperature has no effect."
         return
     yield (
-        "Slopes with temperature count from "
-        f"{reference - ZERO_CELSIUS:.6g} degC, to which the coefficients belong."
+        "Slopes with temperature are "
+        f"relative to {reference - ZERO_CELSIUS:.6g} degC, to which the coefficients belong."
     )
 
 
@@ -100,7 +100,7 @@ def warnings_of_warmth(result: Result, warmth: Warmth, temperature: Temperature)
     if low < seen[0] - _BEYOND or high > seen[1] + _BEYOND:
         yield (
             f"The temperature is {_span(low, high)}, and that of the calibration was "
-            f"{_span(seen[0], seen[1])}: beyond it, u knows of the slopes in the result only."
+            f"{_span(seen[0], seen[1])}: beyond that range, u covers the slopes of the result only."
         )
 
 

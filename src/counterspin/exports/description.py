@@ -190,7 +190,7 @@ def _statements(
         unit = "time stamps" if time.unit == "iso" else f"in {time.unit or 'an unknown unit'}"
         yield f"time: column '{time.column}', {unit}"
     if angle is None:
-        yield "angle: none found; the nominal rates are taken"
+        yield "angle: none found; the nominal rates are used"
     elif angle.pulses:
         yield f"angle: column '{angle.column}' has the times of a pulse, one a revolution"
     else:
@@ -199,14 +199,14 @@ def _statements(
         unit = angle.unit or "an unknown unit"
         yield f"angle: column '{angle.column}', in {unit}{counts} ({by})"
     if sense is not None and angle is not None:
-        yield f"sense: {sense}, as the waves along two axes follow each other"
+        yield f"sense: {sense}, from the phase of the waves along two axes"
     for signal in common.signals:
         what = (signal.observable or "a signal").replace("_", " ")
         axis = f"along {signal.axis}" if signal.axis else "of an unknown axis"
         unit = f" in {signal.unit}" if signal.unit else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
     if common.signals:
-        yield "pendulous axes: down, or north of an upright axis; the files do not say"
+        yield "pendulous axes: assumed down, or north for an upright input axis"
     if common.unused:
         yield f"not used: {', '.join(common.unused[:20])}"
 

@@ -233,7 +233,7 @@ def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
         if missing:
             raise RecordError(
                 f"{guess.look.path}: has no column '{missing[0]}', which {first.look.path.name} "
-                "has. Name files of one make only."
+                "has. Give files of the same layout only."
             )
     signals = tuple(_grown(signal, guesses) for signal in first.signals)
     rate = first.rate if all(guess.rate for guess in guesses) else None

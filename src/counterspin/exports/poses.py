@@ -173,7 +173,7 @@ def _questions(
         yield ExportQuestion(axis, text, names[min(place, len(names) - 1)], names, known)
     text = "In which unit are the three axes?"
     if found and math.isfinite(found.gravity):
-        text += f" At rest they are together {found.gravity:.4g}."
+        text += f" At rest their magnitude is {found.gravity:.4g}."
     unit = told.get("unit") or (found.unit if found else None)
     yield ExportQuestion("unit", text, UNITS[0], UNITS, unit)
     if unit is not None and not converts(unit, "m/s^2"):
@@ -185,14 +185,14 @@ def _questions(
         )
         zeros = found.zero.tolist() if found else []
         for axis, zero in zip(AXES, zeros if any(zeros) else [], strict=False):
-            text = f"What does axis {axis} read where it feels nothing, nominally?"
+            text = f"What does axis {axis} nominally read at zero force?"
             size = f"{zero:.4g} {unit}"
             yield ExportQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
     if not in_table:
-        text = "How long does a rest last at least that is a pose?"
+        text = "How long must a rest last at least to count as a pose?"
         usual = f"{SHORTEST_REST:g} s"
         yield ExportQuestion("rest", text, usual, guess=usual, quantity="s")
-    text = "Of which grade is the sensor? It says how large what nobody states may be."
+    text = "Of which grade is the sensor? It sets the typical size of all that is not stated."
     grade = grade_of(found, guess) if found else None
     yield ExportQuestion("grade", text, "consumer", GRADES, grade)
 

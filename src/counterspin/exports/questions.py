@@ -154,7 +154,7 @@ class AnsweredExport:
     def complete(self) -> dict[str, str]:
         """Return guesses, and answers above them; CampaignError if one is missing or wrong."""
         missing = [
-            f'{q.key}: {q.text} Say it with `answer`, such as "{q.key}={q.example}".'
+            f'{q.key}: {q.text} Answer with `answer`, such as "{q.key}={q.example}".'
             for q in self.open_questions
             if not any(line.startswith(f"{q.key}: ") for line in self.problems)
         ]
@@ -189,7 +189,7 @@ def questions_of(
     """
     names = tuple(column.name for column in common.look.columns)
     yield from place_questions(common.look, ALL_SHEETS)
-    text = f"How far is the platform from the spindle's axis?{_size_seen(common)}"
+    text = f"What is the radius, from the spindle axis to the platform?{_size_seen(common)}"
     yield ExportQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
     yield from time_questions(common, names)
     yield from _angle_questions(common, names, sense)
@@ -197,7 +197,7 @@ def questions_of(
         text = "At which rate does the centrifuge turn?"
         yield ExportQuestion("rate", text, "0.25 rev/s", quantity="rad/s")
     if not common.signals or "signal" in answered:
-        yield ExportQuestion("signal", "Which column has the signal?", names[-1], names)
+        yield ExportQuestion("signal", "Which column is the signal?", names[-1], names)
     yield from _signal_questions(common)
 
 
@@ -212,9 +212,9 @@ def place_questions(look: Look, *more: str) -> Iterator[ExportQuestion]:
             text = f"Which sheet is the table of a run ('{ALL_SHEETS}': each of them)?"
         yield ExportQuestion("sheet", text, look.sheets[0], (*look.sheets, *more))
     yield ExportQuestion(
-        "gravity", "What is gravity there?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
+        "gravity", "What is the local gravity?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
     )
-    yield ExportQuestion("latitude", "At which latitude?", "45.75 deg", quantity="rad")
+    yield ExportQuestion("latitude", "What is the latitude?", "45.75 deg", quantity="rad")
 
 
 def _size_seen(common: FileGuess) -> str:
@@ -234,7 +234,7 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[Export
         text = f"In which unit is the time, column '{time.column}'?"
         yield ExportQuestion("time unit", text, "s", _UNITS["s"], time.unit, unit="s")
     if time is None:
-        text = "No column has the time. How many rows are there a second?"
+        text = "There is no time column. What is the sampling rate?"
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
         yield ExportQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
 
@@ -254,7 +254,7 @@ def _angle_questions(
         text = f"How many counts of column '{angle.column}' make a revolution?"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
         yield ExportQuestion("per_revolution", text, "65536", guess=counts)
-    text = "In which sense does the angle grow, seen from above?"
+    text = "In which sense does the angle increase, seen from above?"
     if angle is None or angle.pulses:
         text = "In which sense does the centrifuge turn, seen from above?"
     yield ExportQuestion("sense", text, SENSES[0], SENSES, guess=sense)
@@ -308,7 +308,9 @@ def judged_answers(
     for key, answer in answers.items():
         if key not in known:
             needed = [one.key for one in questions if one.guess is None]
-            problems.append(f"{key}: is not asked; asked: {', '.join(needed) or 'nothing'}")
+            problems.append(
+                f"{key}: is not a question here; questions: {', '.join(needed) or 'none'}"
+            )
             continue
         try:
             taken[key] = known[key].judged(answer)

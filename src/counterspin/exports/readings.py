@@ -101,7 +101,7 @@ class ReadingsDraft(AnsweredExport):
         ]
         if not readings:
             known = ", ".join(column.name for column in self.look.columns)
-            text = f'no column holds readings (known: {known}); say which: "COLUMN is=reading"'
+            text = f'no column of readings was found (columns: {known}); answer "COLUMN is=reading"'
             raise CampaignError("init", [text])
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]

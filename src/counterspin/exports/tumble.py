@@ -92,7 +92,7 @@ def tumble_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None
     answers: By the keys of questions; they stand above what is guessed.
     """
     if len(looks) != 1:
-        raise CampaignError("init", ["a tumble is one table of readings: name one file"])
+        raise CampaignError("init", ["a tumble is one table of readings: give one file"])
     (look,) = looks
 
     def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
@@ -215,5 +215,5 @@ def _statements(
     yield from table_statements(look, roles)
     axis = next((q.guess for q in questions if q.key == "axis at 0"), None)
     if axis:
-        yield f"input axis at the position 0: {axis}, as the readings follow the angle"
+        yield f"input axis at position 0: {axis}, from the readings against the angle"
     yield "the head turns about north, right-handed, and the output axis lies along its axis"

@@ -23,7 +23,7 @@ from counterspin.input import read_file
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
-_HIDDEN_REASON: Final = "is hidden, as what an interrupted command leaves behind; delete it"
+_HIDDEN_REASON: Final = "is a hidden file left by an interrupted command; delete it"
 
 _SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for each"
 
@@ -70,7 +70,7 @@ class Collected:
 def collect(given: Sequence[Path | Result], term: str) -> Collected:
     """Read all results that are named or lie in the folders named, whatever their schema."""
     paths = [path for path in given if isinstance(path, Path)]
-    missing = [f"{path}: there is no such file or folder" for path in paths if not path.exists()]
+    missing = [f"{path}: no such file or folder" for path in paths if not path.exists()]
     if missing:
         raise CampaignError("history", missing)
     collected, seen = Collected(), dict[str, str]()
@@ -209,7 +209,7 @@ def _limits(stated: Conformity | None) -> tuple[float | None, float | None, str]
 def _wrong(result: Result, names: Sequence[str]) -> str | None:
     """Return why a result is not to be used at all, if it is not."""
     if result.model == "as-printed":
-        return "is of the equations as printed, which return half the true K_II"
+        return "is from the equations as printed, which return half the true K_II"
     for name in names:
         if refusal(result, [name]) is not None:
             return f"its records contradict it: {result.accelerometers[name].findings[0].text}"

@@ -90,7 +90,11 @@ def history(
     if not by_serial:
         known = {record.serial_number for record in collected.records}
         raise CampaignError(
-            "`serial`", [f'no result is of "{serial}"{did_you_mean(str(serial), sorted(known))}']
+            "`serial`",
+            [
+                f"no result has the serial number "
+                f'"{serial}"{did_you_mean(str(serial), sorted(known))}'
+            ],
         )
     return History(
         term=term,
@@ -113,11 +117,11 @@ def history(
 
 def _unknown(term: str) -> str:
     if term in SHARED_TERMS:
-        return f'"{term}" belongs to the machine; a history is of an accelerometer\'s term'
+        return f'"{term}" belongs to the machine; a history follows a term of an accelerometer'
     kind, _, owner = term.partition(".")
     if owner and kind in KINDS:
         return f'"{term}" is one of a triad; "{kind}" follows those of all accelerometers'
-    return f'no term is called "{term}"{did_you_mean(term, [*TERMS, *KINDS])}'
+    return f'unknown term "{term}"{did_you_mean(term, [*TERMS, *KINDS])}'
 
 
 def _leave_out_repeated(collected: Collected) -> None:
@@ -136,7 +140,7 @@ def _leave_out_repeated(collected: Collected) -> None:
                 UnusedResult(
                     file=record.file,
                     accelerometer=record.accelerometer,
-                    reason=f"rests on the same records as {first.file}",
+                    reason=f"uses the same records as {first.file}",
                 )
             )
 
@@ -145,7 +149,7 @@ def _nothing(paths: Sequence[Path | str | Result], collected: Collected) -> str:
     where = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
     lost = [*collected.damaged, *collected.left_out]
     if not lost:
-        return f"no results in {where}; `write_result` writes one" + (
+        return f"no results in {where}. Write one with `write_result`" + (
             f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
         )
     reasons = "; ".join(
@@ -255,15 +259,15 @@ def _due(
     if limits is None:
         reason = "no result has a specification"
     elif line is None:
-        reason = "results of two dates are needed"
+        reason = "results of at least two dates are needed"
     elif verdict in {"differ", "disagree"}:
-        reason = "the results do not agree with a line that could be carried on"
+        reason = "the results do not agree with a straight line that could be extrapolated"
     else:
         ends = (limits.low, limits.high)
         date = next_due(line, records[0].date, records[-1].date, ends, reliability)
         if date is not None:
             return Due(date=date.date().isoformat(), reliability=reliability)
-        reason = f"it stays in specification for {LONGEST_YEARS:g} years by the line: set a limit"
+        reason = f"it is within specification for {LONGEST_YEARS:g} years by the line: set a limit"
     return Due(date=None, reliability=reliability, reason=reason)
 
 

@@ -70,14 +70,14 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
-        return f"{name} = {average}: one result, with nothing to compare it with."
+        return f"{name} = {average}: one result, nothing to compare it with."
     line = instrument.drift
     slope = None
     if line is not None:
         slope = format_estimate(line.value * factor, line.u * factor, unit) + " a year"
     scatter = _scatter_in_words(instrument.scatter)
     if instrument.verdict == "constant":
-        drift = f" No drift is seen: {slope}." if slope else ""
+        drift = f" No significant drift: {slope}." if slope else ""
         return f"{name} is constant: {len(points)} results agree with {average} ({scatter}).{drift}"
     if instrument.verdict == "drifts" and line is not None:
         return (
@@ -91,12 +91,13 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
         )
         return (
             f"{name} changed by {change} between {first.date} and {last.date} ({scatter}). Two "
-            "results cannot tell a drift from a jump, or from an uncertainty that is too small."
+            "results cannot distinguish a drift from a jump or from an uncertainty that is too "
+            "small."
         )
     farthest = max(points, key=lambda point: abs(point.z or 0.0))
     return (
-        f"{name} scatters more than the uncertainties explain ({scatter}), and not by a steady "
-        f"drift: it jumped, or uncertainties are too small. Farthest from the others is "
+        f"{name} scatters more than the uncertainties explain ({scatter}), and not as a steady "
+        f"drift: it jumped, or uncertainties are too small. The largest deviation is that of "
         f"{farthest.file} (z = {format_number(farthest.z or 0.0, 2)})."
     )
 
@@ -111,7 +112,7 @@ def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]
     if (chart := instrument.control) is not None:
         out = [
             *(f"{file} is beyond the action limits" for file in chart.beyond),
-            *(f"{file} leaps from the one before" for file in chart.leaps),
+            *(f"{file} jumps from the one before" for file in chart.leaps),
         ]
         yield (
             f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "
@@ -128,8 +129,8 @@ def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]
         reliability = format_probability(due.reliability)
         if due.date is not None:
             yield (
-                f"Due on {due.date}: until then it is in specification with {reliability}, by the "
-                "line through its results (control chart method of ILAC-G24:2022)."
+                f"Due on {due.date}: until then it is within specification with {reliability}, "
+                "by the line through its results (control chart method of ILAC-G24:2022)."
             )
         elif instrument.specification is not None:
             yield f"No due date at {reliability}: {due.reason}."
@@ -188,9 +189,14 @@ def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
         if name != "day"
     ]
     yield Paragraph(
-        f"What the results vary by about {about} beyond their own u, by restricted likelihood."
-        + (f" Few {' and '.join(few)} tell little: rely on the intervals." if few else "")
-        + (f" Not told apart: {'; '.join(why)}." if why else ""),
+        f"Standard deviations about {about} in excess of the results' own u, by restricted "
+        f"likelihood."
+        + (
+            f" With few {' and '.join(few)} the estimates are poor: use the intervals."
+            if few
+            else ""
+        )
+        + (f" Not separable: {'; '.join(why)}." if why else ""),
         "quiet",
     )
 

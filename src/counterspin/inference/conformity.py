@@ -39,7 +39,7 @@ class DecisionRule:
         if not 0.0 <= self.guard_factor < math.inf:
             raise ValueError(f"a guard factor is a number from 0 on; got {self.guard_factor}")
         if not 0.5 < self.needed < 1.0:
-            raise ValueError(f"the probability needed lies between 0.5 and 1; got {self.needed}")
+            raise ValueError(f"the required probability lies between 0.5 and 1; got {self.needed}")
 
 
 @frozen
@@ -137,13 +137,13 @@ def judge(
     if rule.name == "probability":
         if max(inside, outside) >= rule.needed:
             verdict = "pass" if inside >= rule.needed else "fail"
-        reason = f"neither conformity nor its contrary is as probable as {rule.needed:g}"
+        reason = f"neither conformity nor nonconformity reaches the probability {rule.needed:g}"
     else:
         if _between(value, *acceptance_limits(low, high, guard_band)):
             verdict = "pass"
         elif not _between(value, *acceptance_limits(low, high, -guard_band)):
             verdict = "fail"
-        reason = "the estimate is nearer to a tolerance limit than the guard band"
+        reason = "the estimate is closer to a tolerance limit than the guard band"
     return replace(
         undecided(specification, rule, reason),
         guard_band=guard_band,

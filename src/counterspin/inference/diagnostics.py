@@ -118,7 +118,7 @@ def diagnose(
     values = {name: np.asarray(rows, float) for name, rows in residuals.items()}
     total = sum(len(rows) for rows in values.values())
     if not values or min(len(rows) for rows in values.values()) < 3:
-        raise ValueError("residuals can be tested only with three or more of them in every run")
+        raise ValueError("at least three residuals in every run are needed for a test")
     shares = (
         dof
         if isinstance(dof, Mapping)

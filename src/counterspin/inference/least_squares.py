@@ -265,7 +265,7 @@ def solve(
         which = int(free[weak[0]])
         raise NotIdentifiableError(
             f"column {which + 1} of the design is a combination of the columns before it, so "
-            "that the data cannot tell these unknowns apart; leave one out or give a prior"
+            "that the data cannot separate these unknowns; leave one out or give a prior"
         )
     data, after = factor.shape[0], factor.shape[0] + known.size
     inverse = np.linalg.solve(triangle, eye)

@@ -60,8 +60,8 @@ def fit(
     if given is None:
         if dof < 1:
             raise NotIdentifiableError(
-                f"{y.size} observations of {columns.shape[1]} unknowns leave nothing to estimate "
-                "sigma from; give sigma"
+                f"{y.size} observations of {columns.shape[1]} unknowns leave no degrees of "
+                "freedom to estimate sigma; give sigma"
             )
         scale = math.sqrt(solution.chi2 / dof)
         covariance = covariance * (solution.chi2 / dof)

@@ -1,4 +1,4 @@
-"""Poses of a triad at attitudes that nobody knows: of each, what three accelerometers say of |f|.
+"""Poses of a triad at unknown attitudes: of each, what three accelerometers say of |f|.
 
 At rest the specific force is g, in a direction that the pose's own two angles give. Turning the
 triad a little moves its three indications in a plane, so that one combination of them, along the

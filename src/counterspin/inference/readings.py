@@ -265,7 +265,7 @@ def _solved(
             if isinstance(group, TriadPoses):
                 raise ConvergenceError(_do_not_settle(group))
         raise ConvergenceError(
-            f"the fit of the readings did not settle in {_ROUNDS} rounds; give the terms of the "
+            f"the fit of the readings did not converge in {_ROUNDS} rounds; give the terms of the "
             "machine priors, or state the standard uncertainties of the readings"
         )
     dof = [
@@ -369,8 +369,9 @@ def _too_few_poses(group: TriadPoses, solution: Solution, model: Unknowns) -> st
     besides = f" They do not determine {', '.join(lacking)} at all." if lacking else ""
     return (
         f"{group.accelerometer}: {group.size} pose{'s' * (group.size > 1)} at unknown attitudes "
-        f"without a stated uncertainty cannot tell their noise beside {len(free)} unknowns of "
-        f"which nothing is known.{besides} Take more poses, spread over all directions, or state "
+        f"without a stated uncertainty do not determine their noise in addition to "
+        f"{len(free)} unknowns without a prior.{besides} Take more poses, spread over all "
+        f"directions, or state "
         "the uncertainty."
     )
 
@@ -381,8 +382,9 @@ def _do_not_settle(group: TriadPoses) -> str:
     middle = unit.mean(axis=0)
     widest = math.degrees(math.acos(np.clip(np.min(unit @ middle) / np.linalg.norm(middle), -1, 1)))
     return (
-        f"{group.accelerometer}: the fit of {group.size} poses did not settle in {_ROUNDS} rounds. "
-        f"They lie within {widest:.0f} deg of one direction; take poses all over the sphere, or "
+        f"{group.accelerometer}: the fit of {group.size} poses did not converge in {_ROUNDS} "
+        f"rounds. They lie within {widest:.0f} deg of one direction; take poses all over the "
+        f"sphere, or "
         "give the coefficients priors."
     )
 
@@ -409,8 +411,8 @@ def _noise_again(
     if few:
         raise NotIdentifiableError(
             f"{group.accelerometer}: {group.size} readings ({group.motion}) without a stated "
-            "uncertainty cannot tell their noise beside the unknowns; state it, or take more "
-            "readings than there are unknowns"
+            f"uncertainty do not determine their noise in addition to the unknowns; state it, or "
+            "take more readings than there are unknowns"
         )
     # Where the head's part is known, the score of the rest: each reading by the share that it has.
     share = part.noise_share

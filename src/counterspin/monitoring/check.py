@@ -58,7 +58,7 @@ def check(
     CampaignError
         If the description is wrong, or it is not clear which run this is.
     RecordError
-        If there is no such file.
+        If file not found.
     """
     whole = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
     with one_blas_thread():
@@ -69,7 +69,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None:
         if not file.exists():
-            raise RecordError(f"{file}: there is no such file.")
+            raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
     meant = _meant(campaign, file, name)
     own = meant if file is None else replace(meant, record=file)
@@ -86,7 +86,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             others=[],
             reached=[],
             expected=[],
-            why_not="the record cannot be used as it stands",
+            why_not="the record cannot be used as it is",
         )
     others, found = _with_the_others(campaign, own, judged.fit)
     expected, why_not = _expected(campaign, own, judged)
@@ -119,7 +119,7 @@ def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded:
     if name is not None:
         if name not in by_name:
             raise CampaignError(
-                "`run`", [f'no run is called "{name}"{did_you_mean(name, list(by_name))}']
+                "`run`", [f'there is no run "{name}"{did_you_mean(name, list(by_name))}']
             )
         return by_name[name]
     if file is not None:
@@ -134,7 +134,7 @@ def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded:
     if len(every) == 1:
         return every[0]
     raise CampaignError(
-        "`run`", [f"say which run this is, one of: {', '.join(by_name) or 'none has a record'}"]
+        "`run`", [f"name the run, one of: {', '.join(by_name) or 'none has a record'}"]
     )
 
 
@@ -227,7 +227,7 @@ def _expected(
         whole = as_recorded(replace(campaign, runs=tuple(runs)), [judged.observed], noise)
     unknown = [r.name for r in whole.runs if r.duration is None]
     if unknown:
-        return [], f"the description does not say how long {', '.join(unknown)} will last"
+        return [], f"the description does not state how long {', '.join(unknown)} will last"
     try:
         whole = with_told_poses(whole)
         predicted = forecast(whole, sampling_rate=rate)

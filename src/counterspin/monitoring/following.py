@@ -96,12 +96,12 @@ class FollowedTable:
         if before is None:
             return None
         if (now.device, now.inode) != (before.device, before.inode):
-            return "was replaced by another file, which is read from its start"
+            return "was replaced by another file, which is now read from its start"
         if now.size < self._done:
-            return "has become shorter, and is read again from its start"
+            return "has become shorter, and is now read again from its start"
         file.seek(self._done - len(self._tail))
         if file.read(len(self._tail)) != self._tail:
-            return "was written anew, and is read again from its start"
+            return "was rewritten, and is now read again from its start"
         return None
 
     def _forget(self) -> None:

@@ -101,7 +101,7 @@ def noise(
     """
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None and not file.exists():
-        raise RecordError(f"{file}: there is no such file.")
+        raise RecordError(f"{file}: file not found.")
     source = file if file is not None else memory_table("record in memory", record)
     g = _quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
     turning = _quantity("rate", rate, "rad/s")
@@ -182,7 +182,7 @@ def _guessed(
         if known is None or observable is None or len(column.values) != time.size:
             if columns:
                 why = f"is in {known!r}" if known else "has no unit; give `unit`"
-                wanted = "a length, a velocity or a specific force is wanted"
+                wanted = "a length, a velocity or a specific force is needed"
                 raise CampaignError("noise", [f"column {column.name!r} {why}; {wanted}"])
             unused.append(column.name)
             continue
@@ -192,7 +192,7 @@ def _guessed(
         order = observation.ORDERS[observable]
         taken.append(RestSignal(column.name, column.name, order, in_g, time, values))
     if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
-        wanted = "one of a length, a velocity or a specific force is wanted, such as m/s^2"
+        wanted = "a unit of length, velocity or specific force is needed, such as m/s^2"
         raise CampaignError("noise", [f"`unit`: {unit!r}: {wanted}"])
     if not taken:
         raise RecordError(
@@ -208,8 +208,8 @@ def _time(source: Path | MemoryTable, guess: FileGuess, columns: Sequence[FileCo
     if guess.time is not None:
         if guess.time.unit is None:
             raise RecordError(
-                f"{source}: column '{guess.time.column}' seems to be the time, but nothing says "
-                "in which unit; name it such as 'time_s', or give `campaign`."
+                f"{source}: column '{guess.time.column}' seems to be the time, but its unit "
+                "is unknown; rename it, for example to 'time_s', or give `campaign`."
             )
         column = next(c for c in columns if c.name == guess.time.column)
         return np.asarray(column.values * guess.time.factor)
@@ -319,40 +319,40 @@ def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
             if key in ("flicker", "bias_walk"):
                 growth = "as the square root of its length" if key == "flicker" else "as its length"
                 yield (
-                    f"The record does not show {name}; the limit that is stated falls about "
-                    f"{growth}. A longer record, of hours, shows smaller sizes."
+                    f"The record does not show {name}; the stated upper limit decreases "
+                    f"about {growth}. A longer record, of hours, shows smaller values."
                 )
             continue
         wide = size.high is None or size.high > _WIDE * size.value or size.low * _WIDE < size.value
         if wide and size.low == 0.0:
             yield (
-                f"The interval of the {name} is open below: the record is too short to tell it "
-                "from none."
+                f"The interval of the {name} has no lower limit: the record is too short to "
+                "distinguish it from zero."
             )
         elif wide:
             yield (
-                f"The {name} rests on the few slowest periods of this record, and its interval "
-                f"shows it: a record some times longer than {stated.seconds:.4g} s tells more."
+                f"The {name} depends on the few slowest periods of this record, hence "
+                f"its wide interval: use a record several times longer than {stated.seconds:.4g} s."
             )
     if stated.outliers:
         many = "1 sample stands" if stated.outliers == 1 else f"{stated.outliers} samples stand"
-        yield f"{many} off from the neighbours, left out."
+        yield f"{many} far from their neighbours; they were left out."
     if stated.gaps:
         yield (
-            f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum and "
-            "Allan deviation are of its longest part, the components of all parts."
+            f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum "
+            "and Allan deviation use its longest part, the components all parts."
         )
     thin = round(found.analysis.step / found.stretches.step)
     if thin > 1:
         yield (
-            f"Components, lines and Allan deviation are found in velocities {thin} samples apart; "
-            "the spectrum is of all samples."
+            f"Components, lines and Allan deviation are computed from velocities {thin} "
+            "samples apart; the spectrum from all samples."
         )
     if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _scatter(found) ** 2:
         yield (
             f"The samples are multiples of {stated.resolution:.3g} {OBSERVABLES[stated.observable]}"
-            ": rounding to it is a good part of what is white here, and no white noise where the "
-            "signal stays within one step."
+            ": rounding contributes much of the white noise here, and it is not white "
+            "where the signal stays within one step."
         )
     yield from _misfit(found.analysis.noise.bands)
 
@@ -377,9 +377,10 @@ def _misfit(bands: Sequence[Band]) -> Iterator[str]:
     if worst is not None:
         band = worst[1]
         yield (
-            f"From {band.low:.3g} to {band.high:.3g} Hz the record has {band.ratio:.3g} times the "
-            "power that these components make: a filter, a resonance or a disturbance that is no "
-            "noise of the sensor. Intervals do not hold it; look at the spectrum."
+            f"From {band.low:.3g} to {band.high:.3g} Hz the record has {band.ratio:.3g} times "
+            f"the power of these components: a filter, a resonance or a disturbance rather than "
+            f"noise "
+            "of the sensor. The intervals do not include it; inspect the spectrum."
         )
 
 

@@ -44,8 +44,8 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
     for line in result.table.splitlines():
         yield Paragraph(line, "command")
     yield Paragraph(
-        "Intervals are of 95 %. N^2 is a two-sided density, as in IEEE Std 952: velocity wanders "
-        "with the variance N^2 t, and a one-sided spectrum is twice as high. The floor of the "
+        "Intervals are for 95 %. N^2 is a two-sided density, as in IEEE Std 952: the variance of "
+        "velocity grows as N^2 t, and a one-sided spectrum is twice as high. The floor of the "
         "Allan deviation of flicker is 0.664 B.",
         "quiet",
     )
@@ -75,7 +75,7 @@ def _first(signal: SignalNoise, gravity: float) -> str:
         unit, factor = _shown(own.unit, signal, gravity)
         if own.value is not None:
             slow.append(f"{name} = {format_number(own.value * factor)} {unit}")
-    beside = f", {' and '.join(slow)}" if slow else "; no slower noise shows"
+    beside = f", {' and '.join(slow)}" if slow else "; no slower noise is visible"
     rate = format_number(signal.sampling_rate, 5)
     return f"{white}{beside}, in {signal.seconds:.5g} s at {rate} Hz."
 

@@ -183,7 +183,7 @@ def _too_short(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str
     turned = abs(run.rate) * seconds / (2.0 * math.pi)
     if turned >= FEWEST_REVOLUTIONS:
         return None
-    return f"{turned:.1f} revolutions of {FEWEST_REVOLUTIONS} that are needed"
+    return f"{turned:.1f} revolutions of at least {FEWEST_REVOLUTIONS}"
 
 
 def _look_at(watched: _Watched) -> tuple[bool, str | None]:
@@ -204,7 +204,7 @@ def _look_at(watched: _Watched) -> tuple[bool, str | None]:
         watched.fault = watched.trouble = None
         if watched.table is not None:
             watched.table = FollowedTable(path, watched.table.names, watched.table.dialect)
-        return gone, "is no longer there" if gone else None
+        return gone, "has disappeared" if gone else None
     except (OSError, RecordError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         trouble = f"{path}: cannot be read: {reason}." if reason else str(error)

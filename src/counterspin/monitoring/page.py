@@ -40,7 +40,7 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
     if checked.good:
         words = "The run may be kept." if not checked.remarks else "The run may be kept; note:"
     else:
-        words = "The run should not be kept as it is."
+        words = "The run has faults and should be repeated."
     yield Paragraph(words, "answer" if checked.good else "warning")
     for remark in checked.remarks:
         yield Paragraph(remark, "plain" if checked.good else "warning")
@@ -49,9 +49,9 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
         yield Table((Column("What"), Column("Found", wraps=True)), rows)
     if checked.reached:
         others = ", ".join(checked.others)
-        yield Heading("What it brings")
+        yield Heading("Expected uncertainty")
         yield _coefficients(
-            checked, f"with {others}" if others else "by this record alone, and what is known"
+            checked, f"with {others}" if others else "from this record alone, with the priors"
         )
     if checked.why_not and run.state == "read":
         yield Paragraph(f"The whole campaign cannot be forecast: {checked.why_not}.", "quiet")
@@ -78,7 +78,7 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         yield from _facts_of_poses(run, run.poses)
         return
     if run.rate is None or run.u_rate is None:
-        yield "Angle", "not recorded: the nominal rate is taken"
+        yield "Angle", "not recorded: the nominal rate is used"
     else:
         part = run.rate / run.nominal_rate - 1.0
         yield (
@@ -89,7 +89,7 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         yield "Drift of the rate", f"{format_number(run.drift or 0.0)} 1/s"
         yield "Ripple", _ripple(run)
         rms = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
-        yield "Angle about the model", f"rms {rms}"
+        yield "Angle residuals", f"rms {rms}"
     yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
     for name, residual in run.residuals.items():
         stated = f", stated {format_number(residual.stated)}" if residual.stated else ""

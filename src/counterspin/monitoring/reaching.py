@@ -76,7 +76,7 @@ def goals_of(
         goal = read_plan(wanted).goal
         if goal.kind != "target":
             raise CampaignError(
-                str(wanted), ["goal.target: missing; the plan does not say which u is enough"]
+                str(wanted), ["goal.target: missing; the plan does not state the required u"]
             )
         target: dict[str, float | str] = dict(goal.sizes)
     elif isinstance(wanted, Mapping):

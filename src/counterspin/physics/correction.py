@@ -276,7 +276,7 @@ def _settled(
     worst = int(np.flatnonzero(moving.any(axis=1))[0])
     raise NotInvertibleError(
         worst,
-        "cannot be corrected: the accelerometers' mutual corrections have not settled after "
+        "cannot be corrected: the accelerometers' mutual corrections have not converged after "
         f"{_MAX_ROUNDS} rounds; check the coefficients and their units.",
     )
 

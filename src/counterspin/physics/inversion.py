@@ -194,4 +194,4 @@ def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
         if settled.all():
             return x
     worst = int(rows[int(np.flatnonzero(~settled)[0])])
-    raise NotInvertibleError(worst, f"has not settled after {_MAX_STEPS} steps.")
+    raise NotInvertibleError(worst, f"has not converged after {_MAX_STEPS} steps.")

@@ -74,7 +74,7 @@ def si_unit(unit: str) -> tuple[SiUnit, int]:
     for place, factor in enumerate(unit.split("/")):
         match = _FACTOR.fullmatch(factor)
         if match is None:
-            raise ValueError(f"{unit!r} is not a unit that a certificate knows")
+            raise ValueError(f"{unit!r} is not a unit supported in certificates")
         exponent = int(match[2] or 1) * (1 if place == 0 else -1)
         powers = [
             total + exponent * one for total, one in zip(powers, _POWERS[match[1]], strict=True)

@@ -312,8 +312,8 @@ def _fit(
         size = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
         if np.any(np.abs(np.diag(r)) < 1e-12 * size):
             raise NotIdentifiableError(
-                f"the angle samples cannot tell {count} harmonics apart: there are too few in a "
-                "revolution, or they repeat the same angles; ask for fewer harmonics"
+                f"the angle samples do not separate {count} harmonics: there are too "
+                "few in a revolution, or they repeat the same angles; ask for fewer harmonics"
             )
         solution = np.asarray(np.linalg.solve(r, triangle[:unknowns, -1]))
         previous, w0 = w0, start_rate + float(solution[1]) / span
@@ -322,7 +322,7 @@ def _fit(
             break
     else:
         raise ConvergenceError(
-            f"the spindle's rate did not settle near {start_rate:.9g} rad/s: "
+            f"the spindle's rate did not converge near {start_rate:.9g} rad/s: "
             "is the run's nominal rate right?"
         )
     residuals = columns[-1] - solution @ columns[:-1]

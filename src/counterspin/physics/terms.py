@@ -407,7 +407,7 @@ def term(symbol: str) -> Term[Any]:
     """Return the row of the table with this symbol; of a mounting's own, that of all mountings."""
     row, _ = _find(symbol)
     if row is None:
-        raise ValueError(f"no term is called {symbol!r}; known: {', '.join(TABLE)}")
+        raise ValueError(f"unknown term {symbol!r}; known: {', '.join(TABLE)}")
     return row
 
 

@@ -50,8 +50,8 @@ def require_determined(search: Search) -> None:
     text += (
         f'. Allow the attitude "{helps}" too (limits.attitudes)'
         if helps
-        else ". Give what is known of the other terms in [model.priors], or take them out of "
-        "model.terms"
+        else ". State what is known of the other terms in [model.priors], or remove "
+        "them from model.terms"
     )
     raise NotIdentifiableError(text + ".")
 

@@ -44,7 +44,7 @@ def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
     """Return the least u against the total time and against the highest rate, and its sources."""
     curves = result.curves
     if curves is None:
-        raise ValueError("the result was made without curves")
+        raise ValueError("the result was computed without curves")
     unit, factor = field_unit(curves.unit)
     owner, _, symbol = curves.coefficient.partition(".")
     if owner in result.accelerometers:

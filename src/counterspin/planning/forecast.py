@@ -164,13 +164,13 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         if reading.u is None
     ]
     problems += [
-        f'"{reading.name}" has no value: where poses point that nobody knows is found from them; '
+        f'"{reading.name}" has no value: unknown attitudes are estimated from the readings; '
         "simulate them first"
         for reading in campaign.all_readings[len(campaign.readings) :]
         if math.isnan(reading.value)
     ]
     if campaign.triad is not None and campaign.triad.records:
-        problems.append("a prediction takes the poses that a record has, not the record")
+        problems.append("a prediction needs the poses of a record, not the record itself")
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():

@@ -63,7 +63,7 @@ def optimise(
     """
     if not limits.possible:
         raise NotIdentifiableError(
-            f"not one run fits into {limits.total_time:.6g} s: the shortest takes "
+            f"no run fits into {limits.total_time:.6g} s: the shortest takes "
             f"{limits.shortest:.6g} s with spin-up and settling"
         )
     choices = [

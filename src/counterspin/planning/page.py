@@ -74,8 +74,8 @@ def _answer(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(_optimality(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
-        "Standard uncertainties (k = 1) that a joint calibration will state, in units of the "
-        f"site's own gravity, g = {gravity} m/s^2.",
+        "Standard uncertainties (k = 1) that a joint calibration will give, in units "
+        f"of the site's own gravity, g = {gravity} m/s^2.",
         "quiet",
     )
 
@@ -83,14 +83,14 @@ def _answer(result: PlanResult) -> Iterator[Block]:
 def _optimality(goal: GoalResult, timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "How much better another plan could be is not known: no theorem bounds it where the "
-            "time stamps have noise."
+            "How much better another plan could be is unknown: no theorem gives a bound "
+            "if the time stamps have noise."
         )
     less = 100.0 * (1.0 - goal.efficiency)
     if less > _EMPTY_BOUND:
         return (
-            "How much better another plan could be is not known: the bound that holds for every "
-            f"plan would allow {format_number(less, 2)} % less."
+            "How much better another plan could be is unknown: the bound "
+            f"for all plans allows {format_number(less, 2)} % less."
         )
     if less < 0.05:
         return "No plan within these limits is better by more than 0.05 %."
@@ -100,7 +100,7 @@ def _optimality(goal: GoalResult, timed: bool) -> str:
         return f"No plan within these limits can reduce the {what} by {by}."
     if timed:
         return f"No plan within these limits can be {by} shorter."
-    return f"No plan within these limits can do with {by} fewer readings."
+    return f"No plan within these limits needs {by} fewer readings."
 
 
 def _runs(result: PlanResult) -> Iterator[Block]:
@@ -268,8 +268,8 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
     seen = [effect for effect in accelerometer.faults if effect.noticed]
     if unseen:
         yield Paragraph(
-            "Each of these is taken as perfect. Alone and of typical size, it would shift K_II by "
-            "more than the standard uncertainty, and the residuals would still look like noise."
+            "Each of these is assumed perfect. Alone and of typical size, it would shift K_II "
+            "by more than the standard uncertainty, and the residuals would still look like noise."
         )
         yield Table(
             (
@@ -289,15 +289,15 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
             ),
         )
         yield Paragraph(
-            "Take them out of model.assume, state what is known of them in [model.priors], and "
-            "plan again."
+            "Remove them from model.assume, state what is known of them in [model.priors], "
+            "and plan again."
         )
     else:
         yield Paragraph(
-            "Nothing that is taken as perfect would shift K_II undetected by more than its "
-            "standard uncertainty."
+            "Nothing that is assumed perfect would shift K_II undetected by more "
+            "than its standard uncertainty."
             if result.assumed
-            else "Nothing is taken as perfect: what is not stated contributes at its typical size."
+            else "Nothing is assumed perfect: what is not stated contributes with its typical size."
         )
     if seen:
         named = ", ".join(effect.symbol for effect in seen)
@@ -307,7 +307,8 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
         return
     part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
-        f"{part} % of K_II rests on its second harmonic, which an eccentric encoder and imbalance "
+        f"{part} % of the information on K_II comes from its second harmonic, which an eccentric "
+        f"encoder and imbalance "
         "imitate; the rest on the mean of a_I^2.",
     )
 
@@ -319,8 +320,8 @@ def _limits(result: PlanResult) -> Iterator[Block]:
     what = "Uncertainty" if result.goal.kind == "minimise" else "Time"
     if not result.limits:
         yield Paragraph(
-            f"Relaxing any limit by 10 % gains nothing: the {what.lower()} is limited by what is "
-            "known beforehand."
+            f"Relaxing any limit by 10 % gains nothing: the {what.lower()} is "
+            "limited by the priors."
         )
         return
     rows = []

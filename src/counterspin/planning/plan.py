@@ -172,7 +172,7 @@ def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Pl
     described = read_reading_plan(where)
     if curves:
         raise CampaignError(
-            str(plan_name(where)), ["curves are of plans with records, not of readings"]
+            str(plan_name(where)), ["curves exist for plans of records only, not of readings"]
         )
     result, readings = ReadingSearch(described).best()
     document = write_document(described.campaign_document(readings), _COMMENTS)
@@ -200,8 +200,7 @@ def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
 
 
 _COMMENTS: Final = {
-    "simulation": "What follows is for `counterspin simulate` only; a calibration does not look "
-    "at it.",
+    "simulation": "The following is for `counterspin simulate` only; a calibration ignores it.",
 }
 
 
@@ -253,8 +252,8 @@ def check(
     if sampling_rate is not None and not campaign.readings:
         words, requirements = _requirements(prediction, name, sampling_rate)
     warnings = [
-        f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not say how long "
-        "its record is."
+        f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not state the "
+        "length of its record."
         for run in (lacking if revolutions is not None else ())
     ]
     return result.model_copy(

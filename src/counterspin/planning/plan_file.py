@@ -130,7 +130,7 @@ def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}
-        problems.add(("runs",), "a plan makes the runs; say what they may be in [limits]")
+        problems.add(("runs",), "a plan chooses the runs; state in [limits] what is allowed")
     problems.check(PlanDocument, raw, ())
     settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
@@ -181,9 +181,8 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
             if condition != "force":
                 problems.add(
                     ("model", key, index),
-                    f'"{name}" depends on the {condition} of each run, which a plan does not '
-                    "know; leave it out here, add it to the campaign that the plan makes, and "
-                    "check that one",
+                    f'"{name}" depends on the {condition} of each run, which a plan does not know; '
+                    "leave it out here, add it to the planned campaign, and check that",
                 )
     return len(problems.lines) > before
 
@@ -221,7 +220,7 @@ def _named(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
             else ", ".join(f"{axis} {where}" for axis, where in attitude.items())
         )
         if name in named:
-            problems.add(("limits", "attitudes", index), f'"{name}" is there twice')
+            problems.add(("limits", "attitudes", index), f'"{name}" is listed twice')
         named[name] = attitude
     return named
 
@@ -254,9 +253,9 @@ def _found_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) 
     for key in {"flicker", "bias_walk"} & sizes.keys() - stated.model_fields_set:
         problems.add(
             ("noise", "from"),
-            f"the record shows {key}, {sizes[key]:.3g} {units[key]}, and a search for runs knows "
-            f'nothing of a bias that wanders; write {key} = "0 {units[key]}" beside it, and check '
-            "the campaign that the plan makes with it",
+            f"the record shows {key}, {sizes[key]:.3g} {units[key]}, but the search for runs "
+            f'cannot treat a wandering bias; add {key} = "0 {units[key]}", '
+            "and check the planned campaign with it",
         )
     return {key: f"{size!r} {units[key]}" for key, size in sizes.items()}
 
@@ -269,14 +268,14 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
         if getattr(noise, key) != 0.0:
             problems.add(
                 ("noise", key),
-                "a search for runs knows nothing of a bias that wanders; leave it out here, add it "
-                "to the campaign that the plan makes, and check that one",
+                "the search for runs cannot treat a wandering bias; leave it "
+                "out here, add it to the planned campaign, and check that",
             )
     for name, accelerometer in campaign.accelerometers.items():
         own = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
         if own == (0.0, 0.0, 0.0):
             problems.add(
-                ("noise",), f"{name} would have none at all; give {accelerometer.observable}"
+                ("noise",), f"{name} would have no noise at all; give {accelerometer.observable}"
             )
 
 
@@ -299,8 +298,8 @@ def _limits(
     if fewest * 2.0 * math.pi / high > longest * (1.0 + 1e-9):
         problems.add(
             ("limits", "longest_run"),
-            f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s at the highest "
-            "rate already; allow a longer run or fewer revolutions",
+            f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s even "
+            "at the highest rate; allow a longer run or fewer revolutions",
         )
     samples = fewest * 2.0 * math.pi / high * settings.sampling_rate
     if samples < _FEWEST_SAMPLES:
@@ -312,7 +311,8 @@ def _limits(
     if longest * high > 2.0 * math.pi * _MOST_REVOLUTIONS:
         problems.add(
             ("limits", "total_time"),
-            f"a run of {longest:.4g} s at {high:.6g} rad/s is longer than any that can be made",
+            f"a run of {longest:.4g} s at {high:.6g} rad/s is longer than the longest possible "
+            f"record",
         )
     limits = Limits(
         types=tuple(RunType(name, sense) for name in attitudes for sense in senses),
@@ -334,7 +334,7 @@ def _limits(
     if limits.total_time < limits.shortest:
         problems.add(
             ("limits", "total_time"),
-            f"not one run fits: the shortest takes {limits.shortest:.4g} s with its spin-up, "
+            f"no run fits: the shortest takes {limits.shortest:.4g} s with its spin-up, "
             f"settling and {fewest:g} revolutions"
             if limits.fewest_rates == 1
             else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
@@ -354,7 +354,7 @@ def _too_few_rates(limits: Limits) -> str:
     if len(rates) < count:
         return (
             f"from {limits.rate[0]:.6g} to {limits.rate[1]:.6g} rad/s there are only {len(rates)} "
-            f"rates of which each is {limits.apart:g} times the next"
+            f"rates with a ratio of at least {limits.apart:g}"
         )
     if limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
         return (
@@ -406,7 +406,7 @@ def resolve_goal(settings: GoalSettings, campaign: Campaign, problems: Problems)
         problems.add(("goal",), "has both minimise and target; keep one")
         return None
     if settings.target is not None and settings.criterion != "sum":
-        problems.add(("goal", "criterion"), "has no meaning beside target; leave it out")
+        problems.add(("goal", "criterion"), "has no meaning with target; leave it out")
     key = "target" if settings.target is not None else "minimise"
     wanted = settings.target if settings.target is not None else settings.minimise
     if wanted is None:
@@ -433,7 +433,7 @@ def resolve_goal(settings: GoalSettings, campaign: Campaign, problems: Problems)
     if not isinstance(wanted, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", key),
-            "these have different units; say for each the size of u that counts as 1, such as "
+            "these have different units; give for each the u that counts as 1, such as "
             'minimise = { K_II = "1e-8 g/g^2" }',
         )
     if len(problems.lines) > before:
@@ -449,7 +449,7 @@ def _size(
     if quantity is None:
         return None
     if quantity.value <= 0.0 or quantity.u != 0.0:
-        problems.add(path, "an uncertainty to reach is one number greater than zero")
+        problems.add(path, "a target uncertainty is one number greater than zero")
         return None
     return quantity.value
 

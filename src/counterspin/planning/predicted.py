@@ -90,10 +90,10 @@ def _one_rate(campaign: Campaign) -> list[str]:
     if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
         return []
     return [
-        f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean force of K_F, K_II, "
-        "K_4 and K_F.heating is alike, so that K_II rests on what is known of the others "
-        "beforehand; if that is wrong, nothing in these records will show it. Runs at a second "
-        "rate would."
+        f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean effects of K_F, "
+        f"K_II, K_4 and K_F.heating cannot be separated, so that K_II depends on the priors of "
+        f"the others; if these are wrong, the records will not show it. Runs at a "
+        "second rate would."
     ]
 
 

@@ -49,11 +49,11 @@ def requirements_of(
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
-    words = f"at the value expected of {name}"
+    words = f"at the expected value of {name}"
     if expected[place] == 0.0:
         expected[place] = unknown.limit
         unit = unit_of(unknown.symbol)
-        words = f"if {name} were as large as is credible, {unknown.limit:.3g} {unit}"
+        words = f"if {name} had its largest credible value, {unknown.limit:.3g} {unit}"
     # A fault of the rotation has its own size in each run.
     owners = {symbol: [run.name for run in campaign.runs] for symbol in ROTATION}
     owners |= {symbol: [""] for symbol in _INPUTS}

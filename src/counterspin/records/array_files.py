@@ -132,7 +132,7 @@ class ArrayFile(ColumnFile):
             for name, array in arrays.items():
                 if name in self.stamps and array.dtype.kind != "M":
                     raise RecordError(
-                        f"{self.path}: '{name}' holds no time stamps that can be read here; "
+                        f"{self.path}: '{name}' holds no readable time stamps; "
                         "export the time in seconds."
                     )
                 if name not in self.stamps and array.dtype.kind not in "fiub":
@@ -193,8 +193,8 @@ class Hdf5File(ArrayFile):
             # The checksum would be of this file, the numbers from another.
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
-                    f"{self.path}: the numbers of '{name}' stand in another file. Write a file "
-                    "that holds them itself."
+                    f"{self.path}: the numbers of '{name}' are in another file. Write "
+                    "a file that contains them itself."
                 )
             kind = dataset.id.get_type().get_class()
             if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
@@ -215,7 +215,7 @@ class Hdf5File(ArrayFile):
         with h5py.File(self.path, "r") as file:
             for name in missing:
                 if isinstance(file.get(name, getlink=True), h5py.ExternalLink | h5py.SoftLink):
-                    return f"'{name}' is a link; write a file that holds the column itself."
+                    return f"'{name}' is a link; write a file that contains the column itself."
         return super()._missing_words(missing)
 
 
@@ -260,7 +260,7 @@ class MatlabFile(ArrayFile):
         if opaque or any(name == "None" for name in self._variables):
             return (
                 f"there is no column '{missing[0]}'. The file has an object such as a table, which "
-                "only MATLAB reads: save s = table2struct(T, 'ToScalar', true) in its place."
+                "only MATLAB can read: save s = table2struct(T, 'ToScalar', true) instead."
             )
         return super()._missing_words(missing)
 

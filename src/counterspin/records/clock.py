@@ -262,8 +262,8 @@ class Clock:
             if turns > _GAP_REVOLUTIONS:
                 raise self._fail(
                     int(rows[place]),
-                    f"no row for {length:.6g} s, {turns:.4g} revolutions; the rotation cannot be "
-                    "followed that long. Cut the record here.",
+                    f"no row for {length:.6g} s, {turns:.4g} revolutions; the rotation cannot "
+                    "be tracked over such a gap. Cut the record here.",
                 )
             self.findings.gap_count += 1
             if len(self.findings.gaps) < LISTED:
@@ -419,10 +419,11 @@ def _jump_words(gone: float, step: float, stray: float, rate: float) -> str:
     """
     if abs(gone / step - 1) < 0.2:
         return (
-            f"the angle jumps: it is {stray:.4g} rad off what the rows before it lead to, "
-            "and stays off. Cut the record here."
+            f"the angle jumps: it is {stray:.4g} rad off the extrapolation of the rows "
+            "before it, and stays off. Cut the record here."
         )
     return (
-        f"the clock jumps: time advances by {gone:.6g} s over one row, the angle as in "
+        f"the clock jumps: time advances by {gone:.6g} s over one row, but the angle advances as "
+        f"in "
         f"{gone + stray / rate:.6g} s. Cut the record here."
     )

@@ -38,14 +38,14 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     except PermissionError:
         raise RecordError(f"{path}: the file cannot be read; check its permissions.") from None
     except FileNotFoundError:
-        raise RecordError(f"{path}: there is no such file.") from None
+        raise RecordError(f"{path}: file not found.") from None
     except OSError as error:
         if error.errno is None:  # a library's
             raise DamagedFileError(_damage_words(path, where(), error)) from error
         raise RecordError(f"{path}: the file cannot be read{where()}: {error.strerror}.") from None
     except MemoryError:
         raise DamagedFileError(
-            f"{path}: the file asks for more memory than there is{where()}."
+            f"{path}: the file needs more memory than is available{where()}."
         ) from None
     # Polars turns a panic into an exception that is no `Exception`.
     except BaseException as error:
@@ -200,8 +200,8 @@ class ColumnFile(ABC):
         size = self.identity.size if self.identity else 0
         if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
             raise DamagedFileError(
-                f"{self.path}: the file is damaged: its {size} bytes say that they "
-                f"hold {needed} bytes of numbers."
+                f"{self.path}: the file is damaged: its {size} bytes claim "
+                f"to contain {needed} bytes of numbers."
             )
 
 
@@ -223,9 +223,7 @@ def plain_path(path: Path) -> str:
         text.encode()
     except UnicodeEncodeError:
         shown = text.encode(errors="replace").decode()
-        raise RecordError(
-            f"{shown}: the path is no text in UTF-8; give the folder another name."
-        ) from None
+        raise RecordError(f"{shown}: the path is not valid UTF-8; rename the folder.") from None
     return text
 
 

@@ -117,7 +117,7 @@ class CsvFile(ColumnFile):
         if self._named:
             return words
         above = f"above the first numbers, line {self._before_rows + 1}"
-        return f"{words} They are numbered: no line {above}, would name the columns."
+        return f"{words} The columns were numbered, since no line {above}, would name them."
 
     def seen(self) -> str:
         """Say what the first lines look like, a line each."""
@@ -230,7 +230,7 @@ class CsvFile(ColumnFile):
         except pl.exceptions.NoDataError:
             return
         except pl.exceptions.PolarsError as error:
-            raise RecordError(f"{self.path}: a cell is no number.") from error
+            raise RecordError(f"{self.path}: a cell is not a number.") from error
 
     def _refuse_bad_cells(self, wanted: Sequence[str]) -> None:
         import polars as pl
@@ -253,14 +253,14 @@ class CsvFile(ColumnFile):
         if column in self.stamps:
             raise RecordError(
                 f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
-                "where a time in ISO 8601 belongs, such as 2026-03-01T12:00:00.020."
+                "instead of a time in ISO 8601, such as 2026-03-01T12:00:00.020."
             )
         hint = ""
         if _is_number(cell.replace(",", ".")):
             hint = ' Write numbers with a decimal point, or state `decimal=","`.'
         raise RecordError(
             f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
-            f"where a number belongs.{hint}"
+            f"instead of a number.{hint}"
         )
 
     def _number(self, name: str) -> pl.Expr:
@@ -286,7 +286,7 @@ class CsvFile(ColumnFile):
 
         for name in stamps:
             if frame.select(self._bad(name)).to_series().any():
-                raise RecordError(f"{self.path}: a cell is no time.")
+                raise RecordError(f"{self.path}: a cell is not a time.")
             times = frame.select(nanoseconds(name)).to_series()
             frame = frame.with_columns(pl.Series(name, self.seconds(times)))
         return frame
@@ -312,15 +312,13 @@ class CsvFile(ColumnFile):
                 if width > len(self.names):
                     hint = ""
                     if self.delimiter == "," and width == 2 * len(self.names):
-                        hint = " Commas part cells or decimals; export with semicolons or tabs."
+                        hint = " Commas separate cells or decimals; export with semicolons or tabs."
                     raise RecordError(
                         f"{self.path}, line {number}: the line has {width} cells, "
                         f"the header names {len(self.names)}.{hint}"
                     )
         if opened:
-            raise RecordError(
-                f"{self.path}, line {opened}: a quotation mark lacks the one that closes it."
-            )
+            raise RecordError(f"{self.path}, line {opened}: a quotation mark is not closed.")
 
     def locate(self, row: int) -> str:
         """Say on which line, as a text editor counts them, data row `row` stands."""

@@ -128,9 +128,7 @@ class ExcelFile(ColumnFile):
         self._book, self._sheet = _sheet_of(path, dialect.sheet, self.content())
         found = _rows_of(self._book, self._sheet, dialect)
         if found is None:
-            raise NoRowsError(
-                f"{path}: in the sheet '{self._sheet}' no rows of numbers stand below names."
-            )
+            raise NoRowsError(f"{path}: sheet '{self._sheet}' has no rows of numbers below names.")
         self._layout = found[1]
         self.names = list(self._layout.names)
         self.units = dict(zip(self._layout.names, self._layout.units, strict=True))
@@ -175,7 +173,7 @@ class ExcelFile(ColumnFile):
                 belongs = "time in ISO 8601" if name in self.stamps else "number"
                 raise RecordError(
                     f"{self.path}, {self.locate(row)}: column '{name}' holds the text "
-                    f"'{str(written[row])[:40]}' where a {belongs} belongs."
+                    f"'{str(written[row])[:40]}' instead of a {belongs}."
                 )
         yield columns
 
@@ -199,12 +197,13 @@ def _require_size(path: Path, content: bytes) -> None:
             size = sum(part.file_size for part in parts.infolist())
     except zipfile.BadZipFile as error:
         raise DamagedFileError(
-            f"{path}: this is no workbook, or a damaged one ({error}). If it is an older one or "
-            "has a password, save it as .xlsx without one, or as CSV."
+            f"{path}: this is not a workbook, or it is damaged ({error}). If it has an older "
+            f"format "
+            "or a password, save it as .xlsx without a password, or as CSV."
         ) from None
     most = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
     if size > most:
         raise DamagedFileError(
             f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
-            f"{most / 1e6:.0f} MB that a file of its size may; save the table as CSV."
+            f"{most / 1e6:.0f} MB allowed for a file of its size; save the table as CSV."
         )

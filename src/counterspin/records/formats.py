@@ -68,7 +68,7 @@ def wrong_ending(path: Path) -> str:
     if ending in RECORD_FORMATS:
         return ""
     if ending in _PACKED:
-        return "the file is packed; unpack it, and name the file that is in it."
+        return "the file is packed; unpack it, and give the file inside."
     kind = "this is a folder" if path.is_dir() else "this one does not"
     return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
 

@@ -334,7 +334,7 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
     except CounterspinError as error:
         return error
     except MemoryError:
-        return DamagedFileError(f"{path}: the file asks for more memory than it may have.")
+        return DamagedFileError(f"{path}: the file needs more memory than is allowed.")
     except BaseException as error:
         error.add_note(traceback.format_exc())
         return error
@@ -405,14 +405,14 @@ def _death_words(status: int) -> str:
     except ValueError:
         name = f"exit status {status}"
     if name == "SIGXCPU":
-        return (
-            "the file is damaged: reading it takes more processor time than its size accounts for."
-        )
+        return "the file is damaged: reading it takes far longer than its size explains."
     if name == "SIGABRT":
         return (
-            "the file is damaged, or asks for more memory than it may have: its reader gave up on "
-            "it (SIGABRT)."
+            "the file is damaged or needs more memory than is allowed: its reader "
+            "aborted (SIGABRT)."
         )
     if name == "SIGKILL":
-        return "the system ended the reading of this file, most likely for lack of memory."
+        return (
+            "the operating system stopped the reading of this file, most likely for lack of memory."
+        )
     return f"the file is damaged: its reader crashed on it ({name})."

@@ -40,7 +40,7 @@ class ParquetFile(ColumnFile):
             if name not in self.stamps and not self._schema[name].is_numeric():
                 raise RecordError(
                     f"{self.path}: column '{name}' is of type {self._schema[name]}; "
-                    "numbers belong there."
+                    "numbers are needed."
                 )
         rows = int(self._scan().select(pl.len()).collect().item())
         self._require_bytes(8 * rows * len(wanted))

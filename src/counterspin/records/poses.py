@@ -86,12 +86,12 @@ class Poses:
         """What makes the threshold doubtful, a sentence each; none of a clear record."""
         found = []
         if math.isinf(self.contrast):
-            found.append("Nothing moves in the record: all of it is taken as rest.")
+            found.append("Nothing moves in the record: all of it counts as rest.")
         elif self.contrast < _CLEAR_RATIO:
             found.append(
                 f"Rest and motion are not clearly apart: motion has {self.contrast:.2g} times the "
-                f"level of rest. Compare the plot of the level with the threshold of "
-                f"{self.threshold:.3g}, and state another where it parts them better."
+                f"level of rest. Compare the plot of the level with the threshold "
+                f"of {self.threshold:.3g}, and state another one if it separates them better."
             )
         wander = np.sqrt((self.scatter**2).sum(axis=1))
         for place in np.flatnonzero(wander > _WANDER_RATIO * self.threshold)[:1]:
@@ -182,11 +182,9 @@ def find_poses(
 
 def _check(time: Array, rest: float) -> None:
     if not rest > 0.0:
-        raise RecordError(f"a rest of {rest:g} s is none: state a positive time.")
+        raise RecordError(f"a rest of {rest:g} s is not possible: state a positive time.")
     if len(time) < _FEWEST_ROWS:
-        raise RecordError(
-            f"{len(time)} rows have all three values; no pose can be found in so few."
-        )
+        raise RecordError(f"{len(time)} rows have all three values, too few to find a pose.")
     steps = np.diff(time)
     if (steps < 0.0).any():
         raise RecordError(f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.")
@@ -354,7 +352,7 @@ def _faults(
     faults = {}
     for place, (a, b) in enumerate(zip(starts, ends, strict=True)):
         if usual.any() and (values[a:b] == values[a]).all():
-            faults[place] = "its values do not change at all, as where a recorder stands still."
+            faults[place] = "its values do not change at all, as if the recorder had stopped."
             continue
         at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
         saturated = np.flatnonzero(telling & (at_ends > _SATURATED_PART))
@@ -362,6 +360,6 @@ def _faults(
             axis = saturated[0]
             faults[place] = (
                 f"{at_ends[axis]:.0%} of its values along axis {axis + 1} are the largest or "
-                "smallest of the record, as where the range ends."
+                "smallest of the record, as at the limit of the range."
             )
     return faults

@@ -391,7 +391,7 @@ class _RecordReader:
         if not largest < LARGEST_VALUE:
             raise RecordError(
                 f"{self._file.path}: column '{spec.name}' holds values up to {largest:.3g} in SI "
-                "units, which no instrument measures."
+                "units, which is not plausible."
             )
 
     def _check_amplitude(

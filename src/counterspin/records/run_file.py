@@ -114,8 +114,8 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     stated = 2 * math.pi / abs(rate) / per_revolution
     if abs(interval / stated - 1) > 0.05:
         raise ValueError(
-            f"the pulses come every {interval:.6g} s; at the run's rate, and {per_revolution:g} a "
-            f"revolution, they should every {stated:.6g} s"
+            f"the pulses are {interval:.6g} s apart; at the run's rate, with {per_revolution:g} a "
+            f"revolution, it should be {stated:.6g} s"
         )
     # A pulse that is missing leaves an interval of two.
     turns = np.round(steps / interval)
@@ -123,7 +123,7 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     if off.any() or (turns < 1).any():
         place = int(np.flatnonzero(off | (turns < 1))[0]) + 2
         raise ValueError(
-            f"pulse {place} comes {steps[place - 2]:.6g} s after the one before it, others every "
+            f"pulse {place} comes {steps[place - 2]:.6g} s after the one before it, others after "
             f"{interval:.6g} s"
         )
     unit = math.copysign(2 * math.pi / per_revolution, rate)

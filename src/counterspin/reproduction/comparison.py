@@ -21,8 +21,8 @@ def reproduce() -> Reproduction:
             PaperSection("First stage: sigma(b2), after Eq. 31", stages.first_stage_spread()),
             PaperSection("Second stage: sigma(K_II), after Eq. 34", stages.second_stage_spread()),
             PaperSection(
-                "Whose K_II comes back: simulated by Eq. 7, without noise", stages.recovery()
+                "Which K_II is recovered: simulated by Eq. 7, without noise", stages.recovery()
             ),
-            PaperSection("What the second unknown of Eq. 26 is good for", stages.second_unknown()),
+            PaperSection("What the second unknown of Eq. 26 achieves", stages.second_unknown()),
         ),
     )

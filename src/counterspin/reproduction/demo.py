@@ -109,7 +109,9 @@ def _write_description(folder: Path) -> None:
             if (place := folder / run["record"]).exists()
         ]
         if taken and not target.exists():
-            raise CounterspinError(f"{taken[0]} is of no demonstration; choose another folder")
+            raise CounterspinError(
+                f"{taken[0]} does not belong to a demonstration; choose another folder"
+            )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CounterspinError(f"{folder}: cannot be used ({error.strerror})") from error

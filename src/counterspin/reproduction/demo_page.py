@@ -60,7 +60,7 @@ def render_demonstration(shown: Demonstration) -> Report:
         Paragraph("Two-stage: the paper's method, one sample a revolution, with exact equations."),
         Paragraph(
             "As printed: the paper's own equations. Their K_II term is twice the exact one, so "
-            "that half of the true K_II comes back."
+            "they return half the true K_II."
         ),
     ]
     return Report(blocks)

@@ -21,8 +21,8 @@ def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
         blocks += [Heading(section.title), _table(section)]
     blocks.append(
         Paragraph(
-            "Paper: a figure that it states, or what its equation gives as printed. counterspin: "
-            "computed just now. The derivations are in docs/paper.md.",
+            "Paper: a number that it states, or that its equation gives as printed. "
+            "counterspin: computed just now. The derivations are in docs/paper.md.",
             "quiet",
         )
     )

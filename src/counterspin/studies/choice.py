@@ -75,7 +75,7 @@ def choose_engine(
     if against and engine in ("surrogate", "exact"):
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="{engine}"` is not valid here: {"; ".join(against)}; '
-            'use `engine="full"`, or leave the choice to the program'
+            'use `engine="full"`, or omit `engine`'
         )
     if against and engine == "auto":
         return _full(world, truth, analysis, f"full records ({against[0]})")
@@ -98,7 +98,7 @@ def _readings(
     if engine in ("surrogate", "exact"):
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="{engine}"` is not valid here: there are readings; '
-            'use `engine="full"`, or leave the choice to the program'
+            'use `engine="full"`, or omit `engine`'
         )
     records = None if world is None else FullEngine(world, request, request)
     try:

@@ -203,7 +203,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         varying += _varying(key, path_, entry, campaign, recorders, problems)
     for index, quantity in enumerate(varying):
         if any(_same(quantity, earlier) for earlier in varying[:index]):
-            problems.add(("study", "vary"), f"{quantity.symbol} is there twice")
+            problems.add(("study", "vary"), f"{quantity.symbol} is listed twice")
     analyses = []
     read = campaign.readings or campaign.posed
     default = {"joint": _DEFAULT["joint"]} if read else _DEFAULT
@@ -211,8 +211,8 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         if read and isinstance(table, Mapping) and table.get("method") == "two-stage":
             problems.add(
                 ("study", "analyses", name, "method"),
-                "the two-stage method takes records of a double turntable; this campaign has "
-                "readings, which the joint method takes",
+                "the two-stage method takes records of a double turntable; this campaign "
+                "has readings, which need the joint method",
             )
             continue
         analysis = _analysis(name, table, document, where, problems)
@@ -309,7 +309,7 @@ def _varying(
         return []
     given = [kind for kind in _KINDS if getattr(settings, kind) is not None]
     if len(given) != 1:
-        problems.add(path, "has one of normal, uniform and fixed")
+        problems.add(path, "needs one of normal, uniform and fixed")
         return []
     (kind,) = given
     symbol = names[0][1]
@@ -356,7 +356,7 @@ def _names(
     if key in INPUTS or last == CLOCK:
         return _inputs(key, path, campaign, recorders, problems)
     if key in OTHERS and not campaign.runs:
-        problems.add(path, "acts on records of a double turntable, of which there are none here")
+        problems.add(path, "acts on records of a double turntable only, and there are none")
     own = (key,) if key in SHARED_TERMS or key in OTHERS else ()
     if symbols := own or expand(key, shown):
         return [("", symbol) for symbol in symbols]
@@ -368,7 +368,7 @@ def _names(
     hint = did_you_mean(key, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*OTHERS, *OWN_TERMS, *BARE_NAMES])}"
-    problems.add(path, "is nothing that a study can vary" + hint)
+    problems.add(path, "cannot be varied in a study" + hint)
     return []
 
 
@@ -384,7 +384,7 @@ def _inputs(
         if other == symbol and (last != CLOCK or recorder == recorders.get(owner))
     ]
     if not named:
-        problems.add(path, "is of nothing that is recorded or read here")
+        problems.add(path, "does not apply to any record or reading here")
     return named
 
 

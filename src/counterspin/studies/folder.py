@@ -84,8 +84,8 @@ class StudyFolder:
             return
         if begun:
             raise CounterspinError(
-                f"{self.place}: holds a study that was begun; go on with it by `resume=True`, "
-                "name another folder, or give it up by `overwrite=True`"
+                f"{self.place}: contains an unfinished study; continue it with `resume=True`, "
+                "choose another folder, or discard it with `overwrite=True`"
             )
         for path in (trials, self.place / _PARTS, *figures):
             if path.exists():
@@ -178,19 +178,19 @@ class StudyProgress:
         """Take over what an earlier study has done; what is damaged is named, and done again."""
         if not self._file.exists():
             raise CounterspinError(
-                f"{self.folder}: holds no study to resume; leave out `resume`, or name the folder "
-                "with `output`"
+                f"{self.folder}: contains no study to resume; leave out `resume`, or "
+                "give its folder as `output`"
             )
         kept = _read(self._file)
         if kept is not None and str(kept.get("fingerprint")) != self._fingerprint:
             raise CounterspinError(
-                f"{self.folder}: the study that was begun there is another one (its description, "
-                "engine or `keep_trials` differ); use another folder"
+                f"{self.folder}: the study begun there differs (in its description, "
+                "engine or `keep_trials`); use another folder"
             )
         try:
             before, batches, sums = self._sums(kept)
         except (KeyError, TypeError, ValueError):
-            _tell(f"{self._file} is damaged: the study begins anew")
+            _tell(f"{self._file} is damaged: the study starts again from the beginning")
             return
         lost = 0
         ledger = self.ledger
@@ -209,8 +209,8 @@ class StudyProgress:
             ledger.sums[batch], ledger.done[batch] = row, True
         if lost:
             _tell(
-                f"{self.folder / _PARTS}: {lost} of {len(batches)} files are missing, damaged or "
-                "of another study: their trials are done again"
+                f"{self.folder / _PARTS}: {lost} of {len(batches)} files are missing, damaged "
+                "or from another study: their trials are repeated"
             )
 
     def _sums(self, kept: dict[str, Array] | None) -> tuple[int, list[int], Array]:

@@ -50,7 +50,7 @@ def study_blocks(result: StudyResult) -> list[Block]:
     state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
         Heading(f"{result.title}: {result.trials} trials{state}, seed {result.seed}"),
-        Paragraph("Varying: " + ("; ".join(result.varying) or "the noise only") + "."),
+        Paragraph("Varying: " + ("; ".join(result.varying) or "only the noise") + "."),
     ]
     for name, analysis in result.analyses.items():
         blocks += [

@@ -197,7 +197,7 @@ def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
             faulty = [c for c in analysis.coefficients.values() if not c.trustworthy]
-            lines.append(f"{name}: not to be trusted. {_findings(faulty)}")
+            lines.append(f"{name}: do not use. {_findings(faulty)}")
     return lines
 
 
@@ -209,7 +209,8 @@ def _unjudged(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Return what too few trials gave."""
     trials = min(c.trials for one in analyses.values() for c in one.coefficients.values())
     return [
-        f"{trials} trials are too few for a verdict: run at least {FEWEST_TRIALS}, better 1000.",
+        f"{trials} trials are too few for a verdict: use at least {FEWEST_TRIALS}, preferably "
+        f"1000.",
         *(
             f"{name}. {_findings(analysis.coefficients.values())}"
             for name, analysis in analyses.items()

@@ -136,7 +136,7 @@ def _refuse_full_ledger(engine: StudyEngine, trials: int) -> None:
     most = _LARGEST_LEDGER // of_a_batch * engine.batch_size
     if trials > most:
         raise CounterspinError(
-            f"{trials:.3g} `trials` are more than there is room for; this study can have {most:.3g}"
+            f"{trials:.3g} `trials` need too much memory; this study can have at most {most:.3g}"
         )
 
 
@@ -149,8 +149,8 @@ def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
     warnings.warn(
         f"{trials} trials will take about {hours:.1g} h"
         + (f" ({why})" if why else "")
-        + "; fewer `trials`, more `workers` or a `cluster` make it shorter, and Ctrl-C ends it "
-        "with a valid result of the trials done",
+        + "; use fewer `trials`, more `workers` or a `cluster` to shorten it; Ctrl-C ends "
+        "it with a valid result of the completed trials",
         CounterspinWarning,
         stacklevel=4,
     )
@@ -166,7 +166,9 @@ def _result(
     description: StudyDescription, engine: StudyEngine, ledger: Ledger, complete: bool
 ) -> StudyResult:
     if not ledger.done.any():
-        raise CounterspinError("the study was stopped before a single batch of trials was done")
+        raise CounterspinError(
+            "the study was stopped before the first batch of trials was complete"
+        )
     sums = ledger.sums[ledger.done]
     drivers = [driver.symbol for driver in engine.tally.drivers]
     coefficients: dict[str, dict[str, CoefficientResult]] = {}

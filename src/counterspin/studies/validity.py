@@ -46,7 +46,7 @@ def against_strobes(
     if world.noise.random_walk > 0.0:
         reasons.append("the accelerometer's noise is not white in displacement")
     if request.random_walk is None:
-        reasons.append("the accelerometer's noise has to be found")
+        reasons.append("the accelerometer's noise has to be estimated")
     elif request.random_walk > 0.0:
         reasons.append("the noise that the analysis assumes is not white in displacement")
     speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
@@ -89,15 +89,17 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
 
 
 def _against(world: World, truth: StudyTruth) -> list[str]:
-    reasons = ["the bias wanders, and only whole records have it"] if world.noise.wanders else []
+    reasons = (
+        ["the bias wanders, which only complete records simulate"] if world.noise.wanders else []
+    )
     white = _white(truth)
     reasons += _far_inputs(world, truth)
     if not world.angle_recorded:
-        reasons.append("no angle is recorded, and the rotation has to be found")
+        reasons.append("no angle is recorded, and the rotation has to be estimated")
     other_levels = NOISE_LEVELS.keys() - {WHITE}
     other = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
     if other:
-        reasons.append(f"{', '.join(other)} varies, and only whole records have it")
+        reasons.append(f"{', '.join(other)} varies, which only complete records simulate")
     if world.noise.quantisation > 0.0:
         reasons.append("quantisation is not Gaussian")
     if white <= 0.0:

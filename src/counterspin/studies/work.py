@@ -214,8 +214,8 @@ def _together(
             losses = 0 if int(ledger.done.sum()) > before else losses + 1
             if losses >= _MOST_LOSSES:
                 raise CounterspinError(
-                    "the workers die before they have done anything; try fewer (`workers`), or "
-                    "see whether memory runs out"
+                    "the worker processes die at once; try fewer `workers`, "
+                    "or check whether memory runs out"
                 ) from error
 
 

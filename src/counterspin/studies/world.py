@@ -130,8 +130,8 @@ def world_of(campaign: Campaign) -> World:
     assert campaign.simulation is not None
     rate = campaign.simulation.sampling_rate
     short = [
-        f"runs[{index}]: {run.duration:.4g} s have too few samples at {rate:.4g} Hz; a trial takes "
-        "three at least, and many for a good one"
+        f"runs[{index}]: {run.duration:.4g} s have too few samples at {rate:.4g} Hz; a trial "
+        "needs at least three, preferably many"
         for index, run in enumerate(campaign.runs)
         if run.duration is not None and sample_count(run.duration, rate) < _FEWEST_SAMPLES
     ]

@@ -112,7 +112,7 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
             if key not in table[mounting]:
                 raise CounterspinError(
                     f"{given['file']} has no integral of {symbol}, along {mounting} in the motion "
-                    f'"{given["label"]}"; tests/reference makes it'
+                    f'"{given["label"]}"; make it with the script in tests/reference'
                 )
             sign = -1.0 if symbol == "delta_P" else 1.0
             values = np.array(table[mounting][key], np.float64)

@@ -32,9 +32,9 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Heading(f"Cases: {requirement}")
         yield _cases([case for case in dossier.cases if case.requirement == requirement])
     yield Paragraph(
-        "Of each case the number that came nearest to its limit is shown. Digits: right digits of "
-        "that number, -log10 of its relative difference, at most 16. Limit: largest difference "
-        "allowed.",
+        "For each case the number closest to its limit is shown. Digits: correct digits of that "
+        "number, -log10 of its relative difference, at most 16. Limit: largest "
+        "difference allowed.",
         "quiet",
     )
     yield Heading("Sources")
@@ -56,7 +56,9 @@ def _answer(dossier: Dossier) -> Iterator[Block]:
     elif dossier.failed:
         yield Paragraph(f"{counted}. Failed: {'; '.join(dossier.failed)}.", "warning")
     else:
-        yield Paragraph(f"{counted}, but the installation is not as delivered.", "warning")
+        yield Paragraph(
+            f"{counted}, but the installation differs from the delivered one.", "warning"
+        )
     there = dossier.installation
     if there.altered or there.missing:
         words = [f"altered: {', '.join(there.altered)}"] if there.altered else []
@@ -121,8 +123,8 @@ def _installed(dossier: Dossier) -> Iterator[Block]:
     yield Paragraph(f"{there.files} files of the package, together {there.checksum}.")
     if not there.recorded:
         yield Paragraph(
-            "The installation has no RECORD of these files (it was installed in place, or is no "
-            "installation): they are not compared with what was delivered."
+            "The installation has no RECORD of these files (it was installed in place, "
+            "or not installed): they cannot be compared with the delivered ones."
         )
         return
     altered, missing = len(there.altered), len(there.missing)

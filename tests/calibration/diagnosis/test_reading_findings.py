@@ -181,7 +181,7 @@ def test_a_cubic_term_on_the_arm_is_named(tmp_path):
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n'
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     (found,) = misfits(calibrate(tmp_path))
-    assert found.text.startswith("The residuals of the readings on the arm are what K_III makes")
+    assert found.text.startswith("The residuals of the readings on the arm follow K_III")
 
 
 @pytest.mark.parametrize(("count", "codes"), [(7, ["unjudged-readings"]), (8, [])])

@@ -299,7 +299,7 @@ def test_coefficient_of_no_such_name_is_told_which_there_are(result):
 
 
 def test_plot_of_nothing_says_so(result):
-    with pytest.raises(CounterspinError, match="keeps nothing"):
+    with pytest.raises(CounterspinError, match="does not contain"):
         result.plot_budget("Qx", "K_III")
     with pytest.raises(KeyError, match="there are Qx, Qy"):
         result.plot_residuals("Qz")

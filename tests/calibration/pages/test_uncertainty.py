@@ -112,5 +112,5 @@ def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
     assert table.rows[0][1:3] == ("second-order output-axis coefficient", "unstated")
     assert table.rows[1][4] == "held"
     assert isinstance(blocks[-1], Paragraph)
-    assert blocks[-1].text.startswith("Taken as perfect")
+    assert blocks[-1].text.startswith("Assumed perfect")
     assert list(knowledge_blocks(resting(2e-6))) == []

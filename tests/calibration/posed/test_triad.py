@@ -1,4 +1,4 @@
-"""A triad at attitudes that nobody knows, from its campaign to its result."""
+"""A triad at unknown attitudes, from its campaign to its result."""
 
 import json
 import math
@@ -138,7 +138,7 @@ def test_result_is_read_back_and_printed(tmp_path):
     for face in ("html", "md"):
         report = tmp_path / f"report.{face}"
         cs.write_report(result, report)
-        assert "attitudes that nobody knows" in report.read_text("utf-8")
+        assert "poses of unknown attitude" in report.read_text("utf-8")
 
 
 def test_an_error_of_setting_that_acts_on_nothing_is_told(tmp_path):

@@ -151,7 +151,7 @@ def test_mistakes_are_all_told(campaign):
     with pytest.raises(CampaignError) as wrong:
         campaign.change(tems=[], runs=["slwo"], accelerometers=["Qxx"], records=3)
     assert wrong.value.problems == (
-        'tems: is nothing that can be changed; did you mean "terms"?',
+        'tems: cannot be changed; did you mean "terms"?',
         'runs: there is no "slwo"; did you mean "slow"?',
         'accelerometers: there is no "Qxx"; did you mean "Qx"?',
         "records: must be a mapping from runs' names to records",
@@ -164,5 +164,5 @@ def test_mistakes_are_all_told(campaign):
 
 def test_a_campaign_without_its_description_is_not_changed(campaign):
     for act in (lambda c: c.change(radius="2 m"), lambda c: c.write("anywhere")):
-        with pytest.raises(CounterspinError, match="no description of it is known"):
+        with pytest.raises(CounterspinError, match="its description is unknown"):
             act(replace(campaign, title="other"))

@@ -48,7 +48,7 @@ def test_the_truth_is_kept_where_all_have_the_same(tmp_path):
 
 def test_a_record_counts_once():
     one = make_campaign(frames.small())
-    with pytest.raises(CampaignError, match=r'"slow.csv" is used by runs\[0\] already'):
+    with pytest.raises(CampaignError, match=r'"slow.csv" is already used by runs\[0\]'):
         one.join(one)
 
 
@@ -94,5 +94,5 @@ def test_the_same_number_written_otherwise_is_the_same(tmp_path):
 
 def test_a_campaign_without_its_description_is_not_joined():
     one = make_campaign(frames.small())
-    with pytest.raises(CounterspinError, match="no description of it is known"):
+    with pytest.raises(CounterspinError, match="its description is unknown"):
         one.join(replace(one, title="other"))

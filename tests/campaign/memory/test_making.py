@@ -96,7 +96,7 @@ def test_mistakes_are_told_as_of_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("records", "message"),
     [
-        ({"slwo": {}}, r'records: no run is called "slwo"; did you mean "slow"\?'),
+        ({"slwo": {}}, r'records: there is no run "slwo"; did you mean "slow"\?'),
         ({}, r'runs\[0\].record: is missing \(run "slow"\)'),
     ],
 )

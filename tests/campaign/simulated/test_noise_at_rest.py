@@ -71,7 +71,7 @@ def test_a_simulated_folder_has_the_record_at_rest(folder, tmp_path):
     with pytest.raises(cs.CounterspinError, match="exists"):
         cs.simulate(folder, tmp_path / "there")
     outside = read_campaign(folder).change(noise={"from": "../rest.csv"})
-    with pytest.raises(CampaignError, match=r"noise\.from: \.\./rest\.csv is not inside"):
+    with pytest.raises(CampaignError, match=r"noise\.from: \.\./rest\.csv is outside"):
         cs.simulate(outside, tmp_path / "elsewhere")
 
 
@@ -150,7 +150,7 @@ def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):
         CampaignError, match=r"noise\.from: the record shows bias_walk, 0\.00\d+ m"
     ) as e:
         plan(file)
-    assert 'write bias_walk = "0 m/s^2/s^0.5" beside it' in str(e.value)
+    assert 'add bias_walk = "0 m/s^2/s^0.5"' in str(e.value)
 
 
 def test_a_record_at_rest_may_be_in_memory(folder, tmp_path):

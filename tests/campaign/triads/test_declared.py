@@ -72,8 +72,8 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
             ('["X", "Y", "Z"]', '["X", "Y", "Z", "X"]'),
             "triad.accelerometers: must have at most 3 entries",
         ),
-        (('motion = "static"\n', 'motion = "arm"\nrate = "1 rad/s"\n'), "unknown at rest alone"),
-        ((', Z = "0.97 g"', ""), "all of X, Y, Z are read"),
+        (('motion = "static"\n', 'motion = "arm"\nrate = "1 rad/s"\n'), "unknown only at rest"),
+        ((', Z = "0.97 g"', ""), "all of X, Y, Z must be read"),
         (('attitude = "unknown"', 'attitude = "unknown"\nmounting = "in"'), "has no meaning"),
         (('attitude = "unknown"', 'attitude = "unknown"\nposes = {}'), "are found in a record"),
         (('attitude = "unknown"', 'attitude = "level"\nposes = {}'), 'attitude = "unknown"'),
@@ -83,7 +83,7 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
                 'input_axis = "up"\npendulous_axis = "east"',
                 'input_axis = [1, 1, 0]\npendulous_axis = "up"',
             ),
-            "lie in a plane",
+            "lie (nearly) in one plane",
         ),
         (
             ('pendulous_axis = "up"\ngrade', "pendulous_axis = [1, 0, 1]\ngrade"),
@@ -91,7 +91,7 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
         ),
         (
             ('grade = "consumer"\n', 'grade = "consumer"\ndelta_P = "0 ± 1 mrad"\n'),
-            "zero by the choice",
+            "zero by definition",
         ),
     ],
 )

@@ -318,7 +318,7 @@ def test_a_term_that_turns_the_output_is_not_taken_for_a_start_angle():
 
 def test_a_rotation_that_cannot_be_found_is_said():
     model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
-    with pytest.raises(ConvergenceError, match="nominal rate is too far off"):
+    with pytest.raises(ConvergenceError, match="nominal rate is too inaccurate"):
         estimate(unangled(0.0, 0.7, 0.0), model, {"Qx": Noise(0.01, 0.0)})
 
 

@@ -298,7 +298,7 @@ def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
     assert "in mirrored order" in printed
     assert "Effects on A that the plan cannot detect" in printed
     assert "every reading equally often" in printed or "spread evenly" in printed
-    assert "Replace each ? by the value that is read" in printed
+    assert "Replace each ? by the reading" in printed
     told = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
     assert told["runs"] == []
     assert told["sampling_rate"] is None
@@ -306,7 +306,7 @@ def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
     assert told["accelerometers"]["A"]["harmonic_share"] is None
     assert {fault["symbol"] for fault in told["accelerometers"]["A"]["faults"]} >= {"K_4"}
     assert cli.main(["plan", str(file), "--figures", str(tmp_path / "figures")]) == 2
-    assert "of plans with records" in capsys.readouterr().err
+    assert "for plans of records only" in capsys.readouterr().err
 
 
 # Bad input
@@ -318,7 +318,7 @@ MISTAKES = {
     "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "one of rates and specific_forces"),
     "both": ([('positions = 24', 'positions = 24\nattitudes = ["level"]')], TUMBLE,
              "one of positions and attitudes"),
-    "twice": ([('name = "out"', 'name = "in"')], ARM, 'two are called "in 1 g"'),
+    "twice": ([('name = "out"', 'name = "in"')], ARM, 'two have the name "in 1 g"'),
     "no u": ([('u = "1e-6 g"', "")], TUMBLE, r"stations\[0\].u: is missing"),
     "unit": ([('u = "1e-6 g"', 'u = "1e-6 V"')], TUMBLE, "'V' is not a unit"),
     "no limit": ([("readings = 24", "")], TUMBLE, "give readings or total_time"),
@@ -454,10 +454,10 @@ def test_eighteen_poses_from_nothing_come_near_what_is_possible(tmp_path):
 @pytest.mark.parametrize(
     ("up", "words"),
     [
-        ('up = ["X + W"]', 'up[0]: "W" is no accelerometer of the triad'),
-        ('up = ["X - X"]', '"X" is there twice'),
+        ('up = ["X + W"]', 'up[0]: "W" is not an accelerometer of the triad'),
+        ('up = ["X - X"]', '"X" is listed twice'),
         ('up = ["-"]', "names no accelerometer"),
-        ("positions = 4", "is of poses at rest"),
+        ("positions = 4", "is for poses at rest"),
     ],
 )
 def test_what_a_pose_cannot_be_is_said(tmp_path, up, words):

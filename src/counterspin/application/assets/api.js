@@ -73,7 +73,7 @@ async function exchange(path, request) {
   try {
     response = await fetch(`/api/${path}`, { ...request, headers });
   } catch {
-    throw new Refused(0, { error: "The server does not answer; was it ended?" });
+    throw new Refused(0, { error: "The server does not answer; was it stopped?" });
   }
   if (response.ok) return response;
   // One of an earlier server is of no use, to other windows either.

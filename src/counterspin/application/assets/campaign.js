@@ -53,10 +53,10 @@ function calibration(campaign) {
     },
   },
   campaign.state === "contradicted"
-    ? labelled("Use it although the records contradict it: why", reason) : null,
+    ? labelled("Reason for accepting the misfit", reason) : null,
   make("details", { class: "aside" }, make("summary", {}, "Method, file and command"),
     make("div", { class: "row" }, labelled("Method", method),
-      labelled("Result's file; an earlier result is replaced", output)),
+      labelled("Result file; an earlier result is replaced", output)),
     command(campaign.command)));
   const running = campaign.jobs.find(/** @param {Job} job */ ({ kind, state }) =>
     kind === "calibration" && (state === "waiting" || state === "running"));
@@ -95,7 +95,7 @@ function keeping(name) {
     for (const file of files.files ?? []) await bring(name ? `${name}/${file.name}` : file.name, file);
     return "The records are in the folder; name them in the description.";
   }, go(`#/description/${encodeURIComponent(name)}`)));
-  return make("details", { class: "keeping" }, make("summary", {}, "Copy, rename, put away, add a record"),
+  return make("details", { class: "keeping" }, make("summary", {}, "Copy, rename, archive, add a record"),
     make("div", { class: "row" }, labelled("Name of the folder", to),
       make("button", { type: "button", onclick: moved("copy", "Copied to") }, "Copy"),
       make("button", { type: "button", onclick: moved("rename", "It is now called") }, "Rename"),
@@ -103,7 +103,7 @@ function keeping(name) {
         type: "button",
         onclick: () => doing(async () => {
           const { place: where } = await send("POST", "put-away", { name });
-          return `It is in ${where}; move it back from there to have it again.`;
+          return `It is now in ${where}; move it back to restore it.`;
         }, go("#/")),
       }, "Put away")),
     labelled("Add records to the folder", files), place);

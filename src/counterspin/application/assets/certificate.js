@@ -33,8 +33,8 @@ export async function certificateView(result) {
     if (refused) button.setAttribute("aria-describedby", draft.id);
     else button.removeAttribute("aria-describedby");
     draft.hidden = example.length === 0;
-    draft.textContent = `Still the example's: ${inSections(example)}. ${
-      refused ? "Replace that below before you sign." : "What is issued now is a draft, and says so on every page."}`;
+    draft.textContent = `Still example text: ${inSections(example)}. ${
+      refused ? "Replace that below before you sign." : "A certificate issued now is a draft, and every page says so."}`;
   };
   const signing = new Signing(told.signer, () => judge());
   const editor = editorOf(told, {
@@ -69,7 +69,7 @@ export async function certificateView(result) {
       make("h1", {}, "Digital Calibration Certificate"),
       make("p", {}, "Of ", make("a", { href: resultAddress(result) }, result),
         ". The laboratory's data are kept in ", make("code", {}, file),
-        told.version ? "." : ", which is not there yet: all of it is an example."),
+        told.version ? "." : ", which does not exist yet; the data shown are an example."),
       make("form", { onsubmit: issue },
         make("div", { class: "row" },
           labelled("File of the certificate, .xml or .pdf", output),

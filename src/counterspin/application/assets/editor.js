@@ -127,7 +127,7 @@ export class Editor {
     this.button = make("button", { type: "button", class: "main", onclick: () => this.save() }, "Save");
     this.element = make("div", { class: "editor" },
       make("div", {}, this.notes, this.fields),
-      make("div", { class: "file" }, labelled(`${this.file}, as it is written`, this.area),
+      make("div", { class: "file" }, labelled(`${this.file}, as text`, this.area),
         make("div", { class: "row" }, this.button)));
     this.show();
   }
@@ -199,7 +199,7 @@ export class Editor {
     const { text, version } = refused.told;
     const theirs = make("textarea", { readonly: true, rows: 12, value: text });
     const box = make("div", { class: "conflict" }, warning(refused.message),
-      labelled("What the file holds now", theirs),
+      labelled("The file as it is now", theirs),
       make("div", { class: "row" },
         make("button", {
           type: "button",
@@ -211,7 +211,7 @@ export class Editor {
             this.textTyped();
             box.remove();
           },
-        }, "Take what the file holds"),
+        }, "Load the file's version"),
         make("button", {
           type: "button",
           onclick: () => {
@@ -220,7 +220,7 @@ export class Editor {
             box.remove();
             this.save();
           },
-        }, "Replace it by mine")));
+        }, "Overwrite with my version")));
     this.notes.prepend(box);
   }
 

@@ -30,7 +30,7 @@ const MOST_LOOKS = 4;
 export function exportsPart() {
   const folder = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
   const test = make("select", {},
-    make("option", { value: "" }, "To be guessed"),
+    make("option", { value: "" }, "Guess from the files"),
     make("option", { value: "double-turntable" }, "Records of a double turntable"),
     make("option", { value: "tumble" }, "Table of a tumble's readings"),
     make("option", { value: "arm" }, "Table of readings on an arm"),
@@ -71,7 +71,7 @@ export function exportsPart() {
     try {
       names = [];
       for (const file of some) {
-        place.replaceChildren(make("p", { class: "quiet" }, `Bringing ${file.name}.`));
+        place.replaceChildren(make("p", { class: "quiet" }, `Uploading ${file.name}.`));
         names.push((await bring(`${folder.value.trim()}/${file.name}`, file)).name);
       }
     } catch (error) {

@@ -98,8 +98,8 @@ async function whatIf(result, accelerometer) {
   const content = [answer, shown];
   if (sliders.length) {
     content.push(make("details", { open: true },
-      make("summary", {}, "What if one of them were known better?"),
-      make("p", { class: "quiet" }, "Computed by an update of the fit, with the noise as it was found."),
+      make("summary", {}, "What if one of these were known better?"),
+      make("p", { class: "quiet" }, "Computed by an update of the fit, with the estimated noise."),
       make("div", { class: "sliders" }, ...sliders)), wrong);
   }
   return make("div", { class: "card" }, ...content);
@@ -148,13 +148,13 @@ export async function waysPart(name, result) {
       ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} turned ${runs.attitude} (${runs.minutes} min of records): ` +
         `the uncertainty of ${stated.symbol}${of} becomes ${runs.left} instead of ${runs.now}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "runs", "A copy has the runs; record them, then calibrate it.") }, "Prepare these runs"))]
-      : told.searched ? [make("li", {}, `No run in another attitude would help ${accelerometer}.`)] : [];
+        onclick: prepare(accelerometer, "runs", "A copy of the campaign has these runs; record them, then calibrate it.") }, "Prepare these runs"))]
+      : told.searched ? [make("li", {}, `No run in another attitude would improve ${accelerometer}.`)] : [];
     return [make("li", {},
       ...symbols(`Measure or state the ${named({ name: stated.source, words: stated.words })}, to ${stated.known}: ` +
         `the uncertainty of ${stated.symbol}${of} becomes ${stated.left} instead of ${stated.now}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "state", "A copy states it: write your value in the place of this one.") }, "Prepare the value")),
+        onclick: prepare(accelerometer, "state", "A copy of the campaign states it: replace the value by yours.") }, "Prepare the value")),
     ...found];
   });
   const box = make("section", { class: "ways" }, make("h2", {}, "Ways to a smaller uncertainty"), make("ul", {}, ...lines));

@@ -57,7 +57,7 @@ async function show() {
   /** @type {Node[]} */
   let content;
   try {
-    if (!found) throw new Error("There is no such place on this page.");
+    if (!found) throw new Error("There is no such page.");
     const words = /** @type {RegExpExecArray} */ (found.match).slice(1).map(decodeURIComponent);
     ({ title, content, begin } = await found.place.view(...words));
   } catch (error) {

@@ -130,7 +130,7 @@ export async function planView(name) {
       if (!told.busy) return told;
       if (stopped || (asked > 4 && !wrong.isConnected)) throw new Error("The search was stopped.");
       if (asked === 0) wrong.replaceChildren(make("div", { class: "job" }, make("progress", { "aria-label": "Progress of the search" }),
-        make("p", { class: "quiet" }, "Searching the best plan", seconds), stop));
+        make("p", { class: "quiet" }, "Searching for the best plan", seconds), stop));
       seconds.textContent = `, ${Math.round((Date.now() - begun) / 1000)} s`;
     }
   };
@@ -173,7 +173,7 @@ export async function planView(name) {
   const whole = make("div");
   const forecast = make("details", {
     ontoggle: () => { if (forecast.open && !whole.childNodes.length) fill(whole, "plan", [name]); },
-  }, make("summary", {}, "The plan as it is written, with its forecast in full"), whole);
+  }, make("summary", {}, "The complete plan, with its forecast"), whole);
   ask();
   return {
     title: plan.title,

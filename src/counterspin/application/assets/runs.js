@@ -53,7 +53,7 @@ class RecordPlots {
       tool("‹", "Move left", () => this.see(-0.25, 1)),
       tool("›", "Move right", () => this.see(0.25, 1)),
       tool("Whole", "Show the whole", () => this.show(this.whole)),
-      make("p", {}, "Drag to look closer, double-click for the whole."));
+      make("p", {}, "Drag to zoom in, double-click to zoom out."));
   }
 
   /**

@@ -53,7 +53,7 @@ export class Signing {
     this.files.hidden = this.how.value !== "key";
     this.words.textContent = {
       "": "",
-      key: "Both XML and PDF are signed. Key and password are used for this one request: nothing keeps them.",
+      key: "Both XML and PDF are signed. Key and password are used for this request only and not stored.",
       command: "Both XML and PDF are signed.",
     }[this.how.value] ?? "";
   }

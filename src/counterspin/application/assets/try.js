@@ -60,13 +60,13 @@ export async function tryView(name) {
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "try"),
       make("section", {}, make("h2", {}, "Study"),
-        make("p", { class: "quiet" }, "Simulated many times with the truth of the description, and analysed "
+        make("p", { class: "quiet" }, "Simulated many times with the true values of the description, and analysed "
           + "each time: do the uncertainties hold? A thousand trials take seconds."),
         ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
       make("section", {}, make("h2", {}, "Simulated records"),
-        make("p", { class: "quiet" }, "Records as the truth of the description would give them, in a folder of their own."),
+        make("p", { class: "quiet" }, "Records that the true values of the description would give, in a folder of their own."),
         ...jobForm(campaign, "simulation", labelled("Folder of the records", folder), "Simulate",
           () => send("POST", "simulation", { name, folder: folder.value }),
           (job) => simulated.replaceChildren("The records are in ",

@@ -127,7 +127,7 @@ class Explanation:
             f"{name} of {self._estimate(unit_of(self.other.symbol))} would explain the records; "
             "the model leaves it out. "
         )
-        called = f"{name}, which the model leaves out"
+        called = f"{name}, which is left out"
         if abs(self.value) > limit:
             shown, factor = field_unit(unit_of(self.other.symbol))
             most = f"{format_number(limit * factor, 3)} {shown}"

@@ -90,7 +90,7 @@ def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     largest = max(unstated, key=lambda line: line.share)
     said = (
         f"{format_share(largest.share)} of u^2 of {symbol} comes from {in_words(largest.source)}, "
-        f"which is not stated (typical size {_size(largest, 1.0)})"
+        f"which is not stated (typical {_size(largest, 1.0)})"
     )
     update = accelerometer.what_if
     if update is None or largest.source not in update.known:

@@ -74,7 +74,7 @@ def _path(name: str, problems: Problems) -> KeyPath | None:
     if path[0] in (*_SECTIONS, "accelerometers", "records"):
         return path
     known = (*SHORT, "accelerometers", "runs", "records", *_SECTIONS)
-    problems.add((name,), "is nothing that can be changed" + did_you_mean(name, known))
+    problems.add((name,), "cannot be changed" + did_you_mean(name, known))
     return None
 
 

@@ -70,7 +70,7 @@ def give_records(
             continue
         if name not in names:
             known = [known for known in names if isinstance(known, str)]
-            problems.add(("records",), f'no run is called "{name}"' + did_you_mean(name, known))
+            problems.add(("records",), f'there is no run "{name}"' + did_you_mean(name, known))
             continue
         run = dict(given[names[name]])
         if isinstance(record, Path | str):

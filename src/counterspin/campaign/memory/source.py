@@ -50,7 +50,7 @@ class Source:
 
     @property
     def text(self) -> str:
-        """The document as TOML, as it is written."""
+        """The document as TOML, as text."""
         return write_document(self.document)
 
     def content_checksum(self) -> str:
@@ -106,8 +106,8 @@ def source_of(campaign: Documented) -> Source:
     """Return what a campaign came from; CounterspinError where nothing is known of it."""
     if campaign.source is None:
         raise CounterspinError(
-            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
-            "description of it is known; make all changes with `change`"
+            f"{campaign.path}: the campaign was modified without `change`, so that "
+            "its description is unknown; make all changes with `change`"
         )
     return campaign.source
 

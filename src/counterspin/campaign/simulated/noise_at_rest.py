@@ -132,7 +132,7 @@ def _found(campaign: Campaign) -> Mapping[str, RestNoise]:
         identity = record.checksum if isinstance(record, MemoryTable) else FileIdentity.of(record)
         return _analysed(_Asked(identity, read, asked))
     except OSError as error:
-        raise RecordError(f"{key}: {file}: there is no such file.") from error
+        raise RecordError(f"{key}: {file}: file not found.") from error
     except RecordError as error:
         raise RecordError(f"{key}: {error}") from error
 

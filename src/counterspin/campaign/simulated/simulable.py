@@ -94,8 +94,8 @@ def unfit_readings(campaign: Campaign) -> list[str]:
     problems = []
     if campaign.triad and campaign.triad.records and _is_still(truth.noise):
         problems.append(
-            "truth.noise.specific_force: missing; a sensor that shows no noise at rest is taken "
-            "for one that has stopped, so that no pose would be found in its record"
+            "truth.noise.specific_force: missing; a sensor without noise at rest would "
+            "be taken for a stopped one, and no pose would be found in its record"
         )
     for reading in campaign.all_readings:
         if reading.record is not None:
@@ -103,7 +103,7 @@ def unfit_readings(campaign: Campaign) -> list[str]:
                 problems.append(f'run "{reading.name}": {_NO_LENGTH}')
         elif reading.u is None and reading.accelerometer not in truth.reading_noise:
             problems.append(
-                f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so that '
+                f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so '
                 "its true noise is needed"
             )
             break

@@ -32,7 +32,7 @@ def _clocks(value: object) -> dict[str, float]:
     named = value if isinstance(value, Mapping) else {_ALL: value}
     clocks = {str(name): a_ratio(part) for name, part in named.items()}
     if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
-        raise ValueError("a clock that is off by more than 1 % is none")
+        raise ValueError("a clock error above 1 % is not plausible")
     return clocks
 
 

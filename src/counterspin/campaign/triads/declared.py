@@ -79,7 +79,7 @@ class Triad:
 
 
 def is_pose(raw: Any) -> bool:
-    """Return whether an entry of ``[[runs]]`` is at an attitude that nobody knows."""
+    """Return whether an entry of ``[[runs]]`` is at an unknown attitude."""
     return isinstance(raw, Mapping) and raw.get("attitude") == UNKNOWN
 
 
@@ -107,7 +107,7 @@ def resolve_triad(
         for _, path in runs:
             problems.add(
                 (*path, "attitude"),
-                'is "unknown", which takes three accelerometers; write [triad] accelerometers = '
+                'is "unknown", which needs three accelerometers; write [triad] accelerometers = '
                 '["X", "Y", "Z"]',
             )
         return None
@@ -126,15 +126,15 @@ def resolve_triad(
         return None
     axes = [mountings[name] for name in names]
     if abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
-        problems.add(("triad", "accelerometers"), "their input axes lie in a plane, or nearly so")
+        problems.add(("triad", "accelerometers"), "their input axes lie (nearly) in one plane")
         return None
     of_frame = () if given is None else _of_frame(names, axes, problems)
     for name, symbol in of_frame:
         if symbol in (given or {}).get(name, {}):
             problems.add(
                 ("accelerometers", name, symbol),
-                "is zero by the choice of the triad's frame, where nothing but poses at unknown "
-                "attitudes is there; leave it out",
+                "is zero by definition of the triad's frame if all "
+                "attitudes are unknown; leave it out",
             )
     poses: list[tuple[Reading, ...]] = []
     records: list[PoseRecord] = []
@@ -159,7 +159,7 @@ def _of_frame(
         problems.add(
             ("accelerometers", names[1], "pendulous_axis"),
             f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
-            "angles to it, so that one misalignment is out of it",
+            "angles to it, so that one misalignment is perpendicular to it",
         )
         return ()
     return (
@@ -180,19 +180,19 @@ def _resolve_pose(
     """Yield the pose of a run with values, or what a record with poses is."""
     before = len(problems.lines)
     if raw.get("motion") != "static":
-        problems.add((*path, "motion"), 'an attitude is unknown at rest alone; write "static"')
+        problems.add((*path, "motion"), 'an attitude can be unknown only at rest; write "static"')
     for key in ("axes", "mounting"):
         if raw.get(key):
-            problems.add((*path, key), "has no meaning at an attitude that nobody knows")
+            problems.add((*path, key), "has no meaning at an unknown attitude")
     if "record" in raw:
         yield from _record_of_poses(raw, path, folder, problems)
         return
     if "poses" in raw:
-        problems.add((*path, "poses"), "are found in a record; here is a reading")
+        problems.add((*path, "poses"), "are found in a record, but this is a reading")
     readings = {one.accelerometer: one for one in read([({**raw, "attitude": "level"}, path)])}
     if readings and set(readings) != set(names):
         every = ", ".join(names)
-        said = f"at an attitude that nobody knows all of {every} are read, and no other"
+        said = f"at an unknown attitude all of {every} must be read, and no other"
         problems.add((*path, "reading"), said)
     if len(problems.lines) == before:
         yield tuple(readings[name] for name in names)

@@ -61,9 +61,9 @@ def reject(
         if mask.any()
     )
     raise ConvergenceError(
-        f"{where}: outliers were still found after {_ROUNDS} rounds of leaving them out: the "
-        "residuals are not noise around a smooth curve; look at the record, for a clock or a "
-        "displacement that jumps, or add the missing terms to the model"
+        f"{where}: outliers were still found after {_ROUNDS} rounds of rejection: the residuals "
+        f"are not noise around a smooth curve; inspect the record for a jump of "
+        "its clock or displacement, or add the missing terms to the model"
     )
 
 

@@ -58,8 +58,9 @@ def find_rotation(
         if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in turned):
             return turned
     raise ConvergenceError(
-        "the rotation could not be found from the displacement: the nominal rate is too far off; "
-        "record the spindle's angle, or state the rate more closely"
+        "the rotation could not be found from the displacement: the nominal rate is too "
+        "inaccurate; "
+        "record the spindle's angle, or state the rate more accurately"
     )
 
 

@@ -151,7 +151,7 @@ class Differences:
             raise ValueError(f"{time.size} rows are too few to whiten: {order + 1} are needed")
         counts = np.broadcast_to(np.asarray(1 if count is None else count, float), time.shape)
         if not (counts >= 1).all():
-            raise ValueError("a row stands for no sample: counts must be 1 or more")
+            raise ValueError("a row represents no sample: counts must be 1 or more")
         steps = np.diff(time)
         if not (steps > 0).all():
             raise ValueError("times must increase from row to row")

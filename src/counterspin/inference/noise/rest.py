@@ -81,7 +81,7 @@ def find_rest_noise(records: Sequence[EvenData]) -> RestNoise:
     records: Their first unknown is the drift, by a column of time in s.
     """
     if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
-        raise NotIdentifiableError("the record is too short to tell any noise")
+        raise NotIdentifiableError("the record is too short to estimate any noise")
     likelihood = RestrictedLikelihood.of(records, None, None)
     best, every, without = _eliminated(likelihood)
     components: dict[str, SizedComponent] = {}

@@ -74,8 +74,8 @@ class RestrictedLikelihood:
         unknowns = likelihood.prior.shape[1] - 1
         if likelihood.rows + len(known) <= unknowns:
             raise NotIdentifiableError(
-                f"{likelihood.rows} differenced rows are too few to estimate noise beside "
-                f"{unknowns} unknowns; state the noise, or give longer records"
+                f"{likelihood.rows} differenced rows are too few to estimate noise "
+                f"together with {unknowns} unknowns; state the noise, or give longer records"
             )
         return likelihood
 
@@ -185,8 +185,8 @@ class RestrictedLikelihood:
             freedom, scaled = self._freedom_and_rss(log_scale, unit)
             if freedom <= _LEAST_FREEDOM * self.rows or scaled <= 0.0:
                 raise NotIdentifiableError(
-                    f"the unknowns follow all of {self.rows} rows, so that no noise shows beside "
-                    "them; state the noise, or give longer records"
+                    f"the unknowns fit all of {self.rows} rows exactly, so that no noise "
+                    "can be estimated; state the noise, or give longer records"
                 )
             change = math.log(scaled / freedom)
             log_scale += change

@@ -310,7 +310,7 @@ def _point(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[floa
         return 0.0, variances
     scale = variances[0] or variances[1]
     if scale <= 0.0:
-        raise ValueError("noise: a wandering bias needs white noise beside it; state its size")
+        raise ValueError("noise: a wandering bias needs white noise too; state its size")
     return math.log(scale), _times(1.0 / scale, variances)
 
 

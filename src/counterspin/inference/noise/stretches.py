@@ -90,7 +90,7 @@ def at_rest(record: object, signal: RestSignal) -> RestRecord:
     try:
         stretches = stretches_of(signal.time, signal.values)
         if np.ptp(stretches.longest[1]) == 0.0:
-            raise ValueError("all its samples are the same: nothing was recorded")
+            raise ValueError("all its samples are equal: nothing was recorded")
         analysis = analyse(stretches, signal.order)
     except (ValueError, NotIdentifiableError) as error:
         raise RecordError(f"{record}: column '{signal.column}': {error}.") from error
@@ -139,14 +139,14 @@ def stretches_of(time: Array, values: Array) -> Stretches:
         away = (own_time - own_time[0]) / (span / place[-1]) - number
         if np.abs(away).max() > _OFF_CLOCK or (np.diff(number) < 1.0).any():
             raise ValueError(
-                "its samples are not evenly spaced: the noise of a record at rest is found in "
-                "samples of an even clock; resample the record, or name the column of an even time"
+                "its samples are not evenly spaced, which the noise "
+                "analysis needs; resample the record, or name another time column"
             )
         count = int(number[-1]) + 1
         filled += count - own.size
         parts.append((float(own_time[0]), np.interp(np.arange(count), number, own)))
     if not parts:
-        raise ValueError(f"no {_FEWEST} samples follow each other without a gap")
+        raise ValueError(f"no {_FEWEST} successive samples are without a gap")
     different = np.diff(np.unique(kept[:4096]))
     resolution = float(different.min()) if different.size else 0.0
     return Stretches(
@@ -190,6 +190,6 @@ def analyse(stretches: Stretches, order: int) -> RestAnalysis:
             lines = own_lines
             velocity = rest if noise_order == 1 else np.diff(rest) / wide
     if not records:
-        raise NotIdentifiableError("the record is too short to tell any noise")
+        raise NotIdentifiableError("the record is too short to estimate any noise")
     noise = find_rest_noise(records)
     return RestAnalysis(noise, tuple(lines), step * thin, velocity, kind)

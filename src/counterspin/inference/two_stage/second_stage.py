@@ -303,7 +303,7 @@ def _check_rates(series: Sequence[Series], model: Unknowns, odd: Collection[str]
     even = [symbol for symbol in free if symbol not in odd]
     rates = [record.trajectory.spindle.rate for record in series]
     for needed, different, words in (
-        (even, _different([abs(rate) for rate in rates]), "rates, whatever their sense"),
+        (even, _different([abs(rate) for rate in rates]), "rates, in either sense"),
         (free, _different(rates), "rates"),
     ):
         if different < len(needed):

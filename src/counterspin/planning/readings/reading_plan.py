@@ -91,8 +91,8 @@ class ReadingSearch:
         if text.endswith(by) and all(r.motion == "static" for r in self.plan.stand_in.readings):
             text += ": at 1 g the squares of the specific forces add up to one"
         raise NotIdentifiableError(
-            text + ". Allow other stations, such as an arm or other axes, or give what is known of "
-            "the other terms in [model.priors]."
+            text + ". Allow other stations, such as an arm or other axes, or state what is "
+            "known of the other terms in [model.priors]."
         )
 
     def _chosen(self) -> tuple[Chosen, float | None]:
@@ -126,7 +126,9 @@ class ReadingSearch:
         if not all(there.assessment.determined[name] for name in self.plan.goal.sizes):
             return []
         often = "every reading equally often"
-        words = often if number % size == 0 else "as many readings, spread evenly over all"
+        words = (
+            often if number % size == 0 else "the same number of readings, spread evenly over all"
+        )
         time = float(self.possible.cost @ counts)
         return [other_plan(words, time, prediction.u, there.u, self.plan.goal.sizes)]
 

@@ -190,11 +190,11 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
     for reading in possible:
         if reading.name in seen:
-            text = f'two are called "{reading.name}"; give each entry a name of its own'
+            text = f'two have the name "{reading.name}"; give each entry its own name'
             problems.add(("stations",), text)
         seen.add(reading.name)
     if len(possible) > _MOST_POSSIBLE:
-        words = f"make {len(possible)} possible readings, and there is room for {_MOST_POSSIBLE}"
+        words = f"make {len(possible)} possible readings, more than the limit of {_MOST_POSSIBLE}"
         problems.add(("stations",), words)
     runs = [_with_value(reading.run, "0") for reading in possible]
     campaign = None
@@ -282,10 +282,10 @@ def _possible(
     if settings.positions is not None and settings.attitudes is not None:
         problems.add(path, "give one of positions and attitudes")
     if settings.attitude is None and settings.up is not None:
-        problems.add((*path, "up"), 'is of poses; write attitude = "unknown"')
+        problems.add((*path, "up"), 'is for poses; write attitude = "unknown"')
     if settings.attitude is not None:
         if not static or settings.positions is not None or settings.attitudes is not None:
-            problems.add((*path, "attitude"), "is of poses at rest: no rate, no position")
+            problems.add((*path, "attitude"), "is for poses at rest: no rate, no position")
         if len(problems.lines) == before:
             return _poses(settings, {**shared, "reading": reading}, raw, path, problems)
         return []
@@ -316,7 +316,7 @@ def _poses(
     """Return the poses that an entry of [[stations]] stands for."""
     names = table_of(raw, "triad").get("accelerometers")
     if not isinstance(names, list):
-        problems.add((*path, "attitude"), 'is "unknown", which takes [triad]')
+        problems.add((*path, "attitude"), 'is "unknown", which needs [triad]')
         return []
     ups = every_up(names)
     if settings.up is not None:
@@ -339,10 +339,10 @@ def _up(text: str, names: Sequence[str]) -> dict[str, float]:
         if part in "+-":
             sign = -1.0 if part == "-" else 1.0
         elif part in up:
-            raise ValueError(f'"{part}" is there twice')
+            raise ValueError(f'"{part}" is listed twice')
         elif part not in names:
             said = did_you_mean(part, names)
-            raise ValueError(f'"{part}" is no accelerometer of the triad{said}')
+            raise ValueError(f'"{part}" is not an accelerometer of the triad{said}')
         else:
             up[part], sign = sign, 1.0
     if not up:

@@ -62,8 +62,9 @@ class InformationTable:
         self._harmonics = harmonics
         if revolutions[1] > (most := MOST_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
-                f"limits: a run may have {revolutions[1]:.3g} revolutions; where noise walks, or "
-                f"time stamps have some, there is room to search among runs of at most {most:.3g}: "
+                f"limits: a run may have {revolutions[1]:.3g} revolutions; with a random walk "
+                f"or noise of the time stamps, the search is limited to runs of at most "
+                f"{most:.3g}: "
                 "state a shorter longest_run or total_time, or a lower highest_rate"
             )
         self._counts = _whole_numbers(revolutions)

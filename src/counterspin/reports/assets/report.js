@@ -330,7 +330,7 @@ var counterspin = (() => {
         tool("‹", "Move left", () => see(-0.25, 1)),
         tool("›", "Move right", () => see(0.25, 1)),
         tool("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
-        make("p", {}, "Drag to look closer, double-click for the whole.")),
+        make("p", {}, "Drag to zoom in, double-click to zoom out.")),
       canvas,
       readout,
     );
