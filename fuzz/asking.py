@@ -4,7 +4,7 @@
   same again
 - `Desk`: a folder that is served, whose jobs are done at once
 - `asking`: the application, called without threads
-- `ask`: one request; `Answered`: what came of it; `require_right`: what must hold of that
+- `ask`: one request; `HasAnswer`: what came of it; `require_right`: what must hold of that
 - `RequestRefusedError`: it was refused as it should be
 - `Watched`: no file beside the folder is touched, and none in it is lost
 """
@@ -87,7 +87,7 @@ async def _directly(function: Callable[..., Any], *words: Any) -> Any:
     return function(*words)
 
 
-class Answered:
+class HasAnswer:
     """What came of a request: status (0: none), headers, body, and what it raised."""
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class Answered:
         self.ended = False
 
 
-async def ask(app: Any, request: dict[str, Any]) -> Answered:
+async def ask(app: Any, request: dict[str, Any]) -> HasAnswer:
     """Ask as a server does, in this process.
 
     Parameters
@@ -107,7 +107,7 @@ async def ask(app: Any, request: dict[str, Any]) -> Answered:
     request
         Of a case; `gone`: who asks goes away before the last piece.
     """
-    answered = Answered()
+    answered = HasAnswer()
     path, _, query = request["target"].partition("?")
     scope = {
         "type": "http",
@@ -152,7 +152,7 @@ async def ask(app: Any, request: dict[str, Any]) -> Answered:
     return answered
 
 
-def require_right(request: dict[str, Any], answered: Answered, raised: str) -> None:
+def require_right(request: dict[str, Any], answered: HasAnswer, raised: str) -> None:
     """Raise AssertionError of an answer that should not be; RequestRefusedError of a refusal."""
     assert answered.status < 500, f"status {answered.status}\n{raised}\n{answered.body[:500]!r}"
     if not answered.status:

@@ -28,7 +28,7 @@ from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared
 from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
-from counterspin.monitoring import observing
+from counterspin.monitoring import observer
 from counterspin.physics import gravity, motion, terms
 from counterspin.planning import design, limiting, plan_file, requirements
 from counterspin.records import clock, excel_file, reading, reduction
@@ -143,7 +143,7 @@ ROWS = {
         ("its rate is off by more than {} %", 100.0 * assembly.RATE_DIFFERENCE),
         ("shorter than {} of what is stated", assembly.COMPLETE_PART),
         ("more than {} % of it are outliers", 100.0 * record_counts.OUTLIER_SHARE),
-        ("Before {} revolutions nothing", observing.FEWEST_REVOLUTIONS),
+        ("Before {} revolutions nothing", observer.FEWEST_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows a second take {} MB an hour",
             8,

@@ -20,7 +20,7 @@ _MARK: Final = re.compile(rb"Made by counterspin: ([a-z ]+)\.")
 
 
 @frozen
-class FileKind:
+class FileType:
     """A kind of file that a command writes."""
 
     words: str  #: What a message calls it, with its article.
@@ -28,7 +28,7 @@ class FileKind:
 
 
 def reserve(
-    path: Path, kind: Callable[[], FileKind] | None = None, *, overwrite: bool = False
+    path: Path, kind: Callable[[], FileType] | None = None, *, overwrite: bool = False
 ) -> None:
     """Refuse a place for an output where a file would be lost, before any work is done.
 
@@ -75,7 +75,7 @@ def mark(words: str) -> str:
     return f"Made by counterspin: {words}."
 
 
-def marked(words: str) -> FileKind:
+def marked(words: str) -> FileType:
     """Return the kind of files that have this `mark` at either end, and none of another kind."""
 
     def recognises(path: Path) -> bool:
@@ -84,7 +84,7 @@ def marked(words: str) -> FileKind:
             words.encode()
         }
 
-    return FileKind(f"{words} of counterspin, marked as such", recognises)
+    return FileType(f"{words} of counterspin, marked as such", recognises)
 
 
 def holds(words: bytes) -> Callable[[Path], bool]:
@@ -114,7 +114,7 @@ def make_folder(folder: Path) -> None:
 def write_whole(
     path: Path,
     write: Callable[[Path], object],
-    kind: Callable[[], FileKind] | None = None,
+    kind: Callable[[], FileType] | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
@@ -149,7 +149,7 @@ def write_open(path: Path, write: Callable[[BinaryIO], object]) -> None:
 def write_text(
     path: Path,
     text: str,
-    kind: Callable[[], FileKind] | None = None,
+    kind: Callable[[], FileType] | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
@@ -172,7 +172,7 @@ def begin(path: Path) -> Path:
 def finish(
     part: Path,
     path: Path,
-    kind: Callable[[], FileKind] | None = None,
+    kind: Callable[[], FileType] | None = None,
     *,
     overwrite: bool = False,
 ) -> None:

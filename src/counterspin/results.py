@@ -16,7 +16,7 @@ from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
 from counterspin.input import looks_like, read_file
-from counterspin.output import FileKind, write_text
+from counterspin.output import FileType, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -118,7 +118,7 @@ class ResultFile(ResultPart):
         write_text(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
 
     @classmethod
-    def file_kind(cls) -> FileKind:
+    def file_kind(cls) -> FileType:
         """Return how a file of this class is known again: by the keys that it must have."""
         fields = cls.model_fields.items()
         needed = {field.alias or name for name, field in fields if field.is_required()}
@@ -130,7 +130,7 @@ class ResultFile(ResultPart):
                 return False
             return isinstance(document, dict) and needed <= set(document)
 
-        return FileKind(f"the file of a {cls.KIND}", recognises)
+        return FileType(f"the file of a {cls.KIND}", recognises)
 
     @classmethod
     def read(cls, path: Path | str) -> Self:

@@ -7,7 +7,7 @@ from results import coefficient, result
 
 from certificates import LAB, find, write_lab
 from counterspin import cli
-from counterspin.certificates.amendment import Amended, Amendment, changes
+from counterspin.certificates.amendment import AmendedCertificate, Amendment, changes
 from counterspin.certificates.issuing import certificate, check_certificate
 from counterspin.certificates.reading import read_certificate
 from counterspin.errors import CampaignError, RecordError
@@ -100,5 +100,5 @@ def test_what_cannot_be_amended_is_refused(desk, capsys):
 
 
 def test_identifiers_count_on():
-    assert Amended("CS-1", "", "").next_identifier() == "CS-1-A1"
-    assert Amended("CS-1-A9", "", "").next_identifier() == "CS-1-A10"
+    assert AmendedCertificate("CS-1", "", "").next_identifier() == "CS-1-A1"
+    assert AmendedCertificate("CS-1-A9", "", "").next_identifier() == "CS-1-A10"

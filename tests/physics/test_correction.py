@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from counterspin.errors import ConvergenceError
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting, indicated
-from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
+from counterspin.physics.correction import (
+    CalibratedAccelerometer,
+    KnownForce,
+    correct,
+    missing_axes,
+)
 from counterspin.physics.inversion import NotInvertibleError, invert
 from counterspin.physics.terms import TERMS
 
@@ -223,7 +228,7 @@ def test_two_accelerometers_and_a_known_vertical():
     values = {s: row.nominal + 0.1 * size(s) for s, row in TERMS.items()}
     instruments = [instrument(QX, values, name="Qx"), instrument(QY, values, name="Qy")]
     y = np.stack([indicated(m, values, force) for m in (QX, QY)], axis=1)
-    down = Known(np.array([0.0, 0.0, -1.0]), -1.0)
+    down = KnownForce(np.array([0.0, 0.0, -1.0]), -1.0)
     got = correct(instruments, y, [down])
     np.testing.assert_allclose(got.force, force[:, :2], rtol=0, atol=1e-12)
     missing = missing_axes(instruments, [])
@@ -235,7 +240,7 @@ def test_two_accelerometers_and_a_known_vertical():
 
 def test_forces_that_are_given_twice_are_refused():
     one = instrument(QX, {"K_IP": 1e-5})
-    down, up = (Known(np.array([0.0, 0.0, s]), s) for s in (-1.0, 1.0))
+    down, up = (KnownForce(np.array([0.0, 0.0, s]), s) for s in (-1.0, 1.0))
     with pytest.raises(ValueError, match="more than once"):
         correct([one], np.ones((1, 1)), [down, up])
     with pytest.raises(ValueError, match="more than once"):
@@ -287,7 +292,7 @@ def test_uncertainty_of_one_accelerometer_by_hand():
 def test_uncertainty_of_a_known_force():
     """K_PP a_P^2 with a_P = -1 g +- u: da_I = 2 K_PP u."""
     one = instrument(PLAIN, {"K_PP": 1e-4, "K_I": 1.0})
-    got = correct([one], np.ones((1, 1)), [Known(np.array([0.0, 1.0, 0.0]), -1.0, 1e-3)])
+    got = correct([one], np.ones((1, 1)), [KnownForce(np.array([0.0, 1.0, 0.0]), -1.0, 1e-3)])
     assert got.force[0, 0] == pytest.approx(1.0 - 1e-4, abs=1e-15)
     assert got.u[0, 0] == pytest.approx(2e-7, rel=1e-12)
 
@@ -337,7 +342,7 @@ def test_uncertainty_against_trials():
     root = rng.normal(size=(len(values),) * 2) * [[0.005 * size(s)] for s in TERMS]
     force = np.array([[-60.0, 3.0, 1.0], [0.5, -1.0, 0.0], [1.0, -1.0, 2.0], [60.0, 0.0, -5.0]])
     y = indicated(PLAIN, values, force)
-    known = [Known(np.eye(3)[k], force[:, k]) for k in (1, 2)]
+    known = [KnownForce(np.eye(3)[k], force[:, k]) for k in (1, 2)]
     claimed = correct([instrument(PLAIN, values, root @ root.T)], y[:, None], known).u[:, 0]
     drawn = rng.multivariate_normal(list(values.values()), root @ root.T, size=trials)
     found = [invert(dict(zip(values, d, strict=True)), y, *force[:, 1:].T) for d in drawn]

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from counterspin.physics.spindle import Spindle
-from counterspin.studies.draws import DRIFT, StudyTruth, Varying
+from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity
 from counterspin.studies.noise import stream
 from counterspin.studies.tally import (
     LEVELS,
@@ -75,8 +75,8 @@ def truth(*varying):
 
 def test_distributions_are_what_they_say():
     varying = (
-        Varying("Qx", "K_II", "normal", 1e-5, 1e-6),
-        Varying("", DRIFT, "uniform", -1e-7, 3e-7, per_run=True),
+        VariedQuantity("Qx", "K_II", "normal", 1e-5, 1e-6),
+        VariedQuantity("", DRIFT, "uniform", -1e-7, 3e-7, per_run=True),
     )
     draws = truth(*varying).draw(stream(1, 0, 0), 4000)
     assert draws.drift.shape == (2, 4000)

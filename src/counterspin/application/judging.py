@@ -8,7 +8,7 @@ from counterspin.application.commands import check_command, watch_command
 from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
 from counterspin.monitoring.check import check
-from counterspin.monitoring.reaching import goals_of
+from counterspin.monitoring.goals import goals_of
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
 

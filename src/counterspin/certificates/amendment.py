@@ -13,7 +13,7 @@ from counterspin.certificates.attached import read_document
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.reading import (
-    Certified,
+    CertificateNumbers,
     CertifiedAccelerometer,
     read_certificate,
 )
@@ -53,7 +53,7 @@ class Amendment:
 
 
 @frozen
-class Amended:
+class AmendedCertificate:
     """A certificate that a new one replaces."""
 
     identifier: str  #: Of the one replaced.
@@ -69,7 +69,7 @@ class Amended:
         return f"{numbered[1]}-A{int(numbered[2]) + 1}"
 
 
-def read_amended(amendment: Amendment) -> tuple[Amended, bytes]:
+def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
     """Return what is to be said of a certificate that is replaced, and its XML."""
     if not amendment.reason.strip():
         raise CampaignError("certificate", ["`reason`: state why the certificate is replaced"])
@@ -80,10 +80,10 @@ def read_amended(amendment: Amendment) -> tuple[Amended, bytes]:
             f"{amendment.path}: is a draft, which was never issued and cannot be amended"
         )
     checksum = hashlib.sha256(data).hexdigest()
-    return Amended(found.identifier, checksum, " ".join(amendment.reason.split())), data
+    return AmendedCertificate(found.identifier, checksum, " ".join(amendment.reason.split())), data
 
 
-def with_changes(amended: Amended, old: bytes, new: bytes) -> Amended:
+def with_changes(amended: AmendedCertificate, old: bytes, new: bytes) -> AmendedCertificate:
     """Return it with what is otherwise in the new certificate's XML."""
     return replace(amended, changes=tuple(changes(old, new)))
 
@@ -97,7 +97,7 @@ def changes(old: bytes, new: bytes) -> list[str]:
     ] or ["Nothing but identifier and date of issue."]
 
 
-def amendment_lines(amended: Amended | None) -> list[str]:
+def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
     """Return what a certificate says of the one that it replaces; nothing if there is none."""
     if amended is None:
         return []
@@ -122,7 +122,7 @@ def check_amends(new: bytes, old: Path, source: str) -> str:
     return read_certificate(data, str(old)).identifier
 
 
-def _numbers(before: Certified, after: Certified) -> Iterator[str]:
+def _numbers(before: CertificateNumbers, after: CertificateNumbers) -> Iterator[str]:
     first, second = _certified(before), _certified(after)
     for name in dict.fromkeys([*first, *second]):
         sides = [side[name].coefficients if name in side else {} for side in (first, second)]
@@ -132,7 +132,7 @@ def _numbers(before: Certified, after: Certified) -> Iterator[str]:
                 yield f"{symbol} of {name}: it was {was}, and is {is_}."
 
 
-def _certified(certified: Certified) -> dict[str, CertifiedAccelerometer]:
+def _certified(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
     """Return what has values: each accelerometer, and the triad."""
     triad = certified.triad
     return certified.accelerometers | ({"the triad": triad.parameters} if triad else {})

@@ -25,7 +25,7 @@ from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 
 
 @frozen
-class Said:
+class IssueDetails:
     """Who answers for a certificate, why it is issued and when, and the file of its result."""
 
     who: str
@@ -50,7 +50,7 @@ def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime
 
 
 def enter_certificate(
-    kept: Path, path: Path, data: bytes, of: Mapping[str, str], said: Said
+    kept: Path, path: Path, data: bytes, of: Mapping[str, str], said: IssueDetails
 ) -> Entry | None:
     """Enter a certificate or an amendment, before it its result, and then give its file its name.
 
@@ -84,7 +84,7 @@ def enter_certificate(
     return None
 
 
-def _enter(ledger: OpenLedger, of: Mapping[str, str], said: Said) -> None:
+def _enter(ledger: OpenLedger, of: Mapping[str, str], said: IssueDetails) -> None:
     when = _moment(said.date)
     if said.result is not None:
         checksum = _checksum(said.result)

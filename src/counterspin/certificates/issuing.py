@@ -13,7 +13,7 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.triad import shown_parameter
 from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
-    Amended,
+    AmendedCertificate,
     Amendment,
     check_amends,
     read_amended,
@@ -24,13 +24,13 @@ from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import with_exact_g
-from counterspin.certificates.entering import Said, enter_certificate
+from counterspin.certificates.entering import IssueDetails, enter_certificate
 from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.ledger import checksum_of
 from counterspin.certificates.pdf_signature import PagesSignature, sign_pages
-from counterspin.certificates.reading import Certified, read_certificate
+from counterspin.certificates.reading import CertificateNumbers, read_certificate
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import is_signed, sign, verify
 from counterspin.certificates.signers import KeyFile, Signer, certificates_in
@@ -114,7 +114,7 @@ class Certificate:
         if kept is None:
             write_whole(path, lambda part: part.write_bytes(data))
             return path
-        said = Said(self.signed_by, self.reason, issue_date(), self.result)
+        said = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
         earlier = enter_certificate(kept, path, data, self.entry, said)
         if earlier is not None:
             self.notes.append(
@@ -250,7 +250,7 @@ def _ledger(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
     return folder / data.certificate.ledger
 
 
-def _reason(amended: Amended | None, result: Result) -> str:
+def _reason(amended: AmendedCertificate | None, result: Result) -> str:
     reason = "issued" if amended is None else amended.reason
     if result.accepted_misfit is None:
         return reason
@@ -292,7 +292,12 @@ def _identifier(lab: Lab, result: Result, accept_misfit: str | None) -> str:
 
 
 def _issue(
-    lab: Lab, result: Result, amended: Amended | None, accept_misfit: str | None, *, signed: bool
+    lab: Lab,
+    result: Result,
+    amended: AmendedCertificate | None,
+    accept_misfit: str | None,
+    *,
+    signed: bool,
 ) -> Issue:
     draft = bool(example_keys(lab))
     unnamed = (
@@ -345,10 +350,10 @@ def _pages(
 
 
 @frozen
-class Checked:
+class CertificateCheck:
     """What a certificate's file holds, and what its signature is worth."""
 
-    certified: Certified  #: The numbers.
+    certified: CertificateNumbers  #: The numbers.
     #: Of the XML: ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
     signature: Literal["none", "unchecked", "valid"]
     #: Of a PDF's pages, where the signature of its XML is valid; None: unchecked, or no PDF.
@@ -364,7 +369,7 @@ def check_certificate(
     schema: Path | None = None,
     cert: Path | None = None,
     amends: Path | None = None,
-) -> Checked:
+) -> CertificateCheck:
     """Read a certificate's numbers; with a schema validated, with a signer's certificate verified.
 
     schema, cert: As in `certificate`; the signer's certificate, PEM.
@@ -376,11 +381,13 @@ def check_certificate(
         check_amends(data, amends, str(path))
     if cert is None:
         signed = is_signed(data, str(path))
-        return Checked(read_certificate(data, str(path)), "unchecked" if signed else "none")
+        return CertificateCheck(
+            read_certificate(data, str(path)), "unchecked" if signed else "none"
+        )
     # Only what the signature covers is read.
     verified = verify(data, cert, str(path))
     certified = read_certificate(verified.content, str(path))
-    return Checked(certified, "valid", _checked_pages(path, cert), verified.expired)
+    return CertificateCheck(certified, "valid", _checked_pages(path, cert), verified.expired)
 
 
 def _checked_pages(path: Path, cert: Path) -> PagesSignature | None:
@@ -403,7 +410,7 @@ def _checked_pages(path: Path, cert: Path) -> PagesSignature | None:
     return found
 
 
-def certificate_blocks(certified: Certified) -> Iterator[Block]:
+def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
     """Yield the numbers of a certificate."""
     yield Heading(f"{TITLE} {certified.identifier}", 1)
     for name, accelerometer in certified.accelerometers.items():

@@ -74,7 +74,7 @@ class CertifiedTriad:
 
 
 @frozen
-class Certified:
+class CertificateNumbers:
     """The numbers of a certificate; gravity in m/s^2; `amends` identifies the one it replaces."""
 
     identifier: str
@@ -84,14 +84,14 @@ class Certified:
     triad: CertifiedTriad | None = None
 
 
-def read_certificate(document: bytes, source: str) -> Certified:
+def read_certificate(document: bytes, source: str) -> CertificateNumbers:
     """Read the numbers of a certificate that counterspin wrote."""
     root = parse(document, source)
     try:
         gravity = _number(_one(root, _GRAVITY))
         if gravity <= 0.0:
             raise ValueError(f"the local gravity is {gravity:g} m/s^2")
-        return Certified(
+        return CertificateNumbers(
             identifier=_one(root, "dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier"),
             gravity=gravity,
             accelerometers={

@@ -24,7 +24,7 @@ _SIGNXML_MISSING: Final = (
 
 
 @frozen
-class Verified:
+class SignatureCheck:
     """What the expected signer has signed."""
 
     content: bytes  #: The signed part of the document: everything but the signature.
@@ -53,7 +53,7 @@ class _Key:
         return self._signer.signed(data)
 
 
-def verify(document: bytes, certificate: Path, source: str) -> Verified:
+def verify(document: bytes, certificate: Path, source: str) -> SignatureCheck:
     """Check that a certificate was signed by the expected signer and not changed since.
 
     A signer's certificate that has expired counts as long as it was valid on the day of issue. That
@@ -83,7 +83,7 @@ def verify(document: bytes, certificate: Path, source: str) -> Verified:
     covered: Any = verified.signed_xml
     if covered is None or covered.tag != root.tag:
         raise RecordError(f"{source}: the signature does not cover the whole document")
-    return Verified(
+    return SignatureCheck(
         bytes(verified.signed_data), _expired(trusted, _issued(covered), certificate, source)
     )
 

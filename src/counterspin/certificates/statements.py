@@ -9,7 +9,7 @@ from typing import Final
 
 from counterspin.calibration.result import Result
 from counterspin.certificates import wording
-from counterspin.certificates.amendment import Amended, amendment_lines
+from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
 from counterspin.certificates.capability import capability_lines
 from counterspin.certificates.elements import ENGLISH
 from counterspin.certificates.evidence import evidence_lines
@@ -33,7 +33,7 @@ class Issue:
     signed: bool = False  #: Whether an electronic signature follows.
     #: Whether the laboratory's data are not its own yet, so that nothing is certified.
     draft: bool = False
-    amended: Amended | None = None  #: The certificate that this one replaces.
+    amended: AmendedCertificate | None = None  #: The certificate that this one replaces.
 
     def file_name(self, ending: str) -> str:
         """Return a file name made of the identifier, in which a slash would name a folder."""

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, OnOff, Saved, group
+from counterspin.cli.words import NOT_SAVED, OnOff, SaveOptions, group
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
-    from counterspin.output import FileKind
+    from counterspin.output import FileType
 
 _CONTRADICTED: Final = "the records contradict the result"
 _WHAT_TO_DO: Final = (
@@ -143,7 +143,7 @@ def calibrate(
     directory: Path,
     /,
     *more: Path,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
     estimation: Estimation = _USUAL,
     printed: PrintOptions = _BRIEF,
     kept: KeepingOptions = _NOWHERE,
@@ -197,7 +197,7 @@ def calibrate(
         raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_WHAT_TO_DO}")
 
 
-def _result_kind() -> FileKind:
+def _result_kind() -> FileType:
     from counterspin.calibration.result import Result
 
     return Result.file_kind()
@@ -205,7 +205,7 @@ def _result_kind() -> FileKind:
 
 def calibrate_several(
     directories: tuple[Path, ...],
-    saved: Saved,
+    saved: SaveOptions,
     estimation: Estimation,
     options: TwoStageOptions,
     accept_misfit: str | None,

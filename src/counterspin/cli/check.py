@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.cli.words import NOT_SAVED, SaveOptions
 from counterspin.errors import CounterspinError
 
 
@@ -17,7 +17,7 @@ def check(
     *,
     campaign: Annotated[Path, Parameter(name="--campaign")],
     run: str | None = None,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
 ) -> None:
     """Check the record of one run: clock, angle, rate, residuals and the uncertainty it will give.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.cli.words import NOT_SAVED, SaveOptions
 
 
-def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None) -> None:
+def compare(*results: Path, saved: SaveOptions = NOT_SAVED, report: Path | None = None) -> None:
     """Compare results of different models, methods or campaigns, and show what changed.
 
     Parameters

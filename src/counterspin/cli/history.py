@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.cli.words import NOT_SAVED, SaveOptions
 from counterspin.errors import CampaignError, CounterspinError
 
 
@@ -13,7 +13,7 @@ def history(
     term: str = "K_II",
     serial: str | None = None,
     reliability: float = 0.95,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
     figure: Path | None = None,
 ) -> None:
     """Follow a coefficient of each instrument over time: drift and agreement of its results.

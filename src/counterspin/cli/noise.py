@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, Saved, group, say
+from counterspin.cli.words import NOT_SAVED, SaveOptions, group, say
 from counterspin.frozen import frozen
 
 
@@ -48,7 +48,7 @@ def noise(
     recorded: ColumnOptions = _AS_THE_FILE_SAYS,
     report: Path | None = None,
     plot: Path | None = None,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
 ) -> None:
     """Analyse the noise of a record at rest: spectrum, Allan deviation, components, lines.
 

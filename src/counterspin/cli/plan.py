@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group, say, shell_word
+from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, group, say, shell_word
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
@@ -35,7 +35,7 @@ def plan(
     check: Path | None = None,
     init: Path | None = None,
     output: OutputFile = None,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
     figures: Path | None = None,
     recording: RecordingDetails = _UNKNOWN,
 ) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.cli.words import NOT_SAVED, SaveOptions
 
 
-def reproduce(*, saved: Saved = NOT_SAVED) -> None:
+def reproduce(*, saved: SaveOptions = NOT_SAVED) -> None:
     """Compare the paper's numbers with recomputed ones, and explain the differences."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.cli.words import NOT_SAVED, SaveOptions
 from counterspin.errors import CounterspinError
 
 
@@ -13,7 +13,7 @@ def rerun(
     /,
     *,
     folder: Path | None = None,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
 ) -> None:
     """Repeat the calibration of a result from the same files, and compare the two.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group
+from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, group
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
@@ -59,7 +59,7 @@ def study(
     output: OutputFile = None,
     keep_trials: bool = False,
     resume: bool = False,
-    saved: Saved = NOT_SAVED,
+    saved: SaveOptions = NOT_SAVED,
 ) -> None:
     """Test analyses on many simulated campaigns: bias, scatter and coverage of the intervals.
 

@@ -14,7 +14,7 @@ from cyclopts import App, Parameter
 
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
-from counterspin.output import FileKind, reserve
+from counterspin.output import FileType, reserve
 from counterspin.reports.characters import Lines, speakable, visible
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ group = Parameter(name="*")
 
 @group
 @frozen
-class Saved:
+class SaveOptions:
     """Where a command's result is written.
 
     Parameters
@@ -47,7 +47,7 @@ class Saved:
     json: JsonFile = None
     overwrite: bool = False
 
-    def reserve(self, kind: Callable[[], FileKind]) -> None:
+    def reserve(self, kind: Callable[[], FileType]) -> None:
         """Refuse a place where a file would be lost, before there is a result to lose."""
         if self.json is not None:
             reserve(self.json, kind, overwrite=self.overwrite)
@@ -69,7 +69,7 @@ class Saved:
 
 
 #: No result is written.
-NOT_SAVED: Final = Saved()
+NOT_SAVED: Final = SaveOptions()
 
 #: Function named in a message -> what the command line has in its place.
 _COMMANDS: Final = {

@@ -29,7 +29,12 @@ from counterspin.correction.related import covariances_between
 from counterspin.correction.warmth import notes_of_warmth, warmth_of, warnings_of_warmth
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
-from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
+from counterspin.physics.correction import (
+    CalibratedAccelerometer,
+    KnownForce,
+    correct,
+    missing_axes,
+)
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.units import unit_factor
@@ -334,14 +339,14 @@ def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
     ]
 
 
-def _known(given: Any, direction: Array, factor: float, gravity: float, option: str) -> Known:
+def _known(given: Any, direction: Array, factor: float, gravity: float, option: str) -> KnownForce:
     if isinstance(given, str):
         try:
             quantity = parse(given, "g", gravity=gravity)
         except ValueError as error:
             raise CampaignError(_SOURCE, [f"`{option}`: {error}"]) from error
-        return Known(direction, quantity.value, quantity.u)
-    return Known(direction, np.asarray(given, dtype=np.float64) * factor)
+        return KnownForce(direction, quantity.value, quantity.u)
+    return KnownForce(direction, np.asarray(given, dtype=np.float64) * factor)
 
 
 def _needed(

@@ -18,7 +18,7 @@ from counterspin.campaign.kinds import ZERO_CELSIUS
 from counterspin.correction.apply import ApplyOptions, Correction, apply
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.output import FileKind, holds, reserve, write_open, write_whole
+from counterspin.output import FileType, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.dialect import TEMPERATURES
 from counterspin.records.tables import locate, read_numbers, read_table
@@ -36,7 +36,7 @@ _SEPARATORS: Final[Mapping[str, str | None]] = {
 }
 
 #: What is written is known again by the names of its new columns.
-_CORRECTED: Final = FileKind("a file that counterspin corrected", holds(b"_corrected_u"))
+_CORRECTED: Final = FileType("a file that counterspin corrected", holds(b"_corrected_u"))
 
 
 @frozen

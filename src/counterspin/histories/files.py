@@ -58,7 +58,7 @@ class DatedResult:
 
 
 @dataclass
-class Collected:
+class CollectedResults:
     """What the files hold; the parts as in `counterspin.histories.result.History`."""
 
     records: list[DatedResult] = field(default_factory=list)
@@ -67,13 +67,13 @@ class Collected:
     passed_over: list[str] = field(default_factory=list)
 
 
-def collect(given: Sequence[Path | Result], term: str) -> Collected:
+def collect(given: Sequence[Path | Result], term: str) -> CollectedResults:
     """Read all results that are named or lie in the folders named, whatever their schema."""
     paths = [path for path in given if isinstance(path, Path)]
     missing = [f"{path}: no such file or folder" for path in paths if not path.exists()]
     if missing:
         raise CampaignError("history", missing)
-    collected, seen = Collected(), dict[str, str]()
+    collected, seen = CollectedResults(), dict[str, str]()
     for file, named in _files(paths):
         if not named and file.name.startswith("."):
             collected.left_out.append(UnusedResult(file=str(file), reason=_HIDDEN_REASON))
@@ -137,7 +137,7 @@ def _is_other(content: bytes) -> str | None:
     return None if set(document) >= _RESULT_KEYS else "other"
 
 
-def _enter(file: Path, term: str, collected: Collected) -> None:
+def _enter(file: Path, term: str, collected: CollectedResults) -> None:
     try:
         result = judge_result(Result.read(file))
     except RecordError as error:
@@ -147,7 +147,7 @@ def _enter(file: Path, term: str, collected: Collected) -> None:
     _enter_result(result, str(file), term, collected)
 
 
-def _enter_result(result: Result, file: str, term: str, collected: Collected) -> None:
+def _enter_result(result: Result, file: str, term: str, collected: CollectedResults) -> None:
     date = _date(result.details.get("date"))
     for one in followed_in(result, term):
         outcome = _record(result, one, term, file, date)

@@ -18,7 +18,7 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
 from counterspin.histories.control import WARNING_SIGMAS, individuals
 from counterspin.histories.due import LONGEST_YEARS, YEAR, next_due
-from counterspin.histories.files import Collected, DatedResult, collect
+from counterspin.histories.files import CollectedResults, DatedResult, collect
 from counterspin.histories.followed import KINDS, term_like
 from counterspin.histories.repeats import repeatability
 from counterspin.histories.result import (
@@ -124,7 +124,7 @@ def _unknown(term: str) -> str:
     return f'unknown term "{term}"{did_you_mean(term, [*TERMS, *KINDS])}'
 
 
-def _leave_out_repeated(collected: Collected) -> None:
+def _leave_out_repeated(collected: CollectedResults) -> None:
     """Keep one result of the same records and accelerometer: a measurement counts once.
 
     The joint method's goes before that of two stages, then the first one read.
@@ -145,7 +145,7 @@ def _leave_out_repeated(collected: Collected) -> None:
             )
 
 
-def _nothing(paths: Sequence[Path | str | Result], collected: Collected) -> str:
+def _nothing(paths: Sequence[Path | str | Result], collected: CollectedResults) -> str:
     where = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
     lost = [*collected.damaged, *collected.left_out]
     if not lost:

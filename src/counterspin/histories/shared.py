@@ -31,7 +31,7 @@ _LEAST_OWN_PART: Final = 1e-3
 
 
 @frozen
-class InCommon:
+class SharedInputs:
     """What results share."""
 
     names: tuple[str, ...]  #: What it is, such as ``centrifuge.radius``.
@@ -74,7 +74,7 @@ def shared_sources(
 
 def in_common(
     u: Sequence[float], shared: Sequence[Mapping[tuple[str, str], float]]
-) -> InCommon | None:
+) -> SharedInputs | None:
     """Return what results have in common; None where it is negligible."""
     count: dict[tuple[str, str], int] = {}
     for sources in shared:
@@ -94,4 +94,4 @@ def in_common(
     names = dict.fromkeys(
         key[0] for key, w in zip(keys, weight, strict=True) if w**2 >= 0.1 * _NEGLIGIBLE_CORRELATION
     )
-    return InCommon(tuple(names), largest, covariance)
+    return SharedInputs(tuple(names), largest, covariance)

@@ -13,20 +13,20 @@ from counterspin.campaign.resolved import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.monitoring.judging import remarks_of, run_state
-from counterspin.monitoring.observing import Observer, Recorded, recorded
-from counterspin.monitoring.poses import poses_state, remarks_of_poses
-from counterspin.monitoring.reaching import (
-    Fitted,
+from counterspin.monitoring.goals import (
+    FitSoFar,
     fitted,
     nothing_reached,
     reached,
     shown_names,
 )
+from counterspin.monitoring.observer import Observer, Recorded, recorded
+from counterspin.monitoring.poses import poses_state, remarks_of_poses
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
+from counterspin.monitoring.run_state import remarks_of, run_state
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded.from_records import as_recorded, noise_of_fit
-from counterspin.planning.recorded.told_poses import with_told_poses
+from counterspin.planning.recorded.pose_noise import with_pose_noise
 from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread
@@ -139,17 +139,17 @@ def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded:
 
 
 @frozen
-class _Judged:
+class _RecordCheck:
     """A record by itself."""
 
     state: RunState
     remarks: list[str]
     good: bool
-    fit: Fitted | None  # None where it cannot be used
+    fit: FitSoFar | None  # None where it cannot be used
     observed: ObservedRun | None = None  # None of poses
 
 
-def _by_itself(campaign: Campaign, run: Recorded) -> _Judged:
+def _by_itself(campaign: Campaign, run: Recorded) -> _RecordCheck:
     """Return what a record shows by itself."""
     alone = _with_recorded(
         replace(campaign, readings=()), lambda other: run if other is run else None
@@ -164,7 +164,7 @@ def _by_itself(campaign: Campaign, run: Recorded) -> _Judged:
         state = observer.not_read(run.name)
         why = state.why if state.state == "failed" else f"too short: {state.why}"
         state = state.model_copy(update={"state": "failed", "why": why})
-        return _Judged(state, [why or ""], good=False, fit=None)
+        return _RecordCheck(state, [why or ""], good=False, fit=None)
     fit, refused = None, ""
     try:
         fit = fitted(part, observed)
@@ -182,11 +182,11 @@ def _by_itself(campaign: Campaign, run: Recorded) -> _Judged:
         )
     if fit is None:
         remarks, good = [refused, *remarks], False
-    return _Judged(state, remarks, good, fit, own)
+    return _RecordCheck(state, remarks, good, fit, own)
 
 
 def _with_the_others(
-    campaign: Campaign, run: Recorded, fit: Fitted | None
+    campaign: Campaign, run: Recorded, fit: FitSoFar | None
 ) -> tuple[list[str], list[ReachedCoefficient]]:
     """Return which other records are there, and what they say with this one.
 
@@ -213,7 +213,7 @@ def _with_the_others(
 
 
 def _expected(
-    campaign: Campaign, run: Recorded, judged: _Judged
+    campaign: Campaign, run: Recorded, judged: _RecordCheck
 ) -> tuple[list[ReachedCoefficient], str | None]:
     """Return what the whole campaign will know, its other runs being made as described."""
     if not campaign.runs:
@@ -229,10 +229,10 @@ def _expected(
     if unknown:
         return [], f"the description does not state how long {', '.join(unknown)} will last"
     try:
-        whole = with_told_poses(whole)
+        whole = with_pose_noise(whole)
         predicted = forecast(whole, sampling_rate=rate)
     except CounterspinError as error:
         return [], str(error)
     names = shown_names(campaign)
-    lines = reached(Fitted(whole, predicted.estimate, ()), names)
+    lines = reached(FitSoFar(whole, predicted.estimate, ()), names)
     return [line.model_copy(update={"value": None}) for line in lines], None

@@ -13,8 +13,8 @@ from counterspin.calibration.posed.found_poses import FoundPose
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.campaign.triads.grouped import one_group
-from counterspin.monitoring.observing import record_name
-from counterspin.monitoring.reaching import Fitted
+from counterspin.monitoring.goals import FitSoFar
+from counterspin.monitoring.observer import record_name
 from counterspin.monitoring.result import PosesState, RunState
 from counterspin.physics.terms import TERMS
 from counterspin.planning.readings.stations import every_up, pointing_up, words_of_up
@@ -27,7 +27,7 @@ _MOST_MISSING: Final = 12
 
 
 def poses_state(
-    campaign: Campaign, record: PoseRecord, found: Sequence[FoundPose], fit: Fitted | None
+    campaign: Campaign, record: PoseRecord, found: Sequence[FoundPose], fit: FitSoFar | None
 ) -> RunState:
     """Return what a record of poses shows.
 
@@ -67,7 +67,7 @@ def poses_state(
     )
 
 
-def remarks_of_poses(found: Sequence[FoundPose], fit: Fitted | None) -> tuple[list[str], bool]:
+def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[list[str], bool]:
     """Return what is odd about a record of poses, in sentences, and whether it may be kept."""
     whole = found[0].record
     assert whole is not None
@@ -78,7 +78,7 @@ def remarks_of_poses(found: Sequence[FoundPose], fit: Fitted | None) -> tuple[li
 
 
 def missing_directions(
-    campaign: Campaign, found: Sequence[FoundPose], fit: Fitted | None
+    campaign: Campaign, found: Sequence[FoundPose], fit: FitSoFar | None
 ) -> list[str]:
     """Return the directions in which one pose would say more than all that are there together.
 
@@ -115,7 +115,7 @@ def missing_directions(
     return missing
 
 
-def _left(fit: Fitted) -> Iterator[tuple[str, float]]:
+def _left(fit: FitSoFar) -> Iterator[tuple[str, float]]:
     """Yield each pose's name, and by how much the size of its specific force is off, g."""
     model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
     for part in fit.posed:

@@ -14,11 +14,8 @@ from counterspin.campaign.resolved import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
-from counterspin.monitoring.judging import run_state
-from counterspin.monitoring.observing import Observer, recorded
-from counterspin.monitoring.poses import poses_state
-from counterspin.monitoring.reaching import (
-    Fitted,
+from counterspin.monitoring.goals import (
+    FitSoFar,
     fitted,
     goal_states,
     goals_of,
@@ -26,7 +23,10 @@ from counterspin.monitoring.reaching import (
     reached,
     shown_names,
 )
+from counterspin.monitoring.observer import Observer, recorded
+from counterspin.monitoring.poses import poses_state
 from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchState
+from counterspin.monitoring.run_state import run_state
 from counterspin.workers import one_blas_thread
 
 #: A run that is as long as this part of what is stated is complete.
@@ -162,7 +162,7 @@ def _state(
 
 
 def _runs(
-    campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: Fitted | None
+    campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: FitSoFar | None
 ) -> list[RunState]:
     there = {one.run.name: one for one in observed}
     states = []

@@ -80,7 +80,7 @@ def _lever(slope: Slope, warmth: Array | float) -> Array:
 
 
 @frozen(eq=False)
-class Known:
+class KnownForce:
     """A direction along which the specific force is known without an accelerometer."""
 
     direction: Array  #: Unit vector in the frame of the mountings, shape (3,).
@@ -112,7 +112,7 @@ class Warmth:
 
 
 @frozen(eq=False)
-class Corrected:
+class CorrectedForces:
     """What the accelerometers' indications stand for."""
 
     force: Array  #: Specific force along each input axis in g, shape (n, m).
@@ -125,7 +125,7 @@ _AS_CALIBRATED: Final = Warmth()
 
 
 def missing_axes(
-    instruments: Sequence[CalibratedAccelerometer], known: Sequence[Known]
+    instruments: Sequence[CalibratedAccelerometer], known: Sequence[KnownForce]
 ) -> list[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]:
     """Return (instrument, ``P`` or ``O``, symbols that need it) where the force is not known."""
     _, determined = _projections(instruments, known)
@@ -140,10 +140,10 @@ def missing_axes(
 def correct(
     instruments: Sequence[CalibratedAccelerometer],
     indicated: Array,
-    known: Sequence[Known] = (),
+    known: Sequence[KnownForce] = (),
     between: Mapping[tuple[int, int], Array] = MappingProxyType({}),
     warmth: Warmth = _AS_CALIBRATED,
-) -> Corrected:
+) -> CorrectedForces:
     """Correct the indications of accelerometers that stand on one platform.
 
     Each accelerometer's a_P and a_O are the projections of the vector that the corrected forces
@@ -196,7 +196,7 @@ def correct(
     spread = inverse @ from_known * [*(item.u for item in known), warmth.u]
     total += np.sum(spread**2, axis=2)
     # Rounding alone may leave less than nothing where errors of two accelerometers cancel.
-    return Corrected(force, np.sqrt(np.maximum(total, 0.0)))
+    return CorrectedForces(force, np.sqrt(np.maximum(total, 0.0)))
 
 
 def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
@@ -215,7 +215,7 @@ def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array
 
 
 def _projections(
-    instruments: Sequence[CalibratedAccelerometer], known: Sequence[Known]
+    instruments: Sequence[CalibratedAccelerometer], known: Sequence[KnownForce]
 ) -> tuple[Array, np.ndarray]:
     """Return the weights that lead from forces along the known directions to a_P and a_O.
 

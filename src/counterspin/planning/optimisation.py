@@ -22,7 +22,7 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.polishing import brought_within, fitted_into, polish, shortened
-from counterspin.planning.relaxation import Relaxed, relax
+from counterspin.planning.relaxation import RelaxedOptimum, relax
 
 #: Smallest relative gain of u (or of time) for which a plan is changed.
 _GAIN: Final = 2e-5
@@ -110,7 +110,7 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
             )
 
 
-def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
+def _whole(relaxed: RelaxedOptimum, limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights."""
     groups: dict[tuple[RunType, float], list[int]] = {}
     found = relaxed.support

@@ -25,7 +25,7 @@ from counterspin.planning.predicted import other_plan, result_of
 from counterspin.planning.readings.reading_plan import ReadingSearch
 from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.recorded.from_records import from_records, lacks
-from counterspin.planning.recorded.told_poses import with_told_poses
+from counterspin.planning.recorded.pose_noise import with_pose_noise
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
@@ -227,7 +227,7 @@ def check(
     CampaignError
         If the description is wrong, or does not say what a forecast needs.
     """
-    campaign = with_told_poses(read_campaign(where))
+    campaign = with_pose_noise(read_campaign(where))
     lacking = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:
         lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}

@@ -23,7 +23,7 @@ _REFINEMENTS: Final = 4
 
 
 @frozen(eq=False)
-class Relaxed:
+class RelaxedOptimum:
     """The relaxed optimum."""
 
     support: Design  #: Its runs.
@@ -33,7 +33,7 @@ class Relaxed:
     price_run: float  #: What the criterion gains for each further run.
 
 
-def relax(predictor: Predictor, limits: Limits, criterion: Criterion) -> Relaxed:
+def relax(predictor: Predictor, limits: Limits, criterion: Criterion) -> RelaxedOptimum:
     """Solve the relaxation on a grid."""
     grid, steps = _first_grid(limits)
     possible = _possible(predictor, limits, grid)
@@ -49,7 +49,7 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion) -> Relaxed
         start = np.concatenate([solved.weight, np.zeros(len(finer.types))])
         solved = possible.relaxed(criterion, *resources, start)
     kept = np.flatnonzero(solved.weight > ZERO_WEIGHT)
-    return Relaxed(grid.taken(kept.tolist()), solved.weight[kept], *solved[1:])
+    return RelaxedOptimum(grid.taken(kept.tolist()), solved.weight[kept], *solved[1:])
 
 
 def _possible(predictor: Predictor, limits: Limits, runs: Design) -> Possibilities:

@@ -47,7 +47,7 @@ def field_unit(unit: str) -> tuple[str, float]:
 
 
 @frozen
-class Rounded:
+class RoundedEstimate:
     """A value and its uncertainty, both to the second digit of the uncertainty."""
 
     #: The digits, in units of ten to the power of `exponent`.
@@ -61,7 +61,7 @@ class Rounded:
         return _digits(_exactly(number), self.place, self.exponent)
 
 
-def round_to_uncertainty(value: float, u: float) -> Rounded | None:
+def round_to_uncertainty(value: float, u: float) -> RoundedEstimate | None:
     """Round a value to its uncertainty (GUM 7.2.6; halves to even, ISO 80000-1 B.3 rule A).
 
     Returns: none if a double does not hold the value to two digits of u.
@@ -75,7 +75,7 @@ def round_to_uncertainty(value: float, u: float) -> Rounded | None:
     largest = max(abs(_at(exact, place)), _at(spread, place)).adjusted()
     # Zeros before the point that are not significant would pretend to be.
     exponent = 0 if place <= 0 and largest in _PLAIN_EXPONENTS else largest
-    return Rounded(
+    return RoundedEstimate(
         value=_digits(exact, place, exponent),
         u=_digits(spread, place, exponent),
         exponent=exponent,

@@ -16,7 +16,7 @@ from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
 from counterspin.studies.bound import bounds
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import DRIFT, RIPPLE_AMPLITUDE, RIPPLE_RATIO, StudyTruth
-from counterspin.studies.engine import EnginePart, Reported, StudyEngine
+from counterspin.studies.engine import EnginePart, ReportedCoefficient, StudyEngine
 from counterspin.studies.full_engine import FullEngine
 from counterspin.studies.joint_engine import JointEngine
 from counterspin.studies.readings_engine import readings_engine
@@ -216,7 +216,7 @@ def _full(world: World, truth: StudyTruth, analysis: Analysis, words: str) -> En
 
 def _of_two_stage(
     world: World, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
-) -> tuple[tuple[int, ...], tuple[Reported, ...]]:
+) -> tuple[tuple[int, ...], tuple[ReportedCoefficient, ...]]:
     """Return which of a two-stage analysis' unknowns are reported: all but the printed ripple."""
     symbols = list(request.unknowns)
     rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
@@ -229,8 +229,8 @@ def _of_two_stage(
 
 def _reported(
     analysis: Analysis, unknowns: Sequence[Unknown], least: Mapping[str, float]
-) -> tuple[Reported, ...]:
+) -> tuple[ReportedCoefficient, ...]:
     return tuple(
-        Reported(analysis.name, unknown.owner, unknown.symbol, least.get(unknown.name))
+        ReportedCoefficient(analysis.name, unknown.owner, unknown.symbol, least.get(unknown.name))
         for unknown in unknowns
     )

@@ -38,7 +38,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
-from counterspin.studies.draws import OTHERS, Varying
+from counterspin.studies.draws import OTHERS, VariedQuantity
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 #: Kinds of distribution, as they are written.
@@ -151,7 +151,7 @@ class StudyDescription:
     #: How many, and of the random numbers.
     trials: int
     seed: int
-    varying: tuple[Varying, ...]  #: What varies, in the file's order.
+    varying: tuple[VariedQuantity, ...]  #: What varies, in the file's order.
     analyses: tuple[AnalysisDescription, ...]  #: What competes.
 
 
@@ -198,7 +198,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         text = f'run "{record.name}": a study takes poses with readings, not a record of them'
         problems.lines.append(text)
     recorders = recorders_of(document.get("records", {}), campaign.runs)
-    varying: list[Varying] = []
+    varying: list[VariedQuantity] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):
         varying += _varying(key, path_, entry, campaign, recorders, problems)
     for index, quantity in enumerate(varying):
@@ -226,7 +226,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     )
 
 
-def _known(campaign: Campaign, varying: Sequence[Varying]) -> Iterator[Varying]:
+def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[VariedQuantity]:
     """Yield what acts beside what is asked for, each as it is known: stated, or of typical size.
 
     What [truth] gives a value has that one.
@@ -246,7 +246,7 @@ def _known(campaign: Campaign, varying: Sequence[Varying]) -> Iterator[Varying]:
         there.add((owner, other.symbol))
         value, u = other.prior
         middle = stated[owner, other.symbol].value if other.symbol in INPUTS else value
-        yield Varying(owner, other.symbol, "normal", middle, u, term(other.symbol).per_run)
+        yield VariedQuantity(owner, other.symbol, "normal", middle, u, term(other.symbol).per_run)
 
 
 def _document(
@@ -276,7 +276,7 @@ def _campaign(
     return campaign
 
 
-def _same(one: Varying, other: Varying) -> bool:
+def _same(one: VariedQuantity, other: VariedQuantity) -> bool:
     ripples = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
     if {one.symbol, other.symbol} == ripples:
         return True
@@ -302,7 +302,7 @@ def _varying(
     campaign: Campaign,
     recorders: Mapping[str, str],
     problems: Problems,
-) -> list[Varying]:
+) -> list[VariedQuantity]:
     settings = problems.check(DistributionSettings, entry, path)
     names = _names(key, path, campaign, recorders, problems)
     if settings is None or not names:
@@ -334,7 +334,7 @@ def _varying(
     if symbol in NOISE_LEVELS and first < 0.0:
         problems.add(path, "must not be less than zero")
     return [
-        Varying(owner, name, kind, first, second, per_run)  # type: ignore[arg-type]
+        VariedQuantity(owner, name, kind, first, second, per_run)  # type: ignore[arg-type]
         for owner, name in names
     ]
 

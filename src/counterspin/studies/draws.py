@@ -42,7 +42,7 @@ _VALID_SDS: Final = 4.5
 
 
 @frozen
-class Varying:
+class VariedQuantity:
     """One quantity that varies from trial to trial."""
 
     owner: str  #: The accelerometer of a term of its own, the recorder of a clock; else empty.
@@ -155,10 +155,10 @@ class StudyTruth:
     stated: Mapping[tuple[str, str], float]
     inputs: Mapping[tuple[str, str], float]  #: What is true of those that do not vary.
     white: float  #: m; where it does not vary.
-    varying: tuple[Varying, ...]  #: What does.
+    varying: tuple[VariedQuantity, ...]  #: What does.
 
     @classmethod
-    def of(cls, campaign: Campaign, varying: tuple[Varying, ...]) -> StudyTruth:
+    def of(cls, campaign: Campaign, varying: tuple[VariedQuantity, ...]) -> StudyTruth:
         """Return what is true: a campaign's [truth], and what varies in its stead."""
         assert campaign.simulation is not None
         fixed: dict[tuple[str, str], Array] = {

@@ -25,7 +25,7 @@ _BATCH: Final = {
 
 
 @frozen
-class Reported:
+class ReportedCoefficient:
     """One coefficient of one analysis."""
 
     #: Names; the owner of a platform term is empty.
@@ -53,7 +53,7 @@ class EnginePart:
     noise: int
     words: str  #: What it is called.
     rows: tuple[int, ...]  #: Its own rows that are reported.
-    reported: tuple[Reported, ...]  #: What they are.
+    reported: tuple[ReportedCoefficient, ...]  #: What they are.
     lost: tuple[str, ...] = ()  #: Coefficients that the records do not determine.
 
 
@@ -80,7 +80,7 @@ class StudyEngine:
         return min(_BATCH[part.kind] for part in self.parts)
 
     @property
-    def reported(self) -> tuple[Reported, ...]:
+    def reported(self) -> tuple[ReportedCoefficient, ...]:
         """All that is reported, in the order of a batch's rows."""
         return tuple(coefficient for part in self.parts for coefficient in part.reported)
 

@@ -13,7 +13,7 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.frozen import frozen
-from counterspin.output import FileKind, make_folder, reserve, write_whole
+from counterspin.output import FileType, make_folder, reserve, write_whole
 from counterspin.studies.result import StudyResult
 from counterspin.studies.work import Ledger
 
@@ -121,7 +121,7 @@ def _holds_trials(path: Path) -> bool:
 
 
 #: What is written of each trial.
-_KEPT_TRIALS: Final = FileKind("a file of a study's trials", _holds_trials)
+_KEPT_TRIALS: Final = FileType("a file of a study's trials", _holds_trials)
 
 
 def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final
 
 from counterspin.reports.shown import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
-from counterspin.studies.engine import Reported
+from counterspin.studies.engine import ReportedCoefficient
 from counterspin.studies.tally import LEVELS, Summary
 
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
@@ -112,7 +112,7 @@ class StudyResult(ShownResult):
 
 
 def coefficient_result(
-    reported: Reported, unit: str, summary: Summary, drivers: Sequence[str]
+    reported: ReportedCoefficient, unit: str, summary: Summary, drivers: Sequence[str]
 ) -> CoefficientResult:
     """Return the figures of one coefficient."""
     trustworthy, finding = judge(reported, summary)
@@ -147,7 +147,7 @@ def _numbers(values: Any) -> list[float | None]:
     return [float(value) if math.isfinite(value) else None for value in values]
 
 
-def judge(reported: Reported, summary: Summary) -> tuple[bool | None, str]:
+def judge(reported: ReportedCoefficient, summary: Summary) -> tuple[bool | None, str]:
     """Return whether a coefficient's uncertainty holds, and why; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (

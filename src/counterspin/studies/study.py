@@ -17,7 +17,7 @@ from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
-from counterspin.studies.draws import OTHERS, Varying
+from counterspin.studies.draws import OTHERS, VariedQuantity
 from counterspin.studies.engine import StudyEngine
 from counterspin.studies.folder import StudyFolder, StudyProgress
 from counterspin.studies.result import (
@@ -214,7 +214,7 @@ def _all_of(judged: list[bool | None]) -> bool | None:
     return None if None in judged else all(judged)
 
 
-def _in_words(varying: Varying) -> str:
+def _in_words(varying: VariedQuantity) -> str:
     name = f"{varying.owner}.{varying.symbol}" if varying.owner else varying.symbol
     unit = OTHERS.get(varying.symbol) or unit_of(varying.symbol)
     unit = "" if unit == "1" else f" {unit}"

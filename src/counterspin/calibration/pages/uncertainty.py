@@ -36,7 +36,7 @@ _FEW_LINES: Final = 3
 _MOST_NAMES: Final = 8
 
 
-class Uncertain(Protocol):
+class HasUncertainty(Protocol):
     """A coefficient's uncertainty, found or forecast."""
 
     @property
@@ -48,11 +48,11 @@ class Uncertain(Protocol):
         """Of `u`."""
 
 
-class Answered(Protocol):
+class HasAnswer(Protocol):
     """What is told of an accelerometer, found or forecast."""
 
     @property
-    def coefficients(self) -> Mapping[str, Uncertain]:
+    def coefficients(self) -> Mapping[str, HasUncertainty]:
         """By symbol."""
 
     @property
@@ -64,7 +64,7 @@ class Answered(Protocol):
         """What an update of the uncertainties needs."""
 
 
-class Assuming(Protocol):
+class HasAssumptions(Protocol):
     """A result, or a plan."""
 
     @property
@@ -78,7 +78,7 @@ def telling(lines: Sequence[BudgetLine]) -> tuple[Sequence[BudgetLine], Sequence
     return (lines, ()) if len(lines) - count <= _FEW_LINES else (lines[:count], lines[count:])
 
 
-def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
+def dominance(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
     """Return what decides the u of a coefficient, where unstated sources do; else empty."""
     coefficient = accelerometer.coefficients.get(symbol)
     lines = accelerometer.budget.get(symbol, [])
@@ -115,7 +115,7 @@ def in_words(source: str) -> str:
     return f"the {named(source)}" if words_of(source) else source
 
 
-def largest_part(accelerometer: Answered, symbol: str = "K_II") -> str:
+def largest_part(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
     """Return what most of the u of a coefficient comes from, in a sentence; empty if not known."""
     lines = accelerometer.budget.get(symbol, [])
     if not lines:
@@ -130,7 +130,7 @@ def _size(line: BudgetLine, part: float) -> str:
     return f"{format_number((line.u or 0.0) * factor * part, 2)} {unit}".strip()
 
 
-def assumption(result: Assuming) -> str:
+def assumption(result: HasAssumptions) -> str:
     """Return what is taken as perfect, in a sentence; empty if nothing is."""
     names = result.assumed
     if not names:

@@ -37,7 +37,7 @@ _BISECTIONS: Final = 12
 
 
 @frozen(eq=False)
-class Chosen:
+class Allocation:
     """How often each possible reading is taken."""
 
     counts: Counts  #: Shape (n,).
@@ -47,7 +47,7 @@ class Chosen:
 
 def best_counts(
     possible: Possibilities, criterion: Criterion, number: float, time: float
-) -> Chosen:
+) -> Allocation:
     """Return the numbers with the smallest criterion.
 
     number, time: Largest sum of the numbers and of their times, s; one of them finite.
@@ -58,7 +58,7 @@ def best_counts(
         for start in _starts(possible, relaxed.weight, number, time)
     ]
     value, counts = min(ends, key=lambda end: end[0])
-    return Chosen(counts, value, min(relaxed.bound, value))
+    return Allocation(counts, value, min(relaxed.bound, value))
 
 
 def _starts(possible: Possibilities, weight: Array, number: float, time: float) -> list[Counts]:
@@ -119,7 +119,7 @@ def least_counts(
     number: float,
     time: float,
     u_of: Callable[[Counts], Array],
-) -> tuple[Chosen, float] | None:
+) -> tuple[Allocation, float] | None:
     """Return the fewest readings, or the least time, with which every u is at most its scale.
 
     u_of: What u will be, of all that the criterion asks for, in its order: what goes with time
@@ -129,7 +129,7 @@ def least_counts(
     """
     scales = np.array(criterion.scales)
 
-    def reached(chosen: Chosen) -> bool:
+    def reached(chosen: Allocation) -> bool:
         variance = np.diag(possible.covariance(chosen.counts))[list(criterion.places)]
         near = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _ROUNDING)))
         return near and bool(np.all(u_of(chosen.counts) <= scales * (1.0 + _ROUNDING)))

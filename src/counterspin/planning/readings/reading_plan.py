@@ -25,7 +25,7 @@ from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.limiting import GAIN, RELAXATION
 from counterspin.planning.possibilities import Possibilities
 from counterspin.planning.predicted import other_plan, planned_readings, result_of
-from counterspin.planning.readings.counts import Chosen, Counts, best_counts, least_counts
+from counterspin.planning.readings.counts import Allocation, Counts, best_counts, least_counts
 from counterspin.planning.readings.stations import PossibleReading, ReadingPlan
 from counterspin.planning.result import LimitResult, OtherPlan, PlanResult
 
@@ -95,7 +95,7 @@ class ReadingSearch:
             "known of the other terms in [model.priors]."
         )
 
-    def _chosen(self) -> tuple[Chosen, float | None]:
+    def _chosen(self) -> tuple[Allocation, float | None]:
         """Return the readings, and for a target the part of the limit that it needs."""
         goal = self.plan.goal
         if goal.kind == "minimise":
@@ -117,7 +117,7 @@ class ReadingSearch:
         )
         raise CounterspinError(text + ".")
 
-    def _others(self, chosen: Chosen, prediction: Forecast) -> list[OtherPlan]:
+    def _others(self, chosen: Allocation, prediction: Forecast) -> list[OtherPlan]:
         """Return the plan that takes every possible reading equally often, or nearly."""
         size, number = chosen.counts.size, int(chosen.counts.sum())
         spread = np.floor(np.arange(number) * size / number).astype(np.int64)
@@ -132,7 +132,7 @@ class ReadingSearch:
         time = float(self.possible.cost @ counts)
         return [other_plan(words, time, prediction.u, there.u, self.plan.goal.sizes)]
 
-    def _limits(self, chosen: Chosen) -> list[LimitResult]:
+    def _limits(self, chosen: Allocation) -> list[LimitResult]:
         """Return what a tenth more of each limit would gain; nothing of a plan for a target."""
         if self.plan.goal.kind == "target":
             return []

@@ -38,7 +38,7 @@ from counterspin.planning.plan_sections import (
     ReadingPlanDocument,
     StationsSettings,
 )
-from counterspin.planning.recorded.told_poses import with_told_poses
+from counterspin.planning.recorded.pose_noise import with_pose_noise
 
 #: Most possible readings: what an exchange of one for another would gain is asked of all pairs.
 _MOST_POSSIBLE: Final = 3600
@@ -243,7 +243,7 @@ def _with_poses(
     planned = {reading.name: reading for reading in possible}
     pointed = _pointed(campaign, planned)
     there = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
-    told = with_told_poses(replace(campaign, triad=replace(campaign.triad, poses=there)))
+    told = with_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=there)))
     assert told.triad is not None
     triad = replace(told.triad, poses=(*told.triad.poses, *pointed))
     return replace(campaign, triad=triad), told.triad.poses

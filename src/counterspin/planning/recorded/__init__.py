@@ -2,5 +2,5 @@
 
 - `from_records`: lengths, sampling rates and noise as a forecast needs them
 - `further_runs`: the cheapest runs in another attitude that reduce an uncertainty
-- `told_poses`: poses with the noise that their fit tells
+- `pose_noise`: poses with the noise estimated in their fit
 """

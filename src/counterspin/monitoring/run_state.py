@@ -13,7 +13,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
-from counterspin.monitoring.observing import record_name
+from counterspin.monitoring.observer import record_name
 from counterspin.monitoring.result import ResidualState, RunState
 
 

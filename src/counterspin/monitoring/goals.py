@@ -26,7 +26,7 @@ from counterspin.planning.plan_sections import GoalSettings
 
 
 @frozen(eq=False)
-class Fitted:
+class FitSoFar:
     """The joint fit of the runs that are there."""
 
     campaign: Campaign  #: With these runs alone.
@@ -58,9 +58,9 @@ class Fitted:
         return tuple(view for view in views if view.has_records)
 
 
-def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> Fitted:
+def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> FitSoFar:
     """Fit runs together, as a calibration of them alone does."""
-    return Fitted(campaign, *estimate_campaign(campaign, observed, model_of(campaign)))
+    return FitSoFar(campaign, *estimate_campaign(campaign, observed, model_of(campaign)))
 
 
 def goals_of(
@@ -104,7 +104,7 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
 
 
-def reached(fit: Fitted, names: Sequence[str]) -> list[ReachedCoefficient]:
+def reached(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
     """Return what a fit says of unknowns, None where it does not determine them."""
     places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
     found = []

@@ -15,7 +15,7 @@ from counterspin.campaign.resolved import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
-from counterspin.monitoring.following import APPENDED, FollowedTable
+from counterspin.monitoring.growing_table import APPENDED, FollowedTable
 from counterspin.monitoring.result import RunState
 from counterspin.physics.effects import RunConditions
 from counterspin.records.memory import MemoryTable
@@ -37,7 +37,7 @@ def recorded(campaign: Campaign) -> tuple[Recorded, ...]:
 
 
 @dataclass
-class _Watched:
+class _WatchedRun:
     """A run, its file, and what was made of it when it was last read."""
 
     run: Recorded
@@ -78,7 +78,7 @@ class Observer:
                 else columns_of_poses(campaign)
             )
             table = _table_of(run, columns) if grow else None
-            self._watched.append(_Watched(run, columns, table))
+            self._watched.append(_WatchedRun(run, columns, table))
 
     def look(self) -> tuple[bool, list[str]]:
         """Read what is new."""
@@ -147,7 +147,7 @@ class Observer:
             nominal_rate=run.rate if isinstance(run, Run) else 0.0,
         )
 
-    def _read(self, watched: _Watched) -> None:
+    def _read(self, watched: _WatchedRun) -> None:
         """Make a record of the rows that there are, if they are others than before."""
         if not watched.stale:
             return
@@ -186,7 +186,7 @@ def _too_short(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str
     return f"{turned:.1f} revolutions of at least {FEWEST_REVOLUTIONS}"
 
 
-def _look_at(watched: _Watched) -> tuple[bool, str | None]:
+def _look_at(watched: _WatchedRun) -> tuple[bool, str | None]:
     path = watched.run.record
     try:
         if watched.table is not None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.monitoring import following
-from counterspin.monitoring.following import FollowedTable
+from counterspin.monitoring import growing_table
+from counterspin.monitoring.growing_table import FollowedTable
 from counterspin.records.formats import open_columns
 from counterspin.records.tables import read_numbers
 
@@ -82,7 +82,7 @@ def test_a_recorder_s_own_style_is_kept(file):
 def test_old_bytes_are_not_read_again(file, monkeypatch):
     read = []
     monkeypatch.setattr(
-        following,
+        growing_table,
         "open_columns",
         lambda path, dialect: read.append(path.stat().st_size) or open_columns(path, dialect),
     )

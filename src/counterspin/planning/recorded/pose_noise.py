@@ -1,4 +1,4 @@
-"""Poses that state no uncertainty, as a forecast needs them: with the noise that they tell."""
+"""Poses without a stated uncertainty, given the noise estimated in their fit, for a forecast."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from counterspin.campaign.triads.grouped import poses_together
 from counterspin.inference.readings import solve_readings
 
 
-def with_told_poses(campaign: Campaign) -> Campaign:
+def with_pose_noise(campaign: Campaign) -> Campaign:
     """Return a campaign each of whose poses has a value and a standard uncertainty.
 
     Those of records are found in them; the noise of those that state none is that of their fit.
@@ -33,11 +33,11 @@ def with_told_poses(campaign: Campaign) -> Campaign:
         one.pose if one.record is None else [replace(reading, time=None) for reading in one.pose]
         for one in found
     )
-    told = tuple(_told(pose, noise) for pose in undated)
-    return replace(campaign, triad=replace(campaign.triad, poses=told, records=()))
+    noisy = tuple(_with_noise(pose, noise) for pose in undated)
+    return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
 
 
-def _told(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
+def _with_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
     """Return a pose with a noise, of one repeat, where it states none."""
     if all(reading.u is not None for reading in pose):
         return tuple(pose)
