@@ -45,7 +45,7 @@ def test_wherever_something_is_found_the_head_is_named(kept, way):
             continue
         assuming, _ = STUDY["calibrated"](STUDY["world_of"](violation, usual))
         times = "once" if ".1." in violation.symbol else "twice"
-        two = f"are what a head makes that errs {times} a turn"
+        two = f"look like an error of the head {times} a turn"
         one = "An error of the head that goes with its angle"
         assert (two if "mountings" in way else one) in assuming.findings[0].text
 

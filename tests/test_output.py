@@ -63,7 +63,7 @@ def test_a_file_in_the_place_of_a_folder(tmp_path):
     (tmp_path / "dossier").write_text("mine")
     with pytest.raises(CounterspinError, match=r"dossier is a file, not a folder; name a folder"):
         make_folder(tmp_path / "dossier")
-    with pytest.raises(CounterspinError, match=r"cannot be made .* choose another place"):
+    with pytest.raises(CounterspinError, match=r"cannot be created .* choose another place"):
         make_folder(tmp_path / "dossier" / "deeper")
     assert (tmp_path / "dossier").read_text() == "mine"
 

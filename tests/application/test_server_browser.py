@@ -201,11 +201,11 @@ def test_from_a_table_of_readings_to_a_result(opened, folder, tmp_path):
     kind = tab.get_by_label("What the files are")
     assert kind.input_value() == "tumble"
     files.set_input_files(folder / "three" / "slow.csv")
-    tab.get_by_label("How far is the platform").wait_for()
+    tab.get_by_label("What is the radius").wait_for()
     assert kind.input_value() == "double-turntable"
     files.set_input_files(tmp_path / "tumble.csv")
     tab.get_by_label("What is the nominal sensitivity").wait_for()
-    assert tab.get_by_label("At which latitude").input_value() == PLACE[1][1]
+    assert tab.get_by_label("What is the latitude").input_value() == PLACE[1][1]
     # A slow finger: the last answer is taken up, and shown, before the button is let go.
     tab.get_by_role("button", name="Write the campaign").hover()
     tab.mouse.down()

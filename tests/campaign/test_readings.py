@@ -152,7 +152,7 @@ SLIPS = {
         HEAD
         + '[model.priors]\n"head.zero" = "0 ± 1 arcsec"\n'
         + RUN.replace("30 ± 0.001 deg about north", "level"),
-        'no reading shows "head.zero"',
+        'no reading depends on "head.zero"',
     ),
     "a mounting that is not there": (
         HEAD + ARM + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.radius.inn"]\n' + ON_ARM,

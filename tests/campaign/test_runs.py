@@ -105,7 +105,7 @@ def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
         (ANGLE, "angle = { column = 'a', unit = 's' }", "records.angle.unit: 's' is not a unit of"),
         (ANGLE, "angle = { column = 'a', zero = 'up' }", "records.angle.zero: 'up' is not a q"),
         (ANGLE, "angle = { column = 'a', sense = 'left' }", "records.angle.sense: 'left' is none"),
-        (ANGLE, f"{ANGLE}\nencoding = 'utf8000'", 'records.encoding: there is no encoding "utf8'),
+        (ANGLE, f"{ANGLE}\nencoding = 'utf8000'", 'records.encoding: unknown encoding "utf8'),
         (ANGLE, f"{ANGLE}\ndelimiter = '|'", "records.delimiter: '|' is none of ',', ';' or"),
         ('name = "slow"', 'name = "slow"\nstart = "9 s"\nstop = "8 s"', "runs[0].stop: must come"),
         (

@@ -198,7 +198,7 @@ def test_record_outside_the_campaign_s_folder_is_refused(tmp_path):
     outside = tmp_path / "elsewhere" / "run.csv"
     for record in (outside.as_posix(), "../elsewhere/run.csv"):
         path = write(tmp_path / "c", changed(SMALL, ('"slow.csv"', f'"{record}"')))
-        with pytest.raises(CampaignError, match=r"runs\[0\]\.record: .*run\.csv.* inside") as info:
+        with pytest.raises(CampaignError, match=r"runs\[0\]\.record: .*run\.csv.* outside") as info:
             simulate(path, tmp_path / "made")
         assert info.value.exit_status == 2
     assert not outside.exists()
@@ -271,7 +271,7 @@ def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
     path = write(tmp_path, SMALL)
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    with pytest.raises(CounterspinError, match=r"file.made: cannot be made \(Not a directory\)"):
+    with pytest.raises(CounterspinError, match=r"file.made: cannot be created \(Not a directory\)"):
         simulate(path, tmp_path / "file" / "made")
 
 

@@ -108,7 +108,7 @@ def test_description_that_is_there_stays(tmp_path):
 
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    for name, told in (("file", "is a file"), ("file/below", "cannot be made")):
+    for name, told in (("file", "is a file"), ("file/below", "cannot be created")):
         with pytest.raises(CounterspinError, match=told):
             init(tmp_path / name)
 

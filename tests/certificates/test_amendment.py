@@ -47,7 +47,7 @@ def test_from_a_result_to_an_amended_certificate_and_back(desk, capsys):
     assert f"It amends and replaces certificate {name} and its checksum" in capsys.readouterr().out
     (desk / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 1
-    assert "does not amend old.xml, or old.xml was changed" in capsys.readouterr().err
+    assert "does not amend old.xml, or old.xml has been changed" in capsys.readouterr().err
     # And once more.
     again = certificate("r.json", "LAB.toml", amends=Amendment(desk / "new.xml", "No code."))
     assert again.identifier == f"{name}-A2"

@@ -224,7 +224,7 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
     said = [line for e in statements for line in e.text.splitlines()]
     assert "K_III of Qx: not determined by the records; no value is certified." in said
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
-    assert "its prior, 1.0020000 ± 0.0000098 g/g (U, k = 1.96), was used" in known
+    assert "the prior, 1.0020000 ± 0.0000098 g/g (U, k = 1.96), was used" in known
     assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
 
 

@@ -336,7 +336,7 @@ def test_the_command_writes_a_report(ending, one, tmp_path, capsys):
 
 def test_what_cannot_be_compared_is_refused(one):
     result = one[1]
-    with pytest.raises(CampaignError, match="two results or more"):
+    with pytest.raises(CampaignError, match="two or more results"):
         cs.compare(result)
     with pytest.raises(CampaignError, match="2 results and 1 `names`"):
         cs.compare(result, result, names=["a"])

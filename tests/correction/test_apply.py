@@ -464,7 +464,7 @@ def test_correlations_that_contradict_each_other_leave_no_u_of_zero():
     # Not below the worst that any relation of the errors could do.
     assert (done.u >= np.abs(products).T @ sizes * (1.0 - 1e-12)).all()
     (warning,) = done.warnings
-    assert "contradict each other" in warning
+    assert "inconsistent" in warning
 
 
 def test_uncertainty_against_trials():

@@ -68,7 +68,7 @@ def test_slopes_are_taken_at_the_temperature_of_each_row():
     np.testing.assert_allclose(
         apply(result(MODEL | SLOPES), "A", indication(35.0), kelvin).corrected, FORCE, atol=1e-12
     )
-    assert "count from 20 degC" in one.notes[-1]
+    assert "are relative to 20 degC" in one.notes[-1]
 
 
 def test_at_the_reference_temperature_it_is_as_without_slopes():

@@ -181,8 +181,8 @@ def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
         if share > _HIDDEN_SHARE:
             yield (
                 f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the "
-                "records do not show and cannot exclude. If it is known, or known to be none, "
-                "state it as acceleration in [noise]; else record longer runs."
+                f"records neither show nor exclude. If it is known, even as zero, state "
+                "it as acceleration in [noise]; otherwise record longer runs."
             )
 
 

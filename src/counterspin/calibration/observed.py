@@ -111,8 +111,8 @@ def _refuse_removed(campaign: Campaign, name: str, parts: Mapping[str, Array]) -
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) before "
         f"it was written: to the last digit its rows are orthogonal to {powers}{ends}, as no "
-        "record is. With it went what K_F and K_II do to "
-        f"{observable.replace('_', ' ')}. Switch that off in the recorder or in the export "
+        "original record is. This also removed the effect of K_F and K_II on "
+        f"{observable.replace('_', ' ')}. Switch this off in the recorder or in the export "
         "(detrend, remove offset, zero mean), and record or export again."
     )
 

@@ -332,7 +332,7 @@ class ReadingsTable:
                 wanted += columns
                 if owner not in self.accelerometers:
                     said = did_you_mean(owner, self.accelerometers)
-                    problems.add((*path, key), f'no accelerometer is called "{owner}"' + said)
+                    problems.add((*path, key), f'there is no accelerometer "{owner}"' + said)
         self._check_there(wanted, names)
 
     def _check_beside(self, names: Sequence[str]) -> None:

@@ -207,7 +207,7 @@ def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | Non
         return None
     words = (
         f"swings by {size * abs(expected):.4g} {unit} about the spindle axis, "
-        f"but radius and input axis give {abs(expected):.4g} {unit}"
+        f"but the radius and the input axis give {abs(expected):.4g} {unit}"
     )
     if 0.5 < size < 2:
         turn = math.degrees(math.atan2(ratio.imag, ratio.real))

@@ -27,7 +27,7 @@ export async function compareView() {
     reference.replaceChildren(...chosen.map((name) =>
       make("option", { value: name, selected: name === first }, name)));
     if (chosen.length >= 2) fill(place, "comparison", [first, ...chosen.filter((name) => name !== first)]);
-    else place.replaceChildren(make("p", { class: "quiet" }, "Choose two results or more."));
+    else place.replaceChildren(make("p", { class: "quiet" }, "Choose two or more results."));
   };
   [...boxes, reference].forEach((control) => control.addEventListener("change", show));
   show();

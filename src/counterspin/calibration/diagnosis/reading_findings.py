@@ -245,13 +245,12 @@ def _clause(other: Alternative) -> str:
         "the order in which they were taken" if other.symbol == "order" else "the time of reading"
     )
     return {
-        WAVE: f"follow {other.symbol}, phi being the head's angle from where the input axis points "
-        "up",
-        HEAD: f"are what a head makes that errs {other.symbol.partition(' ')[2]} a turn",
-        TERM: f"are what {other.symbol} makes, beyond what the model allows it",
+        WAVE: f"follow {other.symbol}, phi being the angle of the head from input axis up",
+        HEAD: f"look like an error of the head {other.symbol.partition(' ')[2]} a turn",
+        TERM: f"follow {other.symbol}, more than its prior allows",
         DRIFT: f"drift with {when}",
         WARM_UP: f"settle with {when}, as after a warm-up",
-        BEND: f"drift and turn back with {when}",
+        BEND: f"drift and reverse with {when}",
         STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
         HYSTERESIS: f"depend on {_CAME.get(other.symbol)} (hysteresis)",
