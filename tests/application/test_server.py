@@ -28,7 +28,7 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     (beside := tmp_path / "temporary").mkdir()
     with subprocess.Popen(words, **pipes, env=os.environ | {"TMPDIR": str(beside)}) as server:
-        assert "this machine alone" in server.stdout.readline()
+        assert "this machine only" in server.stdout.readline()
         link = re.search(r"http://127\.0\.0\.1:(\d+)/#token=(\S{32})", server.stdout.readline())
         port = int(link[1])
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=30) as answer:

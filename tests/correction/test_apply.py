@@ -106,11 +106,11 @@ def test_what_nothing_states_is_in_u_where_its_force_is_known():
     # 1e-9 of the force's fourth power, over the slope of the model, which is K_I but for 1e-3.
     of_fourth = 1e-9 * taken.corrected[0] ** 4
     assert taken.u == pytest.approx([of_fourth], rel=5e-3)
-    (said,) = (w for w in taken.warnings if "nothing states" in w)
+    (said,) = (w for w in taken.warnings if "are not stated" in w)
     assert "K_OO, K_IP" in said
     across = apply(found, "Qx", np.array([10.0]), ApplyOptions(output_axis="3 g"))
     assert across.u == pytest.approx([math.hypot(of_fourth, 2e-6 * 9.0)], rel=5e-3)
-    (said,) = (w for w in across.warnings if "nothing states" in w)
+    (said,) = (w for w in across.warnings if "are not stated" in w)
     assert "K_IP" in said
     assert "K_OO" not in said
 

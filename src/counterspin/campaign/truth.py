@@ -338,10 +338,10 @@ class TruthReader:
             path = ("truth", _MACHINE, key)
             symbols = expand(key, known)
             if key in OWN_TERMS:
-                said = "is of an accelerometer; write it in its table, [truth.NAME]"
+                said = "belongs to an accelerometer; write it in [truth.NAME]"
                 self.problems.add(path, said)
             elif not symbols:
-                self.problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
+                self.problems.add(path, f'no reading depends on "{key}"' + did_you_mean(key, known))
             for symbol in symbols:
                 unit = term(symbol).unit
                 value = self.problems.attempt(path, exact, text, unit)
@@ -364,7 +364,7 @@ class TruthReader:
             given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
         ).items():
             if name not in outputs:
-                said = f'no accelerometer is called "{name}"' + did_you_mean(name, outputs)
+                said = f'there is no accelerometer "{name}"' + did_you_mean(name, outputs)
                 self.problems.add(path, said)
                 continue
             output = outputs[name]
