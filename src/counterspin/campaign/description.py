@@ -39,7 +39,9 @@ from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
     description_file,
+    list_of,
     load_with_checksum,
+    table_of,
 )
 from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
 from counterspin.campaign.truth import TruthReader
@@ -347,18 +349,13 @@ class _DescriptionReader:
         # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
         self.gravity = self.site.gravity.value if self.site else 9.80665
         self.simulated = "simulation" in raw or "truth" in raw
-        runs = raw.get("runs")
-        self.all_runs = runs if isinstance(runs, list) else []
+        self.all_runs = list_of(raw, "runs")
         self.numbered_runs = taken_runs(self.all_runs)
         self.raw_runs = [run for _, run in self.numbered_runs]
         self.accelerometers = AccelerometersReader(
-            self._table("accelerometers"), self.raw_runs, problems, self.gravity
+            table_of(self.raw, "accelerometers"), self.raw_runs, problems, self.gravity
         )
         self.table_checksums: dict[Path, str] = {}
-
-    def _table(self, key: str) -> Mapping[str, Any]:
-        value = self.raw.get(key)
-        return value if isinstance(value, dict) else {}
 
     def _required(self, model: type[M], key: str) -> M | None:
         """Check a section that must be there; that it is absent is noted already."""
@@ -368,7 +365,7 @@ class _DescriptionReader:
     def campaign(self) -> Campaign | None:
         """Return the campaign, or None if there are problems."""
         problems, gravity = self.problems, self.gravity
-        info = problems.check(CampaignSettings, self._table("campaign"), ("campaign",))
+        info = problems.check(CampaignSettings, table_of(self.raw, "campaign"), ("campaign",))
         centrifuge = self._required(CentrifugeSettings, "centrifuge")
         records = self._required(RecordsSettings, "records")
         fixture = self._required(FixtureSettings, "fixture") or FixtureSettings()
@@ -377,7 +374,7 @@ class _DescriptionReader:
         tables = self.accelerometers.tables()
         self.accelerometers.check_names()
         observables = self.accelerometers.observables(noise)
-        settings = problems.check(ModelSettings, self._table("model"), ("model",))
+        settings = problems.check(ModelSettings, table_of(self.raw, "model"), ("model",))
         runs = self._runs()
         outputs = {name: table and table.output for name, table in tables.items()}
         numbered = self._numbered_readings(outputs)
@@ -426,7 +423,7 @@ class _DescriptionReader:
             check_conditions(model, self._placed(runs), reference, problems)
         simulation = None
         if self.truth is not None:
-            recorders = recorders_of(self._table("records"), runs)
+            recorders = recorders_of(table_of(self.raw, "records"), runs)
             simulation = self.truth.simulation(
                 self._sampling(), outputs, noise, readings, centrifuge, recorders
             )
@@ -522,11 +519,14 @@ class _DescriptionReader:
         """What is true of a campaign that is simulated."""
         if not self.simulated:
             return None
-        return TruthReader(self._table("truth"), self.problems, self.gravity)
+        return TruthReader(table_of(self.raw, "truth"), self.problems, self.gravity)
 
     def _runs(self) -> list[Run]:
         defaults = RunDefaults(
-            self.file.parent, self._table("records"), self.truth, self._sampling().revolutions
+            self.file.parent,
+            table_of(self.raw, "records"),
+            self.truth,
+            self._sampling().revolutions,
         )
         return resolve_runs(self.numbered_runs, defaults, self.problems)
 
@@ -541,7 +541,7 @@ class _DescriptionReader:
 
     def _sampling(self) -> SimulationSettings:
         settings = self.problems.check(
-            SimulationSettings, self._table("simulation"), ("simulation",)
+            SimulationSettings, table_of(self.raw, "simulation"), ("simulation",)
         )
         return settings or SimulationSettings()
 

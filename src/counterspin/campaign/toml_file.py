@@ -52,6 +52,18 @@ def flat_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def table_of(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return a table of a document; an empty one where there is none."""
+    value = document.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def list_of(document: Mapping[str, Any], key: str) -> list[Any]:
+    """Return a list of a document; an empty one where there is none."""
+    value = document.get(key)
+    return value if isinstance(value, list) else []
+
+
 def load_document(
     file: Path, advice: str = CAMPAIGN_ADVICE, kind: Kind | None = None
 ) -> dict[str, Any]:

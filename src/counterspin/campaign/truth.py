@@ -40,7 +40,7 @@ from counterspin.campaign.simulated.truth_of_inputs import (
     true_inputs,
 )
 from counterspin.campaign.terms import expand, symbols_shown
-from counterspin.campaign.toml_file import flat_keys
+from counterspin.campaign.toml_file import flat_keys, table_of
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import (
     COMMON_NAMES,
@@ -227,15 +227,11 @@ class TruthReader:
         }
         self._take_stretch()
 
-    def _table(self, key: str) -> Mapping[str, Any]:
-        value = self.raw.get(key)
-        return value if isinstance(value, Mapping) else {}
-
     def _machine(self) -> dict[str, Any]:
         """Return what is said of terms that readings show."""
         if not isinstance(self.raw.get(_MACHINE, {}), Mapping):
             self.problems.add(("truth", _MACHINE), "must be a table")
-        return flat_keys(self._table(_MACHINE))
+        return flat_keys(table_of(self.raw, _MACHINE))
 
     def _take_stretch(self) -> None:
         """Count the stretch among what readings show as that of the centrifuge: records show it."""
@@ -355,7 +351,7 @@ class TruthReader:
 
     def _of_readings(self, outputs: Mapping[str, Output | None]) -> dict[str, float]:
         """Return the true noise of the readings of each accelerometer, g."""
-        given = self._table("noise").get(_READING)
+        given = table_of(self.raw, "noise").get(_READING)
         if given is None:
             return {}
         path: Path = ("truth", "noise", _READING)

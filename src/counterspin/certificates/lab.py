@@ -22,7 +22,7 @@ from counterspin.campaign.kinds import SettingsSection, described
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.toml_file import flat_keys, load_document
+from counterspin.campaign.toml_file import flat_keys, list_of, load_document, table_of
 from counterspin.certificates.elements import clean
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
 from counterspin.errors import CampaignError, CounterspinError
@@ -335,17 +335,14 @@ def _check_settings(settings: CertificateSettings, problems: Problems) -> None:
 def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
     """Note names that are not in the result, and serial numbers that contradict it."""
     known = result.accelerometers
-    settings, parts = (
-        table if isinstance(table := raw.get(key), dict) else {}
-        for key in ("certificate", "accelerometers")
-    )
+    settings, parts = table_of(raw, "certificate"), table_of(raw, "accelerometers")
     chosen = settings.get("accelerometers")
     if chosen == []:
         problems.add(("certificate", "accelerometers"), "must have at least one entry")
     places: list[tuple[KeyPath, object]] = [
         *(
             (("certificate", "accelerometers", place), name)
-            for place, name in enumerate(chosen if isinstance(chosen, list) else ())
+            for place, name in enumerate(list_of(settings, "accelerometers"))
         ),
         *((("accelerometers", name), name) for name in parts),
     ]

@@ -21,7 +21,7 @@ from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
 from counterspin.campaign.simulated.noise_at_rest import SI_UNITS, with_sizes_found
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.toml_file import list_of, load_document, table_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
@@ -174,8 +174,7 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
     """
     model, before = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
-        listed = model.get(key)
-        for index, name in enumerate(listed if isinstance(listed, list) else ()):
+        for index, name in enumerate(list_of(model, key)):
             row = CONDITION_TERMS.get(name) if isinstance(name, str) else None
             condition = "force" if row is None else row.effect.condition
             if condition != "force":
@@ -185,12 +184,6 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
                     "leave it out here, add it to the planned campaign, and check that",
                 )
     return len(problems.lines) > before
-
-
-def table_of(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return a table of a document; an empty one where there is none."""
-    value = raw.get(key)
-    return value if isinstance(value, dict) else {}
 
 
 def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) -> dict[str, Any]:

@@ -17,7 +17,9 @@ from counterspin.campaign.settings import Output
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     description_file,
+    list_of,
     load_with_checksum,
+    table_of,
     unusable,
 )
 from counterspin.errors import CampaignError
@@ -116,14 +118,12 @@ def _take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> 
     if len({len(values) for values in columns.values()}) != 1:
         problems.add(("readings",), "the columns of the frame differ in length, or there are none")
         return
-    accelerometers = document.get("accelerometers")
-    tables = accelerometers if isinstance(accelerometers, Mapping) else {}
+    tables = table_of(document, "accelerometers")
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     outputs = {name: _output(table) for name, table in tables.items()}
     table = ReadingsTable(settings, outputs, problems, document)
     made = [run for run, _ in table.runs(list(columns), rows)]
-    runs = document.get("runs")
-    document["runs"] = [*(runs if isinstance(runs, list) else []), *made]
+    document["runs"] = [*list_of(document, "runs"), *made]
 
 
 def _output(table: Any) -> Output | None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.toml_file import list_of
 from counterspin.output import write_open, write_whole
 from counterspin.records.memory import MemoryTable, memory_table
 
@@ -60,8 +61,7 @@ def give_records(
     records: Run's name -> frame or file; `AT_REST` -> that of the record at rest.
     folder: Of the document's files.
     """
-    runs = document.get("runs")
-    given = list(runs) if isinstance(runs, list) else []
+    given = list(list_of(document, "runs"))
     names = {run.get("name"): place for place, run in enumerate(given) if isinstance(run, Mapping)}
     tables: dict[Path, MemoryTable] = {}
     for name, record in records.items():
@@ -82,7 +82,7 @@ def give_records(
                 run["record"] = record_name(name, ".parquet", taken)
             tables[folder / run["record"]] = memory_table(f"{name} in memory", record)
         given[names[name]] = run
-    if isinstance(runs, list):
+    if given:
         document["runs"] = given
     return tables
 

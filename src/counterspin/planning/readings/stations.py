@@ -20,6 +20,7 @@ from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import BLANK
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.readings import Reading
+from counterspin.campaign.toml_file import list_of, table_of
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -30,7 +31,6 @@ from counterspin.planning.plan_file import (
     plan_name,
     resolve_goal,
     resolved_campaign,
-    table_of,
 )
 from counterspin.planning.plan_sections import (
     GoalSettings,
@@ -176,13 +176,10 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
     apart = ("limits", "goal", "stations", "runs")
     document = {k: v for k, v in raw.items() if k not in apart}
-    taken = raw.get("runs")
-    taken = taken if isinstance(taken, list) else []
+    taken = list_of(raw, "runs")
     names = list(table_of(raw, "accelerometers"))
     possible: list[PossibleReading] = []
-    listed = raw.get("stations")
-    stations = listed if isinstance(listed, list) else []
-    for index, entry in enumerate(stations):
+    for index, entry in enumerate(list_of(raw, "stations")):
         path_of_entry = ("stations", index)
         settings = problems.check(StationsSettings, entry, path_of_entry)
         if settings is not None:
