@@ -218,6 +218,19 @@ def test_columns_that_are_each_other_s_negative_are_mountings(slopes, kind):
     assert list(lines.values()) == pytest.approx([slope * 9.80665 for slope in slopes])
 
 
+@pytest.mark.parametrize(
+    ("columns", "kind"),
+    [
+        (([1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]), "mountings"),
+        (([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]), "accelerometers"),
+        (([1.0, 1.0, math.nan], [math.nan, math.nan, 2.0]), "accelerometers"),
+    ],
+)
+def test_columns_at_one_rate(columns, kind):
+    found = table({"n_rpm": [30.0] * 3, "a_V": columns[0], "b_V": columns[1]})
+    assert kind_of_arm_columns(found) == kind
+
+
 def test_radii_are_of_the_rows_that_turn():
     numbers = {"n_rpm": [0.0, 30.0, 30.0, 42.0], "R_mm": [5.0, 1000.0, 900.0, 1000.0]}
     found = table({**numbers, "out_V": [1.0] * 4}, {"side": ["up", "in", "out", "in"]})

@@ -293,16 +293,17 @@ def kind_of_arm_columns(table: ArmTable) -> str:
     columns = of_role(table.look, table.roles, "reading")
     if table.position is None and len(columns) > 1 and table.rate is not None:
         felt = table.acceleration(1.0)
-        pairs = [np.isfinite(felt * table.values(column)) for column in columns]
-        slopes = np.array(
-            [
-                np.polyfit(felt[rows], table.values(column)[rows], 1)[0] if rows.sum() > 1 else 0.0
-                for column, rows in zip(columns, pairs, strict=True)
-            ]
-        )
+        slopes = np.array([_slope(felt, table.values(column)) for column in columns])
         if np.ptp(np.abs(slopes)) < _OPPOSITE_PART * slopes.max() and slopes.min() < 0.0:
             return MOUNTINGS
     return kind_of_columns(columns) if len(columns) > 1 else ACCELEROMETERS
+
+
+def _slope(felt: Array, read: Array) -> float:
+    """Return how readings change with the acceleration; at one rate alone, with which sign."""
+    rows = np.isfinite(felt * read)
+    line = np.column_stack([np.ones(rows.sum()), felt[rows]])
+    return float(np.linalg.lstsq(line, read[rows], rcond=None)[0][1])
 
 
 def below_each_other(

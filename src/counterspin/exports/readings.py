@@ -209,9 +209,12 @@ def kind_of_columns(columns: Sequence[FileColumn]) -> str:
     if len(columns) < 2 or len({len(column.values) for column in columns}) > 1:
         return ACCELEROMETERS
     values = np.array([column.values for column in columns])
-    spread = np.nanmax(np.abs(values - values[0])) / (np.nanmax(values) - np.nanmin(values))
+    both = np.isfinite(values).all(axis=0)
+    if not both.any():
+        return ACCELEROMETERS
+    apart, size = np.ptp(values[:, both], axis=0).max(), np.ptp(values[:, both])
     called = all(_REPEAT.match(column.name) for column in columns)
-    return REPEATS if spread < (_REPEATED if called else _SAME) else ACCELEROMETERS
+    return REPEATS if apart < (_REPEATED if called else _SAME) * size else ACCELEROMETERS
 
 
 # What is asked, and said
