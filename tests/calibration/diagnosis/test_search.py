@@ -144,12 +144,13 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
 @pytest.mark.parametrize("off", [1e-12, -1e-12])
 def test_what_rounding_alone_tells_apart_stands_in_order(off):
     """Two statements that explain the same, whose sizes another library rounds another way."""
-    stated = tuple(Alternative("prior", "Qx", symbol) for symbol in ("K_I", "K_F"))
-    u = np.array([1.0, 3.0])
-    size = np.array([8.0, 8.0 * (1.0 + off)])
-    found = search._with_rivals(Scores(stated, size * u, u, size, 1e4), int(off > 0.0), True)
-    assert found.head.symbol == "K_I"
-    assert [other.symbol for other, _ in found.rivals] == ["K_F"]
+    names = (("Qx", "K_I"), ("", "centrifuge.radius"), ("Qx", "K_F"))
+    stated = tuple(Alternative("prior", *name) for name in names)
+    u = np.array([1.0, 3.0, 2.0])
+    size = 8.0 * np.array([1.0 + off, 1.0, 1.0 - off])
+    found = search._with_rivals(Scores(stated, size * u, u, size, 1e4), int(np.argmax(size)), True)
+    assert found.head.symbol == "centrifuge.radius"
+    assert [other.symbol for other, _ in found.rivals] == ["K_I", "K_F"]
 
 
 def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):

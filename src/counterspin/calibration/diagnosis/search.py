@@ -419,12 +419,13 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
 
     slack = float(held.size[place]) ** 2 - least
 
-    def plausible(k: int) -> tuple[bool, bool, float, int]:
+    def plausible(k: int) -> tuple[bool, bool, float, bool, int]:
         # What is short of the best by all that is allowed is short of it by a decisive chi-square.
         short = _DECISIVE_CHI2 * (float(held.size[place]) ** 2 - float(held.size[k]) ** 2) / slack
         evidence = log_evidence(every[k], float(held.value[k]), float(held.u[k])) - 0.5 * short
-        # What rounding alone tells apart stands in the order of the alternatives, on every machine.
-        return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, round(-evidence, 6), k
+        # Of what rounding alone tells apart, what the whole campaign has comes first.
+        weight, own = round(-evidence, 6), bool(every[k].owner)
+        return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, weight, own, k
 
     first, *rivals = sorted(as_good, key=plausible)
     return _Explained(
