@@ -2,10 +2,9 @@
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
 the dividing head's angle, its error where it has been mounted on in several ways, a term of the
-accelerometer, a drift, a warm-up, a step, the side of approach, the sense of rotation. Where the
-noise is estimated from the same residuals it is an F test of the
-column (Draper and Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that
-is left.
+accelerometer, a drift of bias or scale, a warm-up, a step, the side of approach, the sense of
+rotation. Where the noise is estimated from the same residuals it is an F test of the column (Draper
+and Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
 """
 
 from __future__ import annotations
@@ -28,13 +27,14 @@ from counterspin.inference.linear_readings import Readings
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
-WAVE, HEAD, TERM, DRIFT, WARM_UP, BEND, HYSTERESIS, SENSE, STEP = KINDS = (
+WAVE, HEAD, TERM, DRIFT, WARM_UP, BEND, SCALE, HYSTERESIS, SENSE, STEP = KINDS = (
     "wave",
     "head",
     "term",
     "drift",
     "warm-up",
     "bend",
+    "scale",
     "hysteresis",
     "sense",
     "step",
@@ -196,6 +196,8 @@ def _in_order(readings: Readings) -> Iterator[_Column]:
         yield WARM_UP, "time" if by_time else "order", np.exp(-x / part)
     # A mirrored order cancels a line, and no parabola.
     yield BEND, "time" if by_time else "order", (x - 0.5) ** 2
+    forces = readings.products({})[:, [*TERMS].index("K_I")]
+    yield SCALE, "time" if by_time else "order", (x - 0.5) * forces
     order = np.argsort(x, kind="stable")
     last = readings.size - _FEWEST_BESIDE
     places = np.linspace(_FEWEST_BESIDE, last, min(max(last - 1, 0), _STEPS)).round().astype(int)

@@ -146,6 +146,28 @@ def test_a_step_is_named_with_the_position_from_which_on_it_is(tmp_path, u, coun
     assert f'step, from "at {count // 2}" on' in misfits(result)[0].text
 
 
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+@pytest.mark.parametrize("assume", ['assume = "all"', ""], ids=["all assumed", "nothing assumed"])
+def test_a_drift_of_the_scale_is_named(tmp_path, u, assume):
+    """Of 100 ppm on an arm: K_II was 7.5 u off and good, where nothing was stated."""
+    test = arm()
+    truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
+    values = simulated(test, np.random.default_rng(17), SIGMA, truth=truth)
+    forces = np.array([station.rate**2 for station in test[0]]) / 9.80665
+    forces *= [1.0 if side == "inward" else -1.0 for side in test[1]]
+    values += 1e-4 * np.linspace(-0.5, 0.5, 24) * forces
+    spread = "" if u is None else f" ± {1.25 * u!r}"
+    runs = [
+        on_arm(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r}{spread} mA", side=side)
+        for k, (station, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
+    ]
+    model = f"[model]\n{assume}\nterms = {list(truth)}\n".replace("'", '"')
+    (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
+    result = calibrate(tmp_path)
+    assert result.state != "good"
+    assert "have a scale that drifts with the order" in misfits(result)[0].text
+
+
 def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
     values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
     three = calibrated(tmp_path, even(4)[:3], values[:3], u=SIGMA)
