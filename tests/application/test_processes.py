@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from counterspin.application.processes import Worker, tell_of
+from counterspin.application.processes import Worker, report_progress
 from counterspin.errors import CounterspinError
 
 
@@ -23,18 +23,18 @@ def doubled(there, number):
         there.send(("told", there.recv()))
         return 2 * number
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def wrong(there, kind):
     def work(_):
         raise kind("in words")
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def endless(there):
-    tell_of(there, lambda _: time.sleep(1000.0))
+    report_progress(there, lambda _: time.sleep(1000.0))
 
 
 def test_it_tells_its_progress_its_answers_and_what_it_made():

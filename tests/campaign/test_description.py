@@ -10,7 +10,7 @@ from campaigns import PLACE, changed
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.model import DEFAULT_TERMS
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.simulated.simulable import unfit
+from counterspin.campaign.simulated.simulable import simulation_problems
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site
@@ -565,12 +565,12 @@ def test_a_simulation_needs_the_size_of_an_estimated_noise_and_a_calibration_doe
     text = BASE + SIMULATED[: SIMULATED.index("[truth.noise]")]
     campaign = read_campaign(write(tmp_path, text))
     assert campaign.noise.timing == "estimate"
-    (problem,) = unfit(campaign)
+    (problem,) = simulation_problems(campaign)
     assert problem == "noise.timing: a simulation needs its true size; write it in [truth.noise]"
     text = BASE + SIMULATED.replace('displacement = "1 mm"', 'timing = "estimate"')
-    (problem,) = unfit(read_campaign(write(tmp_path, text)))
+    (problem,) = simulation_problems(read_campaign(write(tmp_path, text)))
     assert problem == "truth.noise.timing: a simulation needs its true size"
-    assert unfit(read_campaign(write(tmp_path, BASE + SIMULATED))) == []
+    assert simulation_problems(read_campaign(write(tmp_path, BASE + SIMULATED))) == []
 
 
 @pytest.mark.parametrize(
@@ -593,7 +593,7 @@ def test_a_simulation_needs_the_size_of_an_estimated_noise_and_a_calibration_doe
 def test_truths_beyond_belief(tmp_path, old, new, message):
     assert old in SIMULATED
     text = BASE + SIMULATED.replace(old, new, 1)
-    problems = unfit(read_campaign(write(tmp_path, text)))
+    problems = simulation_problems(read_campaign(write(tmp_path, text)))
     assert problems
     assert problems[0].startswith(message), problems
 
@@ -601,7 +601,7 @@ def test_truths_beyond_belief(tmp_path, old, new, message):
 def test_limits_of_the_campaign_say_what_may_be_true(tmp_path):
     text = edited(("[model.priors]", '[model.limits]\nK_II = "1 g/g^2"\n[model.priors]'))
     text += SIMULATED.replace("20 ug/g^2", "2 g/g^2")
-    assert unfit(read_campaign(write(tmp_path, text))) == []
+    assert simulation_problems(read_campaign(write(tmp_path, text))) == []
 
 
 def test_the_starter_is_a_valid_campaign_whose_truth_agrees_with_what_it_says_is_known(tmp_path):

@@ -10,7 +10,7 @@ from counterspin.certificates.front import results_table
 
 def test_what_stands_after_plus_minus_in_a_sentence_of_the_calibration_becomes_u():
     said = "A latitude of (-4.7 ± 1.1) x 1e4 arcsec would fit; determined: K_I = 1.002 ± 0.001 g/g."
-    assert wording.plainly(said) == (
+    assert wording.without_plus_minus(said) == (
         "A latitude of -4.7 x 1e4, u = 1.1 x 1e4 arcsec would fit; determined: K_I = 1.002, "
         "u = 0.001 g/g."
     )

@@ -393,10 +393,10 @@ def test_what_is_not_determined_is_not_applied_and_said():
     assert done.u[0] == 0.0
     assert done.notes == ("Qx: applied as estimated: K_F.",)
     assert "does not determine them: K_III, K_I" in done.warnings[0]
-    assert "no value of K_I (scale factor); 1 g/g is taken" in done.warnings[1]
+    assert "no value of K_I (scale factor); 1 g/g is used" in done.warnings[1]
     # Where the campaign never asked for K_I the same is true.
     (warning,) = apply(result({"Qx": found}), "Qx", [1.005]).warnings
-    assert "1 g/g is taken" in warning
+    assert "1 g/g is used" in warning
 
 
 def test_prior_knowledge_is_applied_with_its_uncertainty():

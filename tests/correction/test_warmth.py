@@ -188,7 +188,7 @@ def test_slopes_that_nothing_states_are_in_u_where_the_temperature_is_known():
     unknown = apply(found, "A", [2.0])
     assert unknown.u == pytest.approx([0.0])
     (said,) = unknown.warnings
-    assert "nothing states K_F.temperature, K_I.temperature, and the temperature is not" in said
+    assert "K_F.temperature, K_I.temperature are not stated, and the temperature is not" in said
 
 
 def test_half_of_hysteresis_is_in_u_as_its_sign_is_not_known():

@@ -173,7 +173,7 @@ def test_instruments_are_kept_apart(tmp_path):
     assert [(i.serial_number, len(i.points)) for i in found.instruments] == [("A", 2), ("B", 3)]
     assert only(history([tmp_path], serial="B")).mean == pytest.approx(3.1e-5)
     assert only(history([tmp_path / "a", tmp_path / "a" / "r0.json"])).serial_number == "A"
-    with pytest.raises(CampaignError, match='no result is of "C"; known: A, B'):
+    with pytest.raises(CampaignError, match='no result has the serial number "C"; known: A, B'):
         history([tmp_path], serial="C")
 
 

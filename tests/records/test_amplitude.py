@@ -26,7 +26,7 @@ def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
     [
         (lambda s: 1e3 * s, "m and mm"),
         (lambda s: 0.0 * s, "swings by 0 m"),
-        (lambda s: 0.2 * s, "make 2.5 m: check the column's unit, the radius and the input axis"),
+        (lambda s: 0.2 * s, "give 2.5 m: check the column's unit, the radius and the input axis"),
         (lambda s: -s, "180 degrees"),
         (lambda s: np.roll(s, 25), "check the input axis"),
     ],

@@ -12,7 +12,7 @@ from workbooks import write_workbook
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records.dialect import Dialect
 from counterspin.records.excel_file import excel_table, table_sheets
-from counterspin.records.isolation import is_apart
+from counterspin.records.isolation import uses_reader_process
 from counterspin.records.record import ColumnSpec
 from counterspin.records.tables import places, read_small_table
 
@@ -27,7 +27,7 @@ ROWS = [
 
 def test_a_sheet_has_names_numbers_and_text(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Notes": [["hello"]], "Tumble": ROWS})
-    assert is_apart(path)
+    assert uses_reader_process(path)
     for sheet in (None, "Tumble"):  # the other one has no rows below its names
         table = read_small_table(path, Dialect(sheet=sheet))[0].frame
         assert table.columns == ROWS[0]

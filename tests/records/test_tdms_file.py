@@ -9,7 +9,7 @@ from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import is_apart
+from counterspin.records.isolation import uses_reader_process
 from counterspin.records.record import ColumnSpec
 from counterspin.records.tables import read_scaled
 
@@ -27,7 +27,7 @@ def write(path, groups, properties=None):
 
 def test_channels_are_columns_of_their_group(tmp_path):
     path = write(tmp_path / "a.tdms", {"Run": table(), "Slow": {"T": np.arange(3.0)}})
-    assert is_apart(path)
+    assert uses_reader_process(path)
     record = read(path, dialect=Dialect(group="Run"))
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
     columns = {"angle": ColumnSpec(f"Run/{ANGLE}"), "signals": {"Qx": ColumnSpec(f"Run/{SIGNAL}")}}

@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 
 from counterspin.campaign.quantity import parse
-from counterspin.reports.characters import Lines, speakable, visible
+from counterspin.reports.characters import Lines, encodable, escape_controls
 from counterspin.reports.numbers import format_estimate
 
 
@@ -18,7 +18,7 @@ from counterspin.reports.numbers import format_estimate
     ],
 )
 def test_a_terminal_without_raised_digits(encoding, said):
-    assert speakable("2 × 10⁻⁵ µg/g²", encoding) == said
+    assert encodable("2 × 10⁻⁵ µg/g²", encoding) == said
 
 
 @pytest.mark.parametrize(
@@ -30,11 +30,11 @@ def test_a_terminal_without_raised_digits(encoding, said):
     ],
 )
 def test_speakable_in_any_encoding(encoding, expected):
-    assert speakable("1 ± 2 × 3 − Ω", encoding) == expected
+    assert encodable("1 ± 2 × 3 − Ω", encoding) == expected
 
 
 def test_speakable_text_reads_back_in_a_campaign_file():
-    text = speakable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
+    text = encodable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
     assert parse(text, "g/g^2").u == pytest.approx(7e-10)
 
 
@@ -53,11 +53,11 @@ def test_speakable_text_reads_back_in_a_campaign_file():
     ],
 )
 def test_nothing_acts_on_what_shows_it(text, shown):
-    assert visible(text) == visible(visible(text)) == shown
+    assert escape_controls(text) == escape_controls(escape_controls(text)) == shown
 
 
 def test_lines_that_are_meant_stay_and_what_is_in_them_begins_none():
-    assert visible(Lines("one", "t\x1bwo\nK_II = 1")) == "one\nt\\x1bwo\\nK_II = 1"
+    assert escape_controls(Lines("one", "t\x1bwo\nK_II = 1")) == "one\nt\\x1bwo\\nK_II = 1"
 
 
 def test_every_control_of_unicode_is_visible():
@@ -70,4 +70,6 @@ def test_every_control_of_unicode_is_visible():
             or unicodedata.bidirectional(character) in directions
         )
         if acts:
-            assert visible(character) == character.encode("unicode_escape").decode(), hex(code)
+            assert escape_controls(character) == character.encode("unicode_escape").decode(), hex(
+                code
+            )

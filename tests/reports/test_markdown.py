@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from counterspin.reports.blocks import Bars, Column, Heading, Paragraph, Table
-from counterspin.reports.characters import Lines, visible
+from counterspin.reports.characters import Lines, escape_controls
 from counterspin.reports.markdown import escaped, markdown
 
 HOSTILE = [
@@ -93,14 +93,17 @@ spaced = st.lists(printable, max_size=4).map(lambda words: " ".join(" ".join(wor
 @settings(deadline=None, max_examples=150)
 def test_any_cell_comes_out_as_it_is(rows):
     table = Table((Column("a|b"), Column("K_II", "right"), Column("")), tuple(rows))
-    assert cells(markdown([table])) == [["a|b", "K_II", ""], *(list(map(visible, r)) for r in rows)]
+    assert cells(markdown([table])) == [
+        ["a|b", "K_II", ""],
+        *(list(map(escape_controls, r)) for r in rows),
+    ]
 
 
 @given(spaced)
 @settings(deadline=None, max_examples=150)
 def test_any_paragraph_comes_out_as_it_is(text):
     assert inlines(markdown([Heading("x"), Paragraph(text)]), "paragraph") == (
-        [visible(text)] if text else []
+        [escape_controls(text)] if text else []
     )
 
 

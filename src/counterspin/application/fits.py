@@ -13,7 +13,7 @@ from counterspin.application.commands import calibrate_command
 from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job
-from counterspin.application.processes import Progress, tell_of
+from counterspin.application.processes import Progress, report_progress
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
@@ -59,7 +59,7 @@ def _key(desk: Desk, name: str) -> tuple[tuple[str, Path], list[Path]]:
 
 
 def fit_into(there: Connection, campaign: Path) -> None:
-    """Fit a campaign's records; `there` is told as of `processes.tell_of`."""
+    """Fit a campaign's records; `there` is told as of `processes.report_progress`."""
 
     def work(_: Progress) -> dict[str, SeenRecord]:
         from counterspin.calibration.joint import estimate_campaign
@@ -81,7 +81,7 @@ def fit_into(there: Connection, campaign: Path) -> None:
                 )
         return {run: _together(parts) for run, parts in runs.items()}
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def less_polynomial(time: Array, values: Array, degree: int) -> Array:

@@ -16,7 +16,7 @@ from counterspin.application.editing import changed, checked_campaign
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job
 from counterspin.application.keeping import copy_campaign
-from counterspin.application.processes import Progress, tell_of
+from counterspin.application.processes import Progress, report_progress
 from counterspin.calibration.pages.uncertainty import KNOWN_BETTER
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
@@ -160,7 +160,7 @@ def begin_search(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def search_into(there: Connection, campaign: Path) -> None:
-    """Look for runs that would help; `there` is told as of `processes.tell_of`."""
+    """Look for runs that would help; `there` is told as of `processes.report_progress`."""
 
     def work(progress: Progress) -> dict[str, FurtherRuns | None]:
         from counterspin.campaign.description import read_campaign
@@ -176,7 +176,7 @@ def search_into(there: Connection, campaign: Path) -> None:
             found[owner] = further_runs(read, observed, noise, f"{owner}.{symbol}")
         return found
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def _searched(desk: Desk, name: str) -> dict[str, FurtherRuns | None] | None:

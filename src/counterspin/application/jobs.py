@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.application.processes import Progress, Worker, tell_of
+from counterspin.application.processes import Progress, Worker, report_progress
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError
 
@@ -176,4 +176,4 @@ def calibrate_into(
         result = calibrate(campaign, method=method, accept_misfit=accept_misfit, progress=progress)
         result.write(output, overwrite=True)
 
-    tell_of(there, work)
+    report_progress(there, work)

@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from counterspin.application.processes import Progress, Worker, tell_of
+from counterspin.application.processes import Progress, Worker, report_progress
 from counterspin.errors import CounterspinError
 from counterspin.input import FileIdentity
 from counterspin.reports.numbers import field_unit
@@ -169,4 +169,4 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
             told = {"events": state.events, "complete": state.complete, "reached": reached(state)}
             there.send(("told", {"html": part(blocks, title="Live"), **told}))
 
-    tell_of(there, work)
+    report_progress(there, work)

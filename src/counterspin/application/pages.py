@@ -18,7 +18,7 @@ from counterspin.application.commands import (
 from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job
-from counterspin.application.processes import Progress, tell_of
+from counterspin.application.processes import Progress, report_progress
 from counterspin.campaign.toml_file import load_document
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Picture
@@ -89,25 +89,25 @@ def _forecast(desk: Desk, names: Sequence[str], _: str) -> Calculation:
 
 
 def plan_result_into(there: Connection, file: Path) -> None:
-    """Find the best plan, and tell what there is to say of it, as of `processes.tell_of`."""
+    """Find the best plan, and report on it through `processes.report_progress`."""
 
     def work(progress: Progress) -> PlanResult:
         from counterspin.planning.plan import plan
 
         return plan(file, progress=progress).result
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def forecast_into(there: Connection, file: Path) -> None:
-    """Forecast a campaign, and tell what it will say, as of `processes.tell_of`."""
+    """Forecast a campaign, and tell what it will say, as of `processes.report_progress`."""
 
     def work(_: Progress) -> PlanResult:
         from counterspin.planning.plan import check
 
         return check(file)
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def _study(desk: Desk, names: Sequence[str], _: str) -> Page:

@@ -15,7 +15,7 @@ from counterspin.application.commands import plan_command
 from counterspin.application.desk import Desk
 from counterspin.application.editing import changed
 from counterspin.application.jobs import Job
-from counterspin.application.processes import Progress, tell_of
+from counterspin.application.processes import Progress, report_progress
 from counterspin.campaign.resolved import MOST_ROWS
 from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
@@ -218,7 +218,7 @@ def search_into(there: Connection, file: Path) -> None:
                 found = {"error": str(error)}
             there.send(("told", moved, found))
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
@@ -318,5 +318,5 @@ def begin_planned(
 
 
 def plan_into(there: Connection, where: Mapping[str, Any] | Path) -> None:
-    """Find the best plan, and tell it; `there` is told as of `processes.tell_of`."""
-    tell_of(there, lambda progress: plan(where, progress=progress))
+    """Find the best plan, and tell it; `there` is told as of `processes.report_progress`."""
+    report_progress(there, lambda progress: plan(where, progress=progress))

@@ -41,7 +41,7 @@ class Worker:
             self._here.send(question)
 
     def hear(self, seconds: float = 0.0) -> tuple[Any, ...] | None:
-        """Return what it tells next, as of `tell_of`; None if that is nothing in so many seconds.
+        """Return what it reports next; None if it reports nothing in so many seconds.
 
         That it died is told as a failure.
         """
@@ -60,7 +60,7 @@ class Worker:
         self._here.close()
 
 
-def tell_of(there: Connection, work: Callable[[Progress], Any]) -> None:
+def report_progress(there: Connection, work: Callable[[Progress], Any]) -> None:
     """Do something in a process of its own, and tell how far it is and how it ended."""
     # Ctrl-C in the terminal is for the server, which ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

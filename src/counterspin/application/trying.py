@@ -9,7 +9,7 @@ from typing import Any, Final
 from counterspin.application.commands import simulate_command, study_command
 from counterspin.application.desk import Desk
 from counterspin.application.jobs import Job
-from counterspin.application.processes import Progress, tell_of
+from counterspin.application.processes import Progress, report_progress
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
 
@@ -37,7 +37,7 @@ def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
 
 
 def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> None:
-    """Study a campaign and write its result; `there` is told as of `processes.tell_of`."""
+    """Study a campaign and write its result; `there` is told as of `processes.report_progress`."""
 
     def work(progress: Progress) -> None:
         from counterspin.output import reserve
@@ -47,7 +47,7 @@ def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> 
         reserve(output, StudyResult.file_kind, overwrite=True)
         study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
 
-    tell_of(there, work)
+    report_progress(there, work)
 
 
 def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
@@ -72,11 +72,11 @@ def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
 
 
 def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
-    """Make a campaign's records in a folder; `there` is told as of `processes.tell_of`."""
+    """Make a campaign's records in a folder; `there` is told as of `processes.report_progress`."""
 
     def work(progress: Progress) -> None:
         from counterspin.campaign.simulation import simulate
 
         simulate(campaign, folder, progress=progress)
 
-    tell_of(there, work)
+    report_progress(there, work)

@@ -16,7 +16,7 @@ from counterspin.campaign.checksums import checksums_of
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
 from counterspin.input import FileIdentity
-from counterspin.records.isolation import is_apart
+from counterspin.records.isolation import uses_reader_process
 from counterspin.records.memory import MemoryTable
 from counterspin.workers import one_blas_thread
 
@@ -148,7 +148,7 @@ def _quoted(names: Sequence[str]) -> str:
 def _load(campaign: Campaign) -> None:
     """Load beside the first record what the reading needs, then what comes after it."""
     records = [campaign.record_at(run.record) for run in campaign.runs]
-    if not all(isinstance(r, MemoryTable) or is_apart(r) for r in records):
+    if not all(isinstance(r, MemoryTable) or uses_reader_process(r) for r in records):
         import_module("polars")
     import_module("counterspin.calibration.assembly")
 

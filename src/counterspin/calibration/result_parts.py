@@ -21,7 +21,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, Kind
 from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.inference.joint.what_if import WhatIf
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.reports.shown import loaded
 from counterspin.results import ResultPart
@@ -364,7 +364,9 @@ class TriadResult(ResultPart):
         """Return the parameters, a line each, and what the poses were off before and are now."""
         lines = [f"Triad {', '.join(self.accelerometers)}: {len(self.poses)} poses"]
         width = max(map(len, self.parameters), default=0)
-        lines += [f"  {visible(name):<{width}}  {c!r}" for name, c in self.parameters.items()]
+        lines += [
+            f"  {escape_controls(name):<{width}}  {c!r}" for name, c in self.parameters.items()
+        ]
         if self.rms_before is not None and self.rms_after is not None:
             rms = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
             lines.append(f"  rms of |f| - g: {rms}")

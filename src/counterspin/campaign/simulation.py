@@ -39,9 +39,9 @@ from counterspin.campaign.simulated.reading_simulation import (
     true_readings,
 )
 from counterspin.campaign.simulated.simulable import (
-    refuse_unwritable,
+    refuse_unsupported,
     require_room,
-    unfit,
+    simulation_problems,
     unfit_readings,
 )
 from counterspin.campaign.simulated.true_inputs import (
@@ -110,7 +110,7 @@ def simulate(
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     _refuse_unfit(campaign)
-    refuse_unwritable(campaign)
+    refuse_unsupported(campaign)
     if folder is None:
         return _simulated_in_memory(campaign)
     folder = Path(folder)
@@ -180,7 +180,7 @@ def _refuse_unfit(campaign: Campaign) -> None:
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
         )
     require_room(campaign, campaign.simulation.sampling_rate, "simulation")
-    if problems := [*unfit(campaign), *unfit_readings(campaign)]:
+    if problems := [*simulation_problems(campaign), *unfit_readings(campaign)]:
         raise CampaignError(str(campaign.path), problems)
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 from counterspin.certificates.pdf_signature import PagesSignature, pages_signature
 from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.input import read_file
-from counterspin.records.isolation import isolated
+from counterspin.records.isolation import in_reader_process
 
 _PYPDF_MISSING: Final = (
     f"reading a PDF needs the package pypdf, which is not installed: {installing('signature')}"
@@ -27,13 +27,13 @@ def read_document(path: Path) -> bytes:
     A PDF is read where it can do no harm, as records of native formats are.
     """
     if is_pdf(path):
-        return isolated(_attached, path)
+        return in_reader_process(_attached, path)
     return _content(path)
 
 
 def verify_pages(path: Path, public: bytes) -> PagesSignature:
     """Return what the signature of a PDF's pages is worth, as `pages_signature` does."""
-    return isolated(_pages_signature, path, public)
+    return in_reader_process(_pages_signature, path, public)
 
 
 def _content(path: Path) -> bytes:

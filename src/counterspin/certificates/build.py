@@ -133,7 +133,7 @@ def _template() -> Template:
         "number": number,
         "factor": factor,
         "times": lambda values, by: [value * by for value in values],
-        "plainly": wording.plainly,
+        "plainly": wording.without_plus_minus,
         "base64": lambda data: b64encode(data).decode("ascii"),
     }
     made.globals |= {
@@ -232,7 +232,7 @@ def _warnings(result: Result, names: Sequence[str]) -> list[str]:
             warning if warning.startswith(name) else f"{name}: {warning}"
             for warning in result.accelerometers[name].warnings
         ]
-    return [f"Warning: {wording.plainly(line)}" for line in lines]
+    return [f"Warning: {wording.without_plus_minus(line)}" for line in lines]
 
 
 def _drop_unlinked(root: Element) -> None:

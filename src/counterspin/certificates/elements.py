@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -18,7 +18,7 @@ Element = Any  # lxml carries no types
 
 def clean(words: str) -> str:
     """Return text that XML can represent (clause 2.2) and no reader obeys, no blanks around it."""
-    return visible(words).strip()
+    return escape_controls(words).strip()
 
 
 def number(value: float) -> str:

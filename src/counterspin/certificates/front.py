@@ -131,7 +131,8 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
         for line in wording.rest_lines(name, result):
             rests.append(Paragraph(typeset(f"{name}: {line}")))
         for line in result.accelerometers[name].warnings:
-            rests.append(Paragraph(typeset(f"Warning: {wording.plainly(line)}"), "warning"))
+            warning = f"Warning: {wording.without_plus_minus(line)}"
+            rests.append(Paragraph(typeset(warning), "warning"))
     if rests:
         yield Heading(wording.RESTS_ON, 3)
     yield from rests

@@ -132,7 +132,7 @@ def scope_statement() -> str:
     )
 
 
-def plainly(sentence: str) -> str:
+def without_plus_minus(sentence: str) -> str:
     """Return a sentence of the calibration as a certificate says it, where ± precedes U alone."""
     apart = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
     return apart.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
@@ -200,7 +200,7 @@ def rest_lines(name: str, result: Result) -> list[str]:
     Beside what the records cannot tell apart: what is not stated and counts at its typical size.
     """
     accelerometer = result.accelerometers[name]
-    said = [plainly(line) for line in rests_on(accelerometer)]
+    said = [without_plus_minus(line) for line in rests_on(accelerometer)]
     sizes = dict[str, str]()
     for line in (line for lines in accelerometer.budget.values() for line in lines):
         if line.kind == "unstated" and line.u and line.share >= _LEAST_SHARE:
@@ -229,7 +229,7 @@ def misfit_lines(result: Result, names: Sequence[str]) -> list[str]:
     if result.accepted_misfit is None:
         return []
     failed = [
-        plainly(f"{name}: {result.accelerometers[name].findings[0].text}")
+        without_plus_minus(f"{name}: {result.accelerometers[name].findings[0].text}")
         for name in names
         if result.accelerometers[name].state == "contradicted"
     ]

@@ -15,7 +15,7 @@ from cyclopts import App, Parameter
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, reserve
-from counterspin.reports.characters import Lines, speakable, visible
+from counterspin.reports.characters import Lines, encodable, escape_controls
 
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
@@ -93,7 +93,7 @@ def shell_word(path: Path) -> str:
 def say(*lines: str) -> None:
     """Print lines; what would act on the terminal, or what this cannot show, is put otherwise."""
     for line in lines:
-        _print(visible(line), sys.stdout)
+        _print(escape_controls(line), sys.stdout)
 
 
 def complain(text: str) -> None:
@@ -105,7 +105,7 @@ def complain(text: str) -> None:
 def _print(text: str, stream: TextIO | None) -> None:
     # None: whoever started the program closed it.
     if stream is not None:
-        print(speakable(text, stream.encoding or "utf-8"), file=stream)
+        print(encodable(text, stream.encoding or "utf-8"), file=stream)
 
 
 def spoken(message: str, app: App, words: Iterable[str]) -> str:

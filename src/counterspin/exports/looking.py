@@ -17,7 +17,7 @@ from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.excel_file import table_sheets
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import isolated
+from counterspin.records.isolation import in_reader_process
 from counterspin.records.reading import LARGEST_VALUE
 from counterspin.records.tables import is_workbook
 
@@ -72,7 +72,7 @@ def look_at(
     asked = (answers or {}).get("sheet")
     looks: list[Look] = []
     for done, file in enumerate(files, 1):
-        sheets = tuple(isolated(table_sheets, file)) if is_workbook(file) else ()
+        sheets = tuple(in_reader_process(table_sheets, file)) if is_workbook(file) else ()
         if len(sheets) < 2:
             looks.append(look(file))
         else:
@@ -85,7 +85,7 @@ def look_at(
 
 def look(path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()) -> Look:
     """Return what is in a file, or in one of its sheets."""
-    return isolated(_look, path, sheet, sheets)
+    return in_reader_process(_look, path, sheet, sheets)
 
 
 def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:

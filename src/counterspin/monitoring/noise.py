@@ -335,8 +335,8 @@ def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
                 f"its wide interval: use a record several times longer than {stated.seconds:.4g} s."
             )
     if stated.outliers:
-        many = "1 sample stands" if stated.outliers == 1 else f"{stated.outliers} samples stand"
-        yield f"{many} far from their neighbours; they were left out."
+        many = "1 sample" if stated.outliers == 1 else f"{stated.outliers} samples"
+        yield f"Left out as outliers: {many}."
     if stated.gaps:
         yield (
             f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum "

@@ -66,19 +66,25 @@ _PROGRAM: Final = (
 )
 
 
-def isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+def in_reader_process(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
     """Return ``function(path, *args)``, called where it can do no harm."""
     if isinstance(path, Path) and path.suffix.lower() in _NATIVE:
-        return _elsewhere(function, path, *args)
+        return _in_reader_process(function, path, *args)
     return function(path, *args)
 
 
-def apart(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
-    """Return ``function(path, *args)``, which is small; as `isolated`, and of long text too."""
-    return _elsewhere(function, path, *args) if is_apart(path) else function(path, *args)
+def in_reader_process_if_slow(
+    function: Callable[..., R], path: Path | MemoryTable, *args: Any
+) -> R:
+    """Return ``function(path, *args)``, small; as `in_reader_process`, for long text too."""
+    return (
+        _in_reader_process(function, path, *args)
+        if uses_reader_process(path)
+        else function(path, *args)
+    )
 
 
-def is_apart(path: Path | MemoryTable) -> bool:
+def uses_reader_process(path: Path | MemoryTable) -> bool:
     """Return whether a file's format asks for the reader's process, or its length is worth it."""
     if not isinstance(path, Path):
         return False
@@ -90,11 +96,11 @@ def is_apart(path: Path | MemoryTable) -> bool:
 
 def prepare(path: Path) -> None:
     """Start the reader's process, if a file is read there and it does not run; wait for nothing."""
-    if is_apart(path):
+    if uses_reader_process(path):
         _READER.prepare(path.suffix.lower())
 
 
-def _elsewhere(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+def _in_reader_process(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
     assert isinstance(path, Path)
     reply = _READER.ask(path.suffix.lower(), path, (_directory(), function, (path, *args)))
     if isinstance(reply, BaseException):

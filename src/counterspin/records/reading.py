@@ -29,11 +29,11 @@ from counterspin.records.clock import LISTED, Clock
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import TO_BE_FOUND
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import apart, isolated
+from counterspin.records.isolation import in_reader_process, in_reader_process_if_slow
 from counterspin.records.memory import MemoryTable
 from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, piece_rows
 from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
-from counterspin.records.reduction import Blocks, Reducer, block_size, without_lone_rows
+from counterspin.records.reduction import Blocks, Reducer, block_size, span_of_main_rows
 from counterspin.records.removed import PolynomialParts
 from counterspin.records.report import Gap, Outlier, RecordReport
 from counterspin.records.run_file import RunFile, is_derived, pulse_angle
@@ -74,13 +74,13 @@ def read_record(
     pulses = None
     if columns.angle is not None and columns.angle.kind == "pulses":
         source = record if columns.pulses is None else columns.pulses
-        pulses = isolated(_pulse_times, source, columns)
+        pulses = in_reader_process(_pulse_times, source, columns)
         try:
             pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
             raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
     # Every sample of a long record would be much to hand over.
-    place = apart if block == "auto" else isolated
+    place = in_reader_process_if_slow if block == "auto" else in_reader_process
     return place(_read, record, columns, motion, block, pulses)
 
 
@@ -137,7 +137,7 @@ def _judged(
     """Read a file, and again without the rows that turn out to stand alone at its ends."""
     reader = _RecordReader(file, columns, motion, block)
     blocks = reader.blocks(columns.part)
-    within = reader.without_lone_rows(blocks)
+    within = reader.span_of_main_rows(blocks)
     if within is not None:
         reader = _RecordReader(file, columns, motion, block)
         begin, end = columns.part
@@ -222,11 +222,11 @@ class _RecordReader:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
         return Blocks.joined(parts)
 
-    def without_lone_rows(self, blocks: Blocks) -> tuple[float, float] | None:
+    def span_of_main_rows(self, blocks: Blocks) -> tuple[float, float] | None:
         """Return the times, in the file's own clock, between which no rows stand alone."""
         rate = abs(self._motion.rate)
         revolution = 2 * np.pi / rate if rate else 0.0
-        within = without_lone_rows(blocks, max(revolution, _LONE_STEPS * self._clock.step))
+        within = span_of_main_rows(blocks, max(revolution, _LONE_STEPS * self._clock.step))
         return within and (within[0] + self._start_time, within[1] + self._start_time)
 
     def _rows_within(self, columns: Columns, within: tuple[float, float]) -> tuple[int, int]:

@@ -61,7 +61,7 @@ def block_size(step: float, rate: float) -> int:
     return size if size >= 2 else 1
 
 
-def without_lone_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float] | None:
+def span_of_main_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float] | None:
     """Return between which times, s, a record stands without the rows that stand alone at its ends.
 
     A few rows beyond a gap, at the start or at the end, tell little; but a fit follows them, and

@@ -16,7 +16,7 @@ from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.excel_file import NoRowsError, excel_table
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import isolated
+from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryTable
 from counterspin.records.pieces import Columns, column_rows
 from counterspin.records.record import ColumnSpec
@@ -40,14 +40,14 @@ class FiledTable:
 
 def read_table(path: Path, dialect: Dialect = TO_BE_FOUND) -> FiledTable:
     """Return a whole file as it stands, cells of text remaining text."""
-    return isolated(_table, path, dialect)
+    return in_reader_process(_table, path, dialect)
 
 
 def read_small_table(
     path: Path, dialect: Dialect = TO_BE_FOUND
 ) -> tuple[FiledTable, list[str], str]:
     """Return a table, where each of its rows stands, and the SHA-256 of what was read."""
-    return isolated(_small_table, path, dialect)
+    return in_reader_process(_small_table, path, dialect)
 
 
 def is_workbook(path: Path) -> bool:
@@ -59,28 +59,28 @@ def read_numbers(
     path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = TO_BE_FOUND
 ) -> Columns:
     """Return columns of numbers, NaN where a cell is empty, of a file in any dialect."""
-    return isolated(_numbers, path, list(names), dialect)
+    return in_reader_process(_numbers, path, list(names), dialect)
 
 
 def read_scaled(
     path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = TO_BE_FOUND
 ) -> list[Array]:
     """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed."""
-    return isolated(_scaled, path, list(columns), dialect)
+    return in_reader_process(_scaled, path, list(columns), dialect)
 
 
 def locate(path: Path | MemoryTable, row: int, dialect: Dialect = TO_BE_FOUND) -> str:
     """Say where data row `row` (counted from 0) stands in the file."""
     if isinstance(path, Path) and is_workbook(path):
         return f"row {row + 1} below the names"
-    return isolated(_locate, path, row, dialect)
+    return in_reader_process(_locate, path, row, dialect)
 
 
 def places(path: Path, rows: int) -> list[str]:
     """Say where each of the data rows stands in the file."""
     if is_workbook(path):
         return _sheet_places(rows)
-    return isolated(_places, path, rows)
+    return in_reader_process(_places, path, rows)
 
 
 def _table(path: Path, dialect: Dialect) -> FiledTable:

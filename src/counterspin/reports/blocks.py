@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Any, Final, Literal
 
 from counterspin.frozen import frozen
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 
 Style = Literal["plain", "answer", "reserved", "warning", "quiet", "equation", "command"]
 
@@ -32,7 +32,7 @@ class _Words:
 def _all_visible(value: Any) -> Any:
     match value:
         case str():
-            return visible(value)
+            return escape_controls(value)
         case tuple() if value and isinstance(value[0], str | tuple):
             return tuple(map(_all_visible, value))
     return value

@@ -1,7 +1,7 @@
 r"""Characters that may be shown: nothing acts on what shows them, begins a line or turns a text.
 
 Names and words come from other people's files and can hold anything. Every text of a block passes
-`visible` when the block is made, and so does every other text that a face shows.
+`escape_controls` when the block is made, and so does every other text that a face shows.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ class Lines(str):
 
     def __new__(cls, *lines: str) -> Lines:
         """Return these lines below each other."""
-        return super().__new__(cls, "\n".join(map(visible, lines)))
+        return super().__new__(cls, "\n".join(map(escape_controls, lines)))
 
 
-def visible(text: str) -> str:
+def escape_controls(text: str) -> str:
     r"""Return a text with its control characters in Python's notation, as ``\x1b``."""
     if isinstance(text, Lines):
         return text
     return _CONTROL.sub(lambda control: control[0].encode("unicode_escape").decode(), text)
 
 
-def speakable(text: str, encoding: str) -> str:
+def encodable(text: str, encoding: str) -> str:
     """Return the text with what the encoding lacks put otherwise: ``+/-`` for ``±``.
 
     A character without such a substitute becomes a question mark.

@@ -19,7 +19,7 @@ from markupsafe import Markup
 
 from counterspin.output import mark
 from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Plot, Table
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 from counterspin.reports.charts import svg
 from counterspin.reports.typography import SYMBOL
 from counterspin.reports.zoomable import can_zoom, plot_data
@@ -38,7 +38,7 @@ def html(
 
     title: Of the window; the heading too, where the blocks hold none of level 1.
     """
-    title, identifier = visible(title), visible(identifier)
+    title, identifier = escape_controls(title), escape_controls(identifier)
     page = _Page()
     summary, *chapters = page.chapters(blocks, title)
     has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)

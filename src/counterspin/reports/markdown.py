@@ -20,7 +20,7 @@ from counterspin.reports.blocks import (
     Table,
     without_pictures,
 )
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 
 #: Read as markup wherever they stand; $ begins a formula on GitHub.
 _EVERYWHERE: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
@@ -42,7 +42,7 @@ def markdown(blocks: Sequence[Block]) -> str:
 
 def escaped(text: str, line_break: str = "\\\n") -> str:
     """Return words as Markdown that shows them as they are."""
-    lines = (" ".join(line.split()) for line in visible(text).splitlines())
+    lines = (" ".join(line.split()) for line in escape_controls(text).splitlines())
     return line_break.join(_escaped_line(line) for line in lines if line)
 
 

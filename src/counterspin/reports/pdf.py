@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 from counterspin.frozen import frozen
 from counterspin.output import mark
 from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Table
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 from counterspin.reports.charts import svg
 
 #: PDF/A with any file attached: it looks the same everywhere (level b, which a contains) and its
@@ -65,7 +65,7 @@ def pdf(
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment needs a name of its own; got {', '.join(names)}")
-    title, identifier = visible(title), visible(identifier)
+    title, identifier = escape_controls(title), escape_controls(identifier)
     moment = date.astimezone(UTC).replace(microsecond=0)
     if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
         blocks = [Heading(title, 1), *blocks]

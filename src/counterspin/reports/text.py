@@ -16,7 +16,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, without_pictures
-from counterspin.reports.characters import speakable
+from counterspin.reports.characters import encodable
 from counterspin.reports.typography import typeset_block
 
 #: Columns of plain text, where there is no terminal to ask.
@@ -76,9 +76,9 @@ class Report:
                 yield ""
             match block:
                 case Heading(text, _):
-                    yield Text(speakable(text, options.encoding), "bold")
+                    yield Text(encodable(text, options.encoding), "bold")
                 case Paragraph(text, style):
-                    text = speakable(text, options.encoding)
+                    text = encodable(text, options.encoding)
                     yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
                     yield from _tables(block, options)
@@ -96,8 +96,8 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
 
     So no number is ever broken, but where even one column beside the names is too wide.
     """
-    titles = [speakable(column.title, options.encoding) for column in block.columns]
-    rows = [[speakable(cell, options.encoding) for cell in row] for row in block.rows]
+    titles = [encodable(column.title, options.encoding) for column in block.columns]
+    rows = [[encodable(cell, options.encoding) for cell in row] for row in block.rows]
     for number, (chosen, widths) in enumerate(_parts(block, [titles, *rows], options.max_width)):
         table = RichTable(
             box=box.SIMPLE_HEAD,

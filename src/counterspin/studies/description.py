@@ -24,7 +24,11 @@ from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.kinds import SettingsSection, Several, Text, described, exact
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.simulated.simulable import require_room, unfit, unfit_readings
+from counterspin.campaign.simulated.simulable import (
+    require_room,
+    simulation_problems,
+    unfit_readings,
+)
 from counterspin.campaign.simulated.truth_of_inputs import recorders_of
 from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
 from counterspin.campaign.toml_file import (
@@ -193,7 +197,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
     else:
         require_room(campaign, campaign.simulation.sampling_rate, "study")
-    problems.lines += [*unfit(campaign), *unfit_readings(campaign)]
+    problems.lines += [*simulation_problems(campaign), *unfit_readings(campaign)]
     for record in campaign.triad.records if campaign.triad else ():
         text = f'run "{record.name}": a study takes poses with readings, not a record of them'
         problems.lines.append(text)

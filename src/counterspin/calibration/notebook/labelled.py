@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 
 if TYPE_CHECKING:
     import polars as pl
@@ -69,7 +69,7 @@ class Labelled:
     def _cells(self) -> list[list[str]]:
         """Return names and numbers as text, the first rows and columns of a large matrix."""
         rows, columns = _DISPLAYED_SHAPE
-        labels = list(map(visible, self.labels))
+        labels = list(map(escape_controls, self.labels))
         head = ["", *labels[:columns]]
         numbers = self.values[:rows, :columns]
         body = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 
 _SPECIAL: Final = re.compile(r"([\\{}$&#^_~%])")
 
@@ -32,4 +32,4 @@ def latex_unit(unit: str) -> str:
 def latex_text(text: str) -> str:
     """Return words with the characters escaped that LaTeX would act on."""
     named = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"}
-    return _SPECIAL.sub(lambda found: named.get(found[1], rf"\{found[1]}"), visible(text))
+    return _SPECIAL.sub(lambda found: named.get(found[1], rf"\{found[1]}"), escape_controls(text))

@@ -12,7 +12,7 @@ from counterspin.calibration.notebook.latex import (
     latex_text,
     latex_unit,
 )
-from counterspin.reports.characters import visible
+from counterspin.reports.characters import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.reports.shown import LINES
 
@@ -101,11 +101,13 @@ def brief(result: Result) -> str:
     lines = [f"{name.ljust(width)}  {text}" for name, text in named]
     findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
     remarks = [
-        visible(shortened) for text in findings[:1] if (shortened := text[:_LINE_CHARACTERS])
+        escape_controls(shortened)
+        for text in findings[:1]
+        if (shortened := text[:_LINE_CHARACTERS])
     ]
     if more := len(findings) - 1:
         remarks += [f"... {more} more findings"] if more > 0 else []
     room = LINES - 1 - len(remarks)
     if len(lines) > room:
         lines[room - 1 :] = [f"... {len(lines) - room + 1} more coefficients: .table() has all"]
-    return "\n".join([visible(head), *map(visible, lines), *remarks])
+    return "\n".join([escape_controls(head), *map(escape_controls, lines), *remarks])

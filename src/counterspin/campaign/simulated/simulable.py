@@ -26,7 +26,7 @@ _MAX_RIPPLE_HARMONIC: Final = 1000
 _NO_LENGTH: Final = "a record at rest that is simulated needs a duration"
 
 
-def unfit(campaign: Campaign) -> list[str]:
+def simulation_problems(campaign: Campaign) -> list[str]:
     """Return why a campaign's truth cannot be simulated: noise without a size, incredible sizes.
 
     Calibration does not ask. The largest credible sizes are those of the term table or of
@@ -122,7 +122,7 @@ def _is_still(noise: StatedNoise) -> bool:
     return not (of_record or noise.specific_force or noise.acceleration)
 
 
-def refuse_unwritable(campaign: Campaign) -> None:
+def refuse_unsupported(campaign: Campaign) -> None:
     """Raise CampaignError if records are read in a way in which none are simulated."""
     problems = []
     common = Recording(campaign.time, campaign.angle, campaign.dialect)
