@@ -57,16 +57,6 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
     ".tdms": TdmsFile,
 }
 
-#: Ending of a format that native code reads, in a process of its own (`isolation`) -> its
-#: libraries, which may be absent.
-NATIVE_LIBRARIES: Final[Mapping[str, tuple[str, ...]]] = {
-    ".parquet": ("polars",),
-    ".xlsx": ("fastexcel", "polars"),
-    ".h5": ("h5py",),
-    ".hdf5": ("h5py",),
-    ".mat": ("h5py", "scipy.io"),
-    ".tdms": ("nptdms", "polars"),
-}
 
 #: Endings of files that hold other files, made small.
 _PACKED: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")

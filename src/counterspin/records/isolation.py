@@ -29,15 +29,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NoReturn, TypeVar
 
 from counterspin.errors import CounterspinError, DamagedFileError
-from counterspin.records.formats import NATIVE_LIBRARIES
 
 if TYPE_CHECKING:
     from counterspin.records.memory import MemoryTable
 
 R = TypeVar("R")
 
-#: Endings of the files that are read by native code -> the libraries.
-_NATIVE: Final = {**NATIVE_LIBRARIES, ".pdf": ("pypdf",)}
+#: Endings of the formats that are read by native code -> the libraries.
+_NATIVE: Final = {
+    ".parquet": ("polars",),
+    ".xlsx": ("fastexcel", "polars"),
+    ".h5": ("h5py",),
+    ".hdf5": ("h5py",),
+    ".mat": ("h5py", "scipy.io"),
+    ".tdms": ("nptdms", "polars"),  # may be absent
+    ".pdf": ("pypdf",),
+}
 #: The libraries that read text.
 _TEXT: Final = ("polars",)
 #: Text of so many bytes takes longer to read than the reader's process takes to start.
