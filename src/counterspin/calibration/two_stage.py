@@ -169,7 +169,7 @@ def two_stage_view(
         request.first_stage(at, record.trajectory)
         for at, record in zip(strobes, series, strict=True)
     ]
-    model = two_stage_model(_known_model(campaign, asked_for, name, known or {}), request, series)
+    model = two_stage_model(_known_model(campaign, asked_for, name, known), request, series)
     second = resolve(series, parabolas, model, request)
     own = {} if components is None else {name: components}
     covariance = uncertain({name: noise_of(campaign)[name]}, own).get(name)
@@ -195,23 +195,29 @@ def _known_model(
     campaign: Campaign,
     model: Unknowns,
     name: str,
-    known: Mapping[tuple[str, str], tuple[float, float]],
+    known: Mapping[tuple[str, str], tuple[float, float]] | None,
 ) -> Unknowns:
     """Return the joint model with something known of all that two stages do not estimate.
 
     What is asked for and not stated has its typical size, if nothing is known of it; what is
-    assumed to be perfect is held as exactly that, for what it may be like.
+    assumed to be perfect is held as exactly that, for what it may be like: beside another fit only
+    what is asked for.
     """
     unknowns = []
     for other in model.unknowns:
         if not math.isfinite(other.prior[1]) and other.symbol not in (*_ESTIMATED, *ROTATION):
             prior, unstated = prior_of(campaign, other.owner, other.symbol, None)
-            prior = known.get((other.owner, other.symbol), prior)
+            prior = (known or {}).get((other.owner, other.symbol), prior)
             unknowns.append(replace(other, prior=prior, unstated=unstated))
         else:
             unknowns.append(other)
     there = {(other.owner, other.symbol) for other in (*model.unknowns, *model.considered)}
-    perfect = [o for o in assumed_of(campaign, model, name) if (o.owner, o.symbol) not in there]
+    perfect = [
+        other
+        for other in assumed_of(campaign, model, name)
+        if (other.owner, other.symbol) not in there
+        and (known is None or other.symbol in campaign.model.terms)
+    ]
     return Unknowns(tuple(unknowns), (*model.considered, *perfect))
 
 

@@ -154,12 +154,14 @@ def columns(
             result[i] = vector @ force
     for i in path:
         result[i] = path_change(symbols[i], shown.motion, order) @ shown.input_axis
-    sloping = list(dict.fromkeys(slope.coefficient for slope in slopes.values()))
-    if sloping:
-        own = columns(trajectory, mounting, sloping, times, observable, attitude=attitude)
+    own = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
+    changing = {slope.coefficient for slope in slopes.values()} - own.keys()
+    if changing:
+        more = columns(trajectory, mounting, [*changing], times, observable, attitude=attitude)
+        own |= dict(zip(changing, more.T, strict=True))
     for i, slope in slopes.items():
         lever = slope.lever(trajectory.conditions, trajectory.centripetal)
-        result[i] = lever * own[:, sloping.index(slope.coefficient)]
+        result[i] = lever * own[slope.coefficient]
         if slope.condition == "time":  # it goes on changing within the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.physics.angle_error import displaced
 from counterspin.physics.effects import PathError
 from counterspin.physics.motion import Motion, Trajectory, motion_at
 from counterspin.physics.terms import MOTION_TERMS
@@ -74,18 +73,31 @@ def path_change(symbol: str, circle: Motion, order: int) -> Array:
 
 
 def _turned_back(error: PathError, circle: Motion, order: int) -> Array:
-    """Return what the encoder's error makes of the motion: the true angle is behind by it."""
-    trajectory, n = circle.trajectory, error.harmonic
-    angle, rate, acceleration = circle.angle, circle.rate, circle.angular_acceleration
-    cos, sin = np.cos(n * angle), np.sin(n * angle)
+    """Return what the encoder's error makes of the motion: the true angle is behind by it.
+
+    In the level the platform is at R e^(i theta), a unit of the error takes it by
+    -i R q e^(i theta), q being the wave, and its velocity and acceleration by the derivatives.
+    """
+    trajectory, n, turning = circle.trajectory, error.harmonic, circle.turning
+    rate, acceleration = circle.rate, circle.angular_acceleration
+    turned = turning.cosine + 1j * turning.sine
+    times_n = turned
+    for _ in range(n - 1):
+        times_n = times_n * turned
+    cos, sin = times_n.real, times_n.imag
     # wave and its derivative by the angle's n-fold
     wave, slope = (cos, -sin) if error.quadrature == "cos" else (sin, cos)
-    curve = (n * rate) ** 2 * wave - n * acceleration * slope
-    turned = (-wave[:, None], -(n * rate * slope)[:, None], curve[:, None])
 
     def change(order: int) -> Array:
-        level = trajectory.radius * displaced(turned, angle, rate, acceleration, order)[:, 0]
-        return np.column_stack([level, np.zeros(angle.size)])
+        if order == 2:
+            along = wave
+        elif order == 1:
+            along = n * rate * slope + 1j * rate * wave
+        else:
+            curve = n * acceleration * slope - (n * rate) ** 2 * wave
+            along = curve + 2j * n * rate**2 * slope + (1j * acceleration - rate**2) * wave
+        level = -1j * trajectory.radius * along * turned
+        return np.column_stack([level.real, level.imag, np.zeros(wave.size)])
 
     if order > 0:
         return change(order)

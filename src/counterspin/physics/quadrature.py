@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev, legendre
 
 from counterspin.arrays import Array
@@ -20,6 +20,7 @@ from counterspin.physics.spindle import Spindle
 
 NODES: Final = 16  #: Gauss-Legendre nodes in a panel
 _CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
+_MOST_KEPT: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
 
 # The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
 # Sixteen nodes reach 1e-12 while a panel spans at most 3/4 of a period of the highest harmonic.
@@ -146,7 +147,7 @@ class Panels:
 
     def at(self, times: Array, series: Array) -> Array:
         """Return the values of series of these panels at times between the edges, (k, n)."""
-        edges, half = self._edges, self._half
+        edges = self._edges
         tolerance = 1e-12 * (edges[-1] - edges[0])
         if times.size and (
             times.min() < edges[0] - tolerance or times.max() > edges[-1] + tolerance
@@ -155,36 +156,53 @@ class Panels:
         result = np.empty((len(series), times.size))
         for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[begin : begin + _CHUNK_TIMES]
-            panel = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, half.size - 1)
-            x = (t - edges[panel]) / half[panel] - 1.0
-            result[:, begin : begin + _CHUNK_TIMES] = _at(x, panel, series)
+            # Accelerometers of a run, and paths of one spindle, are asked at the same times.
+            few = max(t.size, edges.size) <= _MOST_KEPT
+            places = _kept_places(edges.tobytes(), t.tobytes()) if few else _Places(edges, t)
+            result[:, begin : begin + _CHUNK_TIMES] = places.evaluate(series)
         return result
 
 
-def _at(x: Array, panel: npt.NDArray[np.intp], series: Array) -> Array:
-    """Return the series (k, m, c) of the panels (n,) at the places x (n,) in them, shape (k, n).
+class _Places:
+    """Where times lie in panels, with the polynomials there.
 
     Places in the same panel stand in a row, so that a matrix product serves them all. Rows are a
     little longer than the usual number of places in a panel; where there are more, there are
     more rows. However the places are spread, all rows together are at most 6 n long.
     """
-    order = np.argsort(panel, kind="stable")
-    counts = np.bincount(panel)
-    occupied = np.flatnonzero(counts)
-    counts = counts[occupied]
-    width = x.size // occupied.size + 2
-    rows = -(-counts // width)
-    places = np.arange(x.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    slots = np.empty(x.size, dtype=np.intp)
-    slots[order] = places + np.repeat(width * (np.cumsum(rows) - rows), counts)
-    filled = np.zeros(width * rows.sum())
-    filled[slots] = x
-    powers = np.moveaxis(chebyshev.chebvander(filled.reshape(-1, width), series.shape[2] - 1), 2, 1)
-    needed = series.transpose(1, 0, 2)
-    if occupied.size < needed.shape[0] or rows.max() > 1:
-        needed = needed[np.repeat(occupied, rows)]
-    evaluated: Array = (needed @ powers).transpose(1, 0, 2)
-    return evaluated.reshape(series.shape[0], filled.size).take(slots, axis=1)
+
+    def __init__(self, edges: Array, times: Array) -> None:
+        half = 0.5 * np.diff(edges)
+        panel = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, half.size - 1)
+        order = np.argsort(panel, kind="stable")
+        counts = np.bincount(panel)
+        occupied = np.flatnonzero(counts)
+        counts = counts[occupied]
+        width = times.size // occupied.size + 2
+        rows = -(-counts // width)
+        places = np.arange(times.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        self._slots = np.empty(times.size, dtype=np.intp)
+        self._slots[order] = places + np.repeat(width * (np.cumsum(rows) - rows), counts)
+        filled = np.zeros(width * rows.sum())
+        filled[self._slots] = (times - edges[panel]) / half[panel] - 1.0
+        values = chebyshev.chebvander(filled.reshape(-1, width), NODES + 1)
+        self._powers = np.moveaxis(values, 2, 1)
+        # The panel of each row, where that is not simply the next one.
+        once = occupied.size == half.size and rows.max() == 1
+        self._panels = None if once else np.repeat(occupied, rows)
+
+    def evaluate(self, series: Array) -> Array:
+        """Return the values of series (k, panels, NODES + 2) at the times, shape (k, n)."""
+        needed = series.transpose(1, 0, 2)
+        if self._panels is not None:
+            needed = needed[self._panels]
+        evaluated: Array = (needed @ self._powers).transpose(1, 0, 2)
+        return evaluated.reshape(series.shape[0], -1).take(self._slots, axis=1)
+
+
+@lru_cache(maxsize=6)
+def _kept_places(edges: bytes, times: bytes) -> _Places:
+    return _Places(np.frombuffer(edges), np.frombuffer(times))
 
 
 def _running_sum(increments: Array) -> Array:

@@ -177,10 +177,10 @@ class Differences:
         return len(self.blocks.time) - self.order
 
     def apply(self, rows: ArrayLike) -> Array:
-        """(n,) or (n, k) rows -> (n - order, ...) differences, column by column in memory."""
-        values = np.asfortranarray(rows, dtype=float)
+        """(n,) or (n, k) rows -> (n - order, ...) differences; these column by column in memory."""
         if self.order == 0:
-            return values
+            return np.asarray(rows, dtype=float)
+        values = np.asfortranarray(rows, dtype=float)
         steps = np.asfortranarray(np.diff(values, axis=0))
         if self.order == 1:
             return steps
