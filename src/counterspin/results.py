@@ -37,7 +37,9 @@ _UNCERTAINTY: Final = re.compile(r"u(_\w+)?")
 class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what is frozen
     """A part of a result; unknown keys are refused so that a slip is seen at once."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, ser_json_inf_nan="null", defer_build=True
+    )
 
     def __eq__(self, other: object) -> bool:
         """Return whether the two state the same, whatever either remembers beside it."""
