@@ -98,7 +98,7 @@ def test_runs_are_added_and_taken_out():
 
 def test_dates_are_dates():
     assert "\ndate = 2026-03-01\n" in changed(STARTER, ["campaign", "date"], "2026-03-01", "date")
-    with pytest.raises(CounterspinError, match="no date"):
+    with pytest.raises(CounterspinError, match="not a date"):
         changed(STARTER, ["campaign", "date"], "1st of March", "date")
 
 
