@@ -18,11 +18,11 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.model import model_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.simulation import simulate
-from counterspin.physics.terms import INPUTS, OWN_TERMS, term
+from counterspin.physics.terms import OWN_TERMS, term
 from kept_table import DOCS, UNITS, KeptTable, frame, table_of
 
 #: Campaigns of each kind.
-TRIALS: Final = 150
+TRIALS: Final = 300
 
 #: Seed of the first one.
 FIRST: Final = 7000
@@ -36,6 +36,13 @@ SIZES: Final = {"K_F": 5e-3, "K_I": 2e-3, "K_II": 3e-5, "K_III": 3e-6}
 #: White noise of each observable, and a walk, in the units of [noise].
 WHITE: Final = {"displacement": 0.01, "velocity": 1e-3, "specific_force": 1e-3}
 WALK: Final = 3e-4
+
+#: What the description states of the site and of the centrifuge, SI.
+STATED: Final = {
+    "site.gravity": 9.8066,
+    "site.latitude": float(np.radians(45.75)),
+    "centrifuge.radius": 2.5,
+}
 
 
 @dataclass(frozen=True)
@@ -108,8 +115,12 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
     asked = ", ".join(f'"{symbol}"' for symbol in TERMS)
     assume = "" if unstated else 'assume = "all"\n'
     model = f"[model]\nterms = [{asked}]\n{assume}"
-    inputs = {"gravity": 9.8066, "latitude": 45.75, "radius": 2.5}
-    head = _frame(inputs)
+    head = frame(
+        *(
+            f"{STATED[symbol]!r} {term(symbol).unit}"
+            for symbol in ("site.gravity", "site.latitude", "centrifuge.radius")
+        )
+    )
     table = "[noise]\n" + "\n".join(stated) if stated else ""
     described = "\n\n".join([head, *tables, table, model, *made]) + "\n"
     off = _unstated(described, rng) if unstated else {}
@@ -119,13 +130,6 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
         f'[simulation]\nsampling_rate = "16 Hz"\nrevolutions = {int(rng.integers(15, 40))}\n'
         f"seed = {int(rng.integers(1 << 30))}\n"
     )
-    wrong = {
-        key: value
-        + off.get("", {}).get(symbol, 0.0) * (180.0 / np.pi if key == "latitude" else 1.0)
-        for (key, value), symbol in zip(
-            inputs.items(), ("site.gravity", "site.latitude", "centrifuge.radius"), strict=True
-        )
-    }
     true_tables = [
         f"[truth.{name}]\n" + "\n".join(f'"{s}" = "{v!r} {term(s).unit}"' for s, v in own.items())
         for name, own in truth.items()
@@ -134,7 +138,7 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
     simulated_runs = [run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)]
     true_noise = "[truth.noise]\n" + "\n".join([*noise, 'angle = "1e-6 rad"'])
     simulated = "\n\n".join(
-        [_frame(wrong), *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
+        [head, *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
     )
     return Drawn(described, simulated + "\n", truth, int(rng.integers(0, 3)))
 
@@ -147,12 +151,6 @@ def _credible(rng: np.random.Generator, symbol: str) -> float:
             return drawn
 
 
-def _frame(inputs: dict[str, float]) -> str:
-    return frame(
-        f"{inputs['gravity']!r} m/s^2", f"{inputs['latitude']!r} deg", f"{inputs['radius']!r} m"
-    )
-
-
 def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, float]]:
     """Draw everything that a campaign does not state: owner -> symbol -> value."""
     with tempfile.TemporaryDirectory() as folder:
@@ -160,8 +158,9 @@ def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, f
         unknowns = model_of(campaign).unknowns
     off: dict[str, dict[str, float]] = {}
     for unknown in unknowns:
-        if unknown.unstated and unknown.symbol not in ("records.timing_offset",):
+        if unknown.unstated:
             value, u = unknown.prior
+            value += STATED.get(unknown.symbol, 0.0)
             off.setdefault(unknown.owner, {})[unknown.symbol] = value + u * rng.standard_normal()
     return off
 
@@ -169,7 +168,7 @@ def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, f
 def _shared(off: dict[str, dict[str, float]]) -> Iterator[str]:
     families: dict[str, list[str]] = {}
     for symbol, value in off.get("", {}).items():
-        if symbol not in INPUTS and symbol not in OWN_TERMS:
+        if symbol not in OWN_TERMS:
             family, _, key = symbol.partition(".")
             families.setdefault(family, []).append(f'{key} = "{value!r} {term(symbol).unit}"')
     for family, lines in families.items():
