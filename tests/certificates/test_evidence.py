@@ -77,8 +77,8 @@ def test_there_is_no_certificate_without_it():
     with pytest.raises(CampaignError) as caught:
         made(assuming("K_OO", "K_PP", "platform.*"), '[evidence]\nK_PP = "Bericht 1"\n')
     (problem,) = caught.value.problems
-    assert "takes K_OO, platform.* as perfect" in problem
-    assert 'in [evidence]: "K_OO" = "..." "platform.*" = "..."' in problem
+    assert "assumes K_OO, platform.* to be perfect" in problem
+    assert 'data sheet: "K_OO" = "..." "platform.*" = "..."' in problem
 
 
 def test_the_certificate_prints_it():
