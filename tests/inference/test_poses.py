@@ -97,6 +97,13 @@ def test_fewer_poses_cannot_tell_their_noise():
         match=r"6 poses .* 9 unknowns .*determine .*Y.delta_P.*Z.delta_O, Z.delta_P",
     ):
         solve_readings([triads.group(triads.indications(along))], triads.unknowns())
+    # Nine could tell biases and scale factors alone, six not even those.
+    noisy = triads.indications(triads.directions(9, np.random.default_rng(3)))
+    noisy += 1e-4 * np.random.default_rng(4).standard_normal((9, 3))
+    for values, fewer in ((noisy, True), (noisy[:6], False)):
+        with pytest.raises(NotIdentifiableError) as error:
+            solve_readings([triads.group(values)], triads.unknowns())
+        assert ('terms = ["K_F", "K_I"]' in str(error.value)) is fewer
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,7 @@ def held(test, values, u, terms=LEVEL):
         estimated,
         0.0,
     )
-    columns = tuple(candidates(group, terms, ()))
+    columns = tuple(candidates(group.readings, group.place, terms, ()))
     return fit.fit, group, columns
 
 
@@ -84,22 +84,30 @@ def test_what_a_head_makes_that_errs_is_a_column_where_it_was_mounted_on_in_two_
     shown = angle - np.where(np.arange(24) < 12, 0.0, 0.5 * math.pi)
     own = readings(tumble(24), np.zeros(24), 1e-6)
     group = Group(replace(own, head_angle=shown), 0, np.ones(24), np.ones(24), 0.0, 1.0, False, 0.0)
-    columns = {c.symbol: c.columns[0] for c in candidates(group, (), ()) if c.kind == HEAD}
+    columns = {
+        c.symbol: c.columns[0] for c in candidates(group.readings, 0, (), ()) if c.kind == HEAD
+    }
     assert len(columns) == 4
     for times, n in (("once", 1), ("twice", 2)):
         for name, wave in (("cos", np.cos), ("sin", np.sin)):
             expected = -np.sin(angle) * wave(n * shown)
             np.testing.assert_allclose(columns[f"{name} {times}"], expected, atol=1e-8)
-    there = {c.symbol for c in candidates(group, ("head.harmonic.2.sin",), ()) if c.kind == HEAD}
+    there = {
+        c.symbol
+        for c in candidates(group.readings, 0, ("head.harmonic.2.sin",), ())
+        if c.kind == HEAD
+    }
     assert there == {"cos once", "sin once", "cos twice"}
     alone = replace(group, readings=replace(own, head_angle=angle - 1.0))
-    assert not [column for column in candidates(alone, (), ()) if column.kind == HEAD]
+    assert not [column for column in candidates(alone.readings, 0, (), ()) if column.kind == HEAD]
 
 
 def test_the_force_falls_on_one_half_of_a_turn_and_rises_on_the_other():
     own = readings(tumble(12), np.zeros(12), 1e-6)
     group = Group(own, 0, np.ones(12), np.ones(12), 0.0, 1.0, False, 0.0)
-    first, other = (c.columns[0] for c in candidates(group, (), ()) if c.symbol == FORCE)
+    first, other = (
+        c.columns[0] for c in candidates(group.readings, 0, (), ()) if c.symbol == FORCE
+    )
     # From up at 0 to down at 180 deg it falls; how the first position was come to nobody knows.
     np.testing.assert_array_equal(first, [-1.0] * 7 + [1.0] * 5)
     np.testing.assert_array_equal(other, [1.0] + [-1.0] * 6 + [1.0] * 5)
@@ -110,7 +118,9 @@ def test_steps_leave_two_readings_on_each_side(count, tried):
     own = readings(tumble(count), np.zeros(count), 1e-6)
     ones = np.ones(count)
     group = Group(own, 0, ones, ones, 0.0, 1.0, False, 0.0)
-    steps = [column.columns[0] for column in candidates(group, (), ()) if column.kind == STEP]
+    steps = [
+        column.columns[0] for column in candidates(group.readings, 0, (), ()) if column.kind == STEP
+    ]
     assert len(steps) == tried
     for step in steps:
         assert 2 <= step.sum() <= count - 2

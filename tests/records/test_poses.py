@@ -178,6 +178,14 @@ def test_saturated_and_held_rests_are_left_out_and_said() -> None:
     found = find_poses(truth.time, held)
     assert len(found.start) == 11
     assert "do not change at all" in found.left_out[0]
+    # One axis hangs, from within one rest to within another: both are left out, and those between.
+    hung = truth.values.copy()
+    last = round(truth.start[7] / STEP) + 400
+    hung[first:last, 1] = hung[first, 1]
+    found = find_poses(truth.time, hung)
+    assert len(found.start) == 9
+    assert len(found.left_out) == 3
+    assert "axis 2 does not change at all" in found.left_out[0]
 
 
 def test_a_record_without_a_clear_gap_says_so() -> None:
@@ -231,6 +239,18 @@ def test_time_is_the_files_own() -> None:
     columns = RecordColumns(ColumnSpec("t"), None, {axis: ColumnSpec(axis) for axis in "xyz"})
     poses, _ = read_poses(table, columns)
     assert poses.start == pytest.approx(truth.start + 1000.0, abs=0.52)
+
+
+def test_rows_of_other_sensors_between_may_be_empty() -> None:
+    truth = posed(4.0, 1.5)
+    often = np.repeat(truth.values, 3, axis=0)
+    often[np.arange(len(often)) % 3 > 0] = np.nan
+    times = np.arange(len(often)) * STEP / 3.0
+    table = MemoryTable("memory", {"t": times} | dict(zip("xyz", often.T, strict=True)))
+    columns = RecordColumns(ColumnSpec("t"), None, {axis: ColumnSpec(axis) for axis in "xyz"})
+    poses, record = read_poses(table, columns)
+    assert_found(truth, poses)
+    assert record.report.empty["x"] == 2 * len(truth.values)
 
 
 @pytest.mark.skipif(_REAL is None, reason="the real records are not here")

@@ -32,7 +32,7 @@ from counterspin.reports.numbers import format_number
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    findings = [*readings_fit(view), *pose_findings(view.poses)]
+    findings = [*readings_fit(view), *pose_findings(view.fit, view.poses)]
     if not view.has_records:
         return findings
     tests = view.diagnostics

@@ -14,7 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.campaign.conditions import conditions_of, directions_of, origin_of
+from counterspin.campaign.conditions import (
+    conditions_of,
+    dated_of,
+    directions_of,
+    origin_of,
+    temperatures_of,
+)
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import EVERYTHING
@@ -176,11 +182,11 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     origin = origin_of(campaign)
     if row.effect.condition == "time":
-        times = {reading.time for reading in campaign.all_readings} - {None}
-        return bool(campaign.runs) or any(time != origin.time for time in times)
+        recorded = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
+        return recorded or any(one.time not in (None, origin.time) for one in dated_of(campaign))
     if row.effect.condition == "direction":
         return bool(directions_of(campaign))
-    warm = {reading.temperature for reading in campaign.all_readings} - {None}
+    warm = set(temperatures_of(campaign))
     recorded = any(run.temperature is not None for run in campaign.runs)
     # Where nobody took temperatures, what a change of 1 K may have done is a slope.
     assumed_warm = recorded or row.effect.power == 1

@@ -11,6 +11,7 @@ import numpy as np
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Run
+from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.frozen import frozen
 from counterspin.inference.linear_readings import Readings
 from counterspin.physics.effects import RunConditions
@@ -32,15 +33,20 @@ class Origin:
     time: float
 
 
+def dated_of(campaign: Campaign) -> list[Run | Reading | PoseRecord]:
+    """Return whatever may state a temperature and a time: runs, readings and records of poses."""
+    posed = campaign.triad.records if campaign.triad else ()
+    return [*campaign.runs, *campaign.all_readings, *posed]
+
+
 def temperatures_of(campaign: Campaign) -> list[float]:
-    """Return the temperatures that runs and readings state, K."""
-    dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
-    return [one.temperature for one in dated if one.temperature is not None]
+    """Return the temperatures that are stated, K."""
+    return [one.temperature for one in dated_of(campaign) if one.temperature is not None]
 
 
 def origin_of(campaign: Campaign) -> Origin:
     """Return the reference temperature, or the mean of all; and the time of what came first."""
-    dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
+    dated = dated_of(campaign)
     warmths = temperatures_of(campaign)
     temperature = campaign.reference_temperature
     if temperature is None:
@@ -55,8 +61,7 @@ def directions_of(campaign: Campaign) -> dict[str, float]:
     They are in the order of their times where all state theirs, else in that of the description.
     Where the temperature never came back by `REVERSAL`, there is nothing to tell: none is returned.
     """
-    dated: list[Run | Reading] = [*campaign.runs, *campaign.all_readings]
-    warm = [one for one in dated if one.temperature is not None]
+    warm = [one for one in dated_of(campaign) if one.temperature is not None]
     if all(one.time is not None for one in warm):
         warm.sort(key=lambda one: one.time or 0.0)
     ways = _ways([one.temperature or 0.0 for one in warm])

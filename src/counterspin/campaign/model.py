@@ -70,7 +70,12 @@ class Apparatus:
     @cached_property
     def shown(self) -> tuple[str, ...]:
         """Terms of the machine and slopes that the readings show; none where there are none."""
-        return symbols_shown(self.readings, recorded=bool(self.attitudes)) if self.read else ()
+        shown = symbols_shown(self.readings, recorded=bool(self.attitudes)) if self.read else ()
+        if not self.poses:
+            return shown
+        # Of a pose only what its accelerometers themselves do is seen.
+        slopes = (s for s, row in CONDITION_TERMS.items() if row.effect.condition != "force")
+        return tuple(dict.fromkeys([*shown, *slopes]))
 
     @property
     def usual_terms(self) -> tuple[str, ...]:

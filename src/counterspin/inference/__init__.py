@@ -13,7 +13,7 @@ What stands in this room:
 - `linear_readings`: single values at rest, on an arm or on a turntable, as rows
 - `poses`: poses of three accelerometers at unknown attitudes, as rows
 - `readings`: the fit of both, alone or beside records
-- `reading_tests`: what their residuals follow
+- `reading_tests`, `pose_tests`: what their residuals follow
 - `variance_components`: what repeated measurements vary by from day to day and so on
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 

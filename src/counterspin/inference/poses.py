@@ -111,7 +111,7 @@ class TriadPoses:
         """Return one row a pose at an estimate, the pose's angles eliminated."""
         point = self.at(model, estimate)
         columns = np.zeros((self.size, 3, len(point.everything)))
-        for index, place, term, lever in _levers(self, point.everything):
+        for index, place, term, lever in levers(self, point.everything):
             columns[:, place, index] = point.products[:, place, term] * lever
         perfect = point.indicated - columns @ point.values
         for index, unknown in enumerate(point.everything):
@@ -133,7 +133,7 @@ class TriadPoses:
         assumed = [other.prior_mean for other in everything[len(estimate) :]]
         values = np.append(estimate, assumed)
         effective = np.tile([row.nominal for row in TERMS.values()], (self.size, 3, 1))
-        for index, place, term, lever in _levers(self, everything):
+        for index, place, term, lever in levers(self, everything):
             effective[:, place, term] += values[index] * lever
         return PosesAt.settled(self, everything, values, effective)
 
@@ -219,27 +219,27 @@ def indications_along(
         for symbol, value in own.items():
             if symbol in TERMS:
                 effective[:, place, _SYMBOLS.index(symbol)] += value - TERMS[symbol].nominal
-            elif (lever := _lever(poses, symbol)) is not None:
-                effective[:, place, lever[0]] += value * lever[1]
+            elif (lever := lever_of(poses, symbol)) is not None:
+                effective[:, place, _changing(symbol)] += value * lever
     products, _ = _products(poses.axes, direction, effective)
     return np.asarray(np.sum(products * effective, axis=2), np.float64)
 
 
-def _lever(poses: TriadPoses, symbol: str) -> tuple[int, Array] | None:
-    """Return of a slope which term changes, and by what it is multiplied; None if it is nothing."""
+def lever_of(poses: TriadPoses, symbol: str) -> Array | None:
+    """Return by what a slope is multiplied, shape (n,); None if it is nothing at rest."""
     slope = CONDITION_TERMS[symbol].effect
     if slope.condition == "force":
         return None
-    lever = slope.levers(
-        poses.time,
-        poses.temperature,
-        np.broadcast_to(poses.direction, poses.size),
-        np.zeros(poses.size),
-    )
-    return _SYMBOLS.index(slope.coefficient), lever
+    ways = np.broadcast_to(poses.direction, poses.size)
+    return slope.levers(poses.time, poses.temperature, ways, np.zeros(poses.size))
 
 
-def _levers(
+def _changing(symbol: str) -> int:
+    """Return the place of the term that a slope changes."""
+    return _SYMBOLS.index(CONDITION_TERMS[symbol].effect.coefficient)
+
+
+def levers(
     poses: TriadPoses, everything: Sequence[Unknown]
 ) -> Iterator[tuple[int, int, int, Array]]:
     """Yield for each coefficient, or slope of one: its index, whose, of which term, times what."""
@@ -250,9 +250,9 @@ def _levers(
         if symbol in TERMS:
             yield index, place, _SYMBOLS.index(symbol), np.ones(poses.size)
         elif symbol in CONDITION_TERMS:
-            lever = _lever(poses, symbol)
+            lever = lever_of(poses, symbol)
             if lever is not None:
-                yield index, place, *lever
+                yield index, place, _changing(symbol), lever
 
 
 def _products(axes: Array, direction: Array, effective: Array) -> tuple[Array, Array]:

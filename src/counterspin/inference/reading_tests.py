@@ -24,6 +24,7 @@ from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.linear_readings import Readings
+from counterspin.inference.poses import TriadPoses
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
@@ -71,7 +72,7 @@ _DECISIVE_CHI2: Final = 6.0
 class Group:
     """Readings as they are tested."""
 
-    readings: Readings  #: What was read.
+    readings: Readings | TriadPoses  #: What was read.
     place: int  #: Among the observations of the fit.
     #: Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
     sigma: Array
@@ -125,22 +126,22 @@ def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
 
 
 def candidates(
-    group: Group, unknown: Collection[str], followed: Collection[str]
+    readings: Readings, place: int, unknown: Collection[str], followed: Collection[str]
 ) -> Iterator[Alternative]:
-    """Yield the columns that the residuals of a group may follow.
+    """Yield the columns that the residuals of readings may follow.
 
+    place: Of the readings among the observations of the fit.
     unknown: Symbols of the accelerometer's terms, and the machine's, that the fit may choose.
     """
-    readings = group.readings
     for kind, symbol, column in (
         *_waves(readings),
         *_errors_of_the_head(readings, unknown),
         *_terms(readings, unknown, followed),
-        *_in_order(readings),
+        *in_order(readings, readings.products({})[:, [*TERMS].index("K_I")]),
         *_of_approach(readings),
         *_of_sense(readings),
     ):
-        yield Alternative(kind, readings.accelerometer, symbol, {group.place: column})
+        yield Alternative(kind, readings.accelerometer, symbol, {place: column})
 
 
 _Column = tuple[str, str, Array]
@@ -187,7 +188,11 @@ def _terms(
             yield TERM, symbol, products[row.effect.coefficient] * lever
 
 
-def _in_order(readings: Readings) -> Iterator[_Column]:
+def in_order(readings: Readings | TriadPoses, forces: Array) -> Iterator[_Column]:
+    """Yield what changes with the time of reading, or with the order where no times are stated.
+
+    forces: Along the input axis, g, shape (n,).
+    """
     by_time = np.ptp(readings.time) > 0.0
     x = readings.time if by_time else np.arange(float(readings.size))
     x = (x - x.min()) / np.ptp(x)
@@ -196,7 +201,6 @@ def _in_order(readings: Readings) -> Iterator[_Column]:
         yield WARM_UP, "time" if by_time else "order", np.exp(-x / part)
     # A mirrored order cancels a line, and no parabola.
     yield BEND, "time" if by_time else "order", (x - 0.5) ** 2
-    forces = readings.products({})[:, [*TERMS].index("K_I")]
     yield SCALE, "time" if by_time else "order", (x - 0.5) * forces
     order = np.argsort(x, kind="stable")
     last = readings.size - _FEWEST_BESIDE

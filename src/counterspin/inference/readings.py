@@ -367,12 +367,18 @@ def _too_few_poses(group: TriadPoses, solution: Solution, model: Unknowns) -> st
     determined = assess(solution, asked).determined
     lacking = [name for name in asked if not determined[name]]
     besides = f" They do not determine {', '.join(lacking)} at all." if lacking else ""
+    angles = [u for u in model.unknowns if u.asked and u.symbol.startswith("delta")]
+    fewer = (
+        " They can determine biases and scale factors, if these alone are asked for: terms = "
+        '["K_F", "K_I"] in [model].'
+        if angles and group.size > len(asked) - len(angles)
+        else ""
+    )
     return (
         f"{group.accelerometer}: {group.size} pose{'s' * (group.size > 1)} at unknown attitudes "
         f"without a stated uncertainty do not determine their noise in addition to "
         f"{len(free)} unknowns without a prior.{besides} Take more poses, spread over all "
-        f"directions, or state "
-        "the uncertainty."
+        f"directions, or state the uncertainty.{fewer}"
     )
 
 

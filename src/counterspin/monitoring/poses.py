@@ -71,7 +71,7 @@ def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[
     """Return what is odd about a record of poses, in sentences, and whether it may be kept."""
     whole = found[0].record
     assert whole is not None
-    findings = pose_findings(fit.posed) if fit else []
+    findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
     odd = [*whole.poses.doubts, *whole.poses.left_out, *whole.report.notes()]
     may_be_kept = not any(finding.contradicts for finding in findings)
     return [*(finding.text for finding in findings), *odd], may_be_kept

@@ -362,4 +362,11 @@ def _faults(
                 f"{at_ends[axis]:.0%} of its values along axis {axis + 1} are the largest or "
                 "smallest of the record, as at the limit of the range."
             )
+            continue
+        held = np.flatnonzero(telling & (values[a:b] == values[a]).all(axis=0))
+        if len(held):
+            faults[place] = (
+                f"axis {held[0] + 1} does not change at all, beside others that do, as where a "
+                "sensor hangs."
+            )
     return faults

@@ -75,6 +75,47 @@ def test_what_was_simulated_comes_back(tmp_path):
     np.testing.assert_allclose(directions, along, rtol=0, atol=10.0 * NOISE / np.sqrt(250))
 
 
+@pytest.mark.parametrize("begun", ["", 'time = "100 s"\n'])
+def test_a_drift_within_a_record_is_found(tmp_path, begun):
+    drift = 5e-5  # g/s, 11 mg in the record
+    text = described("poses = 40\n")
+    text = text.replace('record = "all.csv"\n', f'record = "all.csv"\n{begun}')
+    text = text.replace("[truth.Z]\n", f'[truth.Z]\n"K_F.trend" = "{drift!r} g/s"\n')
+    plain = text.replace('"delta_P"]', '"delta_P", "K_F.trend"]')
+    (tmp_path / "campaign.toml").write_text(plain, "utf-8")
+    cs.simulate(tmp_path, tmp_path / "made")
+    result = cs.calibrate(tmp_path / "made")
+    for name, true in (("X", 0.0), ("Y", 0.0), ("Z", drift)):
+        found = result.coefficient(f"{name}.K_F.trend")
+        assert found.estimated
+        assert abs(found.value - true) < 5.0 * found.u
+        assert found.u < 0.02 * drift
+    # At the start of the record.
+    bias = result.coefficient("Z.K_F")
+    assert abs(bias.value - triads.BIAS[2]) < 5.0 * bias.u
+    # With the drift left out nothing fits: 11 mg beside 0.03 mg.
+    (tmp_path / "made" / "campaign.toml").write_text(text, "utf-8")
+    assert cs.calibrate(tmp_path / "made").triad.rms_after > 20.0 * result.triad.rms_after
+
+
+def test_the_clock_of_a_record_may_begin_anywhere(tmp_path):
+    (tmp_path / "campaign.toml").write_text(
+        described("poses = 20\n", clock='{ column = "t", unit = "s" }'), "utf-8"
+    )
+    cs.simulate(tmp_path, tmp_path / "made")
+    first = cs.calibrate(tmp_path / "made")
+    rows = (tmp_path / "made" / "all.csv").read_text("utf-8").splitlines()
+    late = [rows[0]]
+    for row in rows[1:]:
+        time, comma, others = row.partition(",")
+        late.append(f"{float(time) + 1.7e9:.3f}{comma}{others}")
+    (tmp_path / "made" / "all.csv").write_text("\n".join(late) + "\n", "utf-8")
+    again = cs.calibrate(tmp_path / "made")
+    for name, c in first.triad.parameters.items():
+        assert again.triad.parameters[name].value == pytest.approx(c.value, abs=0.05 * c.u)
+        assert again.triad.parameters[name].u == pytest.approx(c.u, rel=0.02)
+
+
 def test_in_memory_it_is_the_same_as_in_files(tmp_path):
     clock = '{ column = "t", unit = "s" }'
     (tmp_path / "campaign.toml").write_text(described(clock=clock), "utf-8")

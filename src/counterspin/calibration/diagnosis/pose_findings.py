@@ -9,12 +9,25 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.diagnosis.reading_findings import lone_or_many, unjudged
-from counterspin.calibration.findings import lack_of_fit
+from counterspin.calibration.diagnosis.reading_findings import (
+    clause_of,
+    group_of,
+    lone_or_many,
+    unjudged,
+)
+from counterspin.calibration.findings import (
+    CONTRADICTION_SIGMAS,
+    equivalent_deviations,
+    lack_of_fit,
+)
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.readings import FittedPoses, residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.pose_tests import pose_candidates
+from counterspin.inference.reading_tests import STEP, TERM, Followed, most_followed
 from counterspin.inference.readings import FEWEST_FREEDOM
 from counterspin.reports.numbers import format_number
 
@@ -24,11 +37,17 @@ TRIAD: Final = "triad"
 #: An input axis that no pose turns below the level by more than asin of this was never down.
 _DOWN: Final = 0.3
 
+#: So many terms are named that explain residuals as well as the first.
+_MOST_NAMED: Final = 4
 
-def pose_findings(posed: Sequence[FittedPoses]) -> list[Finding]:
-    """Return what speaks against the poses: residuals that are no noise, poses that stand out."""
+
+def pose_findings(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Finding]:
+    """Return what speaks against the poses: residuals that are no noise, poses that stand out.
+
+    fit: Which has them.
+    """
     findings = []
-    for part in posed:
+    for part, followed in zip(posed, _followed(fit, posed), strict=True):
         if part.dof < FEWEST_FREEDOM:
             findings.append(unjudged(TRIAD, part))
         elif part.freedom < FEWEST_FREEDOM:
@@ -38,8 +57,56 @@ def pose_findings(posed: Sequence[FittedPoses]) -> list[Finding]:
         if p is not None and p < 0.5 * SIGNIFICANCE / len(posed):
             said = f"The residuals of the {part.words} do not agree with the stated noise"
             findings.append(lack_of_fit(TRIAD, [f"{said} (p = {p:.2g})."], residual))
+        findings += [_explained(part, followed)] if followed else []
         findings += lone_or_many(TRIAD, part)
     return findings
+
+
+def _followed(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Followed | None]:
+    """Return for each group of poses what its residuals follow, beyond chance."""
+    found: list[Followed | None] = [None] * len(posed)
+    fit = relax(fit)
+    judged = [k for k, part in enumerate(posed) if min(part.dof, part.freedom) >= FEWEST_FREEDOM]
+    groups = [group_of(posed[k], posed[k].place_in(fit) or 0) for k in judged]
+    unknown = {(u.owner, u.symbol): u for u in fit.model.unknowns}
+    known = {key for key, u in unknown.items() if math.isfinite(u.prior[1])}
+    columns = [
+        tuple(pose_candidates(posed[k].readings, group.place, fit, unknown, known))
+        for k, group in zip(judged, groups, strict=True)
+    ]
+    for one in most_followed(fit, groups, columns) if judged else ():
+        if one.p * one.tests < 0.5 * SIGNIFICANCE:
+            found[judged[one.group]] = one
+    return found
+
+
+def _explained(part: FittedPoses, followed: Followed) -> Finding:
+    """Return the finding that the residuals of poses follow something."""
+    first = followed.alternatives[0]
+    size = equivalent_deviations(followed.p)
+    clause = clause_of(first)
+    if first.kind == TERM:
+        clause = clause.replace(first.symbol, first.name, 1)
+        others = [other.name for other in followed.alternatives[1:] if other.kind == TERM]
+        cure = f" So would {' or '.join(others[:_MOST_NAMED])}." if others else ""
+    else:
+        owners = dict.fromkeys(o.owner for o in followed.alternatives if o.kind == first.kind)
+        clause += f", most in {' or '.join(owners)}"
+        cure = (
+            " Was the sensor knocked, or switched off?"
+            if first.kind == STEP
+            else (
+                " Let the sensor warm up before, or ask for K_F.trend in model.terms"
+                f"{', with the time of each pose' if first.symbol == 'order' else ''}."
+            )
+        )
+    return Finding(
+        code="lack-of-fit",
+        subject=TRIAD,
+        text=f"The residuals of the {part.words} {clause} (p = {followed.p:.2g}).{cure}",
+        size=size,
+        contradicts=size > CONTRADICTION_SIGMAS,
+    )
 
 
 def _few_left(part: FittedPoses) -> Finding:

@@ -181,19 +181,24 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     }
     if not judged:
         return
-    groups = [_group(part, part.place_in(fit) or 0) for part in judged.values()]
+    groups = [group_of(part, part.place_in(fit) or 0) for part in judged.values()]
     acting = [unknown for unknown in fit.model.unknowns if unknown.owner in (view.name, "")]
     own = [unknown for unknown in acting if unknown.owner]
     known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
     columns = [
-        tuple(candidates(group, {unknown.symbol for unknown in acting}, known)) for group in groups
+        tuple(candidates(part.readings, group.place, {one.symbol for one in acting}, known))
+        for part, group in zip(judged.values(), groups, strict=True)
     ]
     places = list(judged)
     for one in most_followed(fit, groups, columns):
         yield places[one.group], one
 
 
-def _group(part: AccelerometerReadings, place: int) -> Group:
+def group_of(part: JudgedReadings, place: int) -> Group:
+    """Return readings or poses as they are tested.
+
+    place: Among the observations of the fit.
+    """
     readings, estimated = part.readings, not part.weighed
     names = {name for name, _, _ in part.outlying()}
     lone = tuple(k for k, name in enumerate(readings.names) if name in names)
@@ -217,7 +222,7 @@ def _explained(
     """Return the finding that residuals follow something, the best explanation first."""
     first = followed.alternatives[0]
     size = equivalent_deviations(followed.p)
-    text = f"The residuals of the {part.words} {_clause(first)} (p = {followed.p:.2g})."
+    text = f"The residuals of the {part.words} {clause_of(first)} (p = {followed.p:.2g})."
     terms = [other.symbol for other in followed.alternatives if other.kind == TERM]
     if first.kind == TERM:
         terms = terms[1:]
@@ -227,7 +232,7 @@ def _explained(
     elif terms:
         text += f" {' or '.join(terms)} would have the same effect."
     others = dict.fromkeys(
-        _clause(other) for other in followed.alternatives[1:] if other.kind not in (TERM, WAVE)
+        clause_of(other) for other in followed.alternatives[1:] if other.kind not in (TERM, WAVE)
     )
     text += "".join(f" Equally well, they {clause}." for clause in others)
     if general is not None:
@@ -241,7 +246,8 @@ def _explained(
     )
 
 
-def _clause(other: Alternative) -> str:
+def clause_of(other: Alternative) -> str:
+    """Return what residuals do that follow a column, as the rest of a sentence."""
     when = (
         "the order in which they were taken" if other.symbol == "order" else "the time of reading"
     )

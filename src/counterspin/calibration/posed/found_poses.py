@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from counterspin.campaign.conditions import origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.declared import PoseRecord
@@ -74,6 +75,8 @@ def _channels(campaign: Campaign) -> dict[str, ColumnSpec]:
 def found_in(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
     """Yield the poses of a record, each with its means as readings."""
     g, source = campaign.gravity.value, campaign.record_at(record.record)
+    # Within a record times are known, from its first row, whether or not it says when it began.
+    begun = origin_of(campaign).time if record.time is None else record.time
     in_si = {name: not channel.in_g for name, channel in _channels(campaign).items()}
     found, read = read_poses(source, columns_of_poses(campaign), record.rest, record.threshold)
     whole = RecordOfPoses(record.name, found, read.report)
@@ -91,7 +94,7 @@ def found_in(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
                 head=(0.0, 0.0, 0.0),
                 u_head=0.0,
                 temperature=record.temperature,
-                time=None if record.time is None else record.time + float(start),
+                time=begun + float(start - found.time[0]),
                 in_si=si,
             )
             for (name, si), value in zip(in_si.items(), mean, strict=True)

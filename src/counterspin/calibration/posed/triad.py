@@ -30,8 +30,9 @@ from counterspin.inference.distributions import countable
 from counterspin.inference.identifiability import PRIOR_LEFT
 from counterspin.inference.joint.budget import budget_of, by_kind_of
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.poses import LINEAR, PosesAt
-from counterspin.physics.terms import TERMS
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.inference.poses import LINEAR, PosesAt, TriadPoses, levers
+from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Points of what is drawn of the search for rests.
 _TRACE_POINTS: Final = 600
@@ -78,6 +79,7 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
         before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
         if matrix is not None:
             left = group.value - _second_order(campaign, there) - at.bias
+            left -= _changes(group, there, model.asked)
             after.append(np.linalg.norm(left @ matrix.T, axis=1) - 1.0)
     gravity = campaign.gravity.value
     return TriadResult(
@@ -293,6 +295,16 @@ def _second_order(campaign: Campaign, there: PosesAt) -> Array:
     symbols = [s for s in campaign.model.terms if s in TERMS and s not in ("K_F", *LINEAR)]
     places = [_SYMBOLS.index(symbol) for symbol in symbols]
     added: Array = np.sum(there.products[:, :, places] * there.effective[:, :, places], axis=2)
+    return added
+
+
+def _changes(poses: TriadPoses, there: PosesAt, asked: Sequence[Unknown]) -> Array:
+    """Return what slopes that were asked for add to indications, (n, 3)."""
+    added, own = np.zeros_like(poses.value), set(asked)
+    for index, place, term, lever in levers(poses, there.everything):
+        unknown = there.everything[index]
+        if unknown.symbol in CONDITION_TERMS and unknown in own:
+            added[:, place] += there.products[:, place, term] * lever * there.values[index]
     return added
 
 

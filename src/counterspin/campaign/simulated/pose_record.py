@@ -96,7 +96,7 @@ def indicated_forces(
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
     origin = origin_of(campaign)
     warmer = 0.0 if record.temperature is None else record.temperature - origin.temperature
-    begun = None if record.time is None else record.time - origin.time
+    begun = 0.0 if record.time is None else record.time - origin.time
     values = []
     for first in range(0, len(time), _ROWS):
         own = time[first : first + _ROWS]
@@ -109,7 +109,7 @@ def indicated_forces(
             value=np.zeros((n, 3)),
             u=None,
             temperature=np.full(n, warmer),
-            time=np.zeros(n) if begun is None else begun + own,
+            time=begun + own,
             repeats=np.ones(n),
             scatter=np.zeros(n),
             in_si=np.zeros((n, 3)),

@@ -28,12 +28,7 @@ def with_pose_noise(campaign: Campaign) -> Campaign:
         return campaign
     *_, group = poses_together(campaign, poses, noise_within(found, campaign.gravity.value))
     noise = solve_readings([group], model_of(campaign)).groups[0].noise
-    # A calibration does not ask how a coefficient changed within a record.
-    undated = (
-        one.pose if one.record is None else [replace(reading, time=None) for reading in one.pose]
-        for one in found
-    )
-    noisy = tuple(_with_noise(pose, noise) for pose in undated)
+    noisy = tuple(_with_noise(pose, noise) for pose in poses)
     return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
 
 
