@@ -288,7 +288,7 @@ def test_a_model_that_lacks_a_term_is_one_finding_and_not_one_a_position(tmp_pat
     result = calibrated(tmp_path, model("K_F", "K_I", "K_II"), arm_runs(test, values))
     (found,) = result.findings
     assert found.code == "lack-of-fit"
-    assert "follow K_III, more than its prior allows" in found.text
+    assert "follow K_III, more than the model allows" in found.text
     assert found.text.endswith("24 of 24 readings on the arm deviate from the model.")
 
 

@@ -197,9 +197,11 @@ def unseen_axes(others: Sequence[OtherMounting]) -> Iterator[str]:
         symbol, shift, size = worst.moved()
         stated, found = worst.pendulous
         way = "larger" if shift > 0.0 else "smaller"
+        resting = _stated(worst.view)
+        values, rest = ("values", "rest") if resting[1:] else ("value", "rests")
         yield (
             f"{name}: the records do not show where the pendulous axis points, and the "
-            f"stated value of {_listed(_stated(worst.view))} rests on it. With {found} for "
+            f"stated {values} of {_listed(resting)} {rest} on it. With {found} for "
             f"{stated} they "
             f"would fit as well, and {symbol} would be {_shown(symbol, abs(shift))} {way}, "
             f"{format_number(size, 2)} of its u."

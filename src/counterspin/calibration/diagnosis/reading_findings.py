@@ -254,7 +254,7 @@ def clause_of(other: Alternative) -> str:
     return {
         WAVE: f"follow {other.symbol}, phi being the angle of the head from input axis up",
         HEAD: f"look like an error of the head {other.symbol.partition(' ')[2]} a turn",
-        TERM: f"follow {other.symbol}, more than its prior allows",
+        TERM: f"follow {other.symbol}, more than the model allows",
         DRIFT: f"drift with {when}",
         WARM_UP: f"settle with {when}, as after a warm-up",
         BEND: f"drift and reverse with {when}",
