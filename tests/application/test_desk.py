@@ -34,7 +34,7 @@ def test_no_ledger_is_kept_outside(page, folder, outside):
     told = _issued(page, "new.xml")
     assert told.status_code == 422
     assert told.json()["problems"][0].startswith(
-        "certificate.ledger: 'sub/led.jsonl' is not in the"
+        "certificate.ledger: 'sub/led.jsonl' is outside the served folder"
     )
     assert list(outside.iterdir()) == []
     assert not (folder / "new.xml").exists()

@@ -109,7 +109,7 @@ def test_a_prior_is_no_measurement(value):
         ({"decision_rule": "guarded", "guard_factor": 2.0}, "than the guard band"),
         (
             {"decision_rule": "probability", "conformance_probability": 0.999},
-            "as 0.999",
+            "reaches the probability 0.999",
         ),
     ],
 )

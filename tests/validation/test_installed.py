@@ -2,7 +2,13 @@
 
 import base64
 import hashlib
+from pathlib import Path
+from types import SimpleNamespace
 
+import pytest
+
+import counterspin
+from counterspin.validation import installed
 from counterspin.validation.installed import checked_files, installation
 from counterspin.validation.validate import validate
 
@@ -26,6 +32,19 @@ def test_an_altered_and_a_missing_file_are_named(tmp_path):
     (tmp_path / "b.py").write_text("# b.py \n")
     (tmp_path / "c.py").unlink()
     assert checked_files(record, tmp_path)[1:] == (["b.py"], ["c.py"])
+
+
+@pytest.mark.parametrize("editable", [True, False])
+def test_a_record_is_that_of_the_files_beside_it(editable, monkeypatch, tmp_path):
+    site = tmp_path if editable else Path(counterspin.__file__).parents[1]
+    delivered = SimpleNamespace(
+        requires=[],
+        read_text=lambda name: "counterspin/application/documentation/gone.md,sha256=AAAA,1",
+        locate_file=lambda name: site / name,
+    )
+    monkeypatch.setattr(installed.metadata, "distribution", lambda name: delivered)
+    missing = [] if editable else ["application/documentation/gone.md"]
+    assert installation().missing == missing
 
 
 def test_what_is_installed_is_said():

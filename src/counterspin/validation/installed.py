@@ -25,7 +25,10 @@ def installation() -> Installation:
     except metadata.PackageNotFoundError:
         delivered = None
     if delivered is not None:
-        record = delivered.read_text("RECORD")
+        # An editable installation has other files beside its RECORD than those that are run.
+        beside = Path(str(delivered.locate_file(_PACKAGE)))
+        if beside.resolve() == folder.resolve():
+            record = delivered.read_text("RECORD")
         for requirement in delivered.requires or []:
             if ";" not in requirement:
                 name = "".join(c if c.isalnum() or c in "-_." else " " for c in requirement).split()
