@@ -11,6 +11,7 @@ from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.ext.intersphinx import resolve_reference_any_inventory
+from sphinx.util.inspect import TypeAliasForwardRef
 
 from counterspin.campaign.kinds import SettingsSection
 from counterspin.schemas import unlinked
@@ -31,7 +32,6 @@ def _on_signature(*given: Any) -> tuple[str | None, str | None]:
         if text is None:
             return None
         text = _ARRAY_LIKE.sub("~numpy.typing.ArrayLike", text)
-        text = re.sub(r"~?(?:\w+\.)*TypeAliasForwardRef\('([\w.]+)'\)", r"~\1", text)
         return text.replace("<factory>", "...").replace("PydanticUndefined", "...")
 
     return plain(signature), plain(returns)
@@ -85,6 +85,8 @@ def _on_missing(
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Have pages filled as they are read."""
+    # In a union, of properties too, Sphinx shows an alias by its repr.
+    TypeAliasForwardRef.__repr__ = lambda self: self.name  # type: ignore[method-assign]
     app.connect("source-read", _on_read)
     app.connect("autodoc-process-signature", _on_signature)
     app.connect("autodoc-process-docstring", _on_docstring, priority=400)  # before numpydoc

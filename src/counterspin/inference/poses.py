@@ -163,7 +163,7 @@ class PosesAt:
     indicated: Array  #: By the coefficients, g, shape (n, 3).
     #: The combination of the three indications that no turn changes, unit vectors, (n, 3).
     along: Array
-    growth: Array  #: What it grows by as |f| grows, shape (n,).
+    growth: Array  #: What it grows by as the specific force grows, shape (n,).
 
     @classmethod
     def settled(

@@ -71,8 +71,10 @@ class Station:
 
         site: Gravity, latitude and the Earth's rotation.
         angle: Of the spindle, from east towards north, rad, shape (n,).
-        Returns: m/s^2, shape (n, 3). Neglected: the square of the Earth's rate times the radius
-            (1.3e-8 m/s^2 at 2.5 m) and the turn of the plumb line across the radius.
+        Returns: m/s^2, shape (n, 3).
+
+        Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
+        the turn of the plumb line across the radius.
         """
         force: Array = _forces([self], site, angle)[0]
         return force
