@@ -20,9 +20,9 @@ from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import TERMS
+from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, KeptTable, channel, frame, runs, table_of
 
 #: Trials of a case: usually, where one takes long, and where the noise of displacement is found.

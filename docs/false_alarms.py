@@ -16,7 +16,7 @@ from scipy.special import betaincinv
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result_parts import Finding
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, RATES, KeptTable, channel, frame, runs, table_of
 
 #: Rates of a campaign with more runs, rev/s; the other sense for half of them.

@@ -16,8 +16,8 @@ import numpy as np
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import RecordError
+from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, KeptTable, table_of
 from violations import Size, description, replaced
 

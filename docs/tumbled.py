@@ -11,9 +11,9 @@ from typing import Final
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
-from counterspin.campaign.simulation import simulate
 from counterspin.physics.terms import READING_TERMS, TERMS
 from counterspin.reports.numbers import field_unit, format_number
+from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, KeptTable
 from violations import Row, Violation, lines_of, replaced, row_between
 

@@ -17,8 +17,8 @@ from scipy.special import ndtri, stdtr
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.model import model_of
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.physics.terms import OWN_TERMS, term
+from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, UNITS, KeptTable, frame, table_of
 
 #: Campaigns of each kind.

@@ -14,9 +14,9 @@ from typing import Final
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
-from counterspin.campaign.simulation import simulate
 from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.reports.numbers import field_unit, format_number
+from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, UNITS, KeptTable, channel, frame, runs, table_of
 
 #: Beyond this many standard uncertainties a shift must not go unsaid.

@@ -38,7 +38,6 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.full_report import document
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import read_lab
@@ -56,6 +55,7 @@ from counterspin.planning.plan import plan as make_plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.records.tables import read_numbers, read_table
+from counterspin.simulation.simulate import simulate
 from counterspin.studies.description import read_study
 from counterspin.studies.study import study
 from fuzz import ROOT, connections, native, requests

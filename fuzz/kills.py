@@ -98,7 +98,7 @@ def _write_campaign(path: Path) -> None:
 
 
 def _write_records(path: Path) -> None:
-    from counterspin.campaign.simulation import simulate
+    from counterspin.simulation.simulate import simulate
 
     with tempfile.TemporaryDirectory() as place:
         source = Path(place) / "campaign"

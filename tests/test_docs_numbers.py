@@ -22,7 +22,6 @@ from counterspin.calibration import assembly
 from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
 from counterspin.campaign.kinds import exact
-from counterspin.campaign.simulated import simulable
 from counterspin.certificates import coverage, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared
@@ -33,6 +32,7 @@ from counterspin.physics import gravity, motion, terms
 from counterspin.planning import design, limiting, plan_file, requirements
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.reproduction import plan as paper
+from counterspin.simulation import simulable
 from counterspin.studies import description, draws, result, study, surrogate, tally, validity
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -17,8 +17,8 @@ from campaigns import SMALL, write
 from packaging.requirements import Requirement
 
 from counterspin._version import __version__
-from counterspin.campaign.simulation import simulate
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
+from counterspin.simulation.simulate import simulate
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "counterspin"

@@ -90,7 +90,6 @@ if TYPE_CHECKING:
     from counterspin.campaign.description import read_campaign as read_campaign
     from counterspin.campaign.memory.making import make_campaign as make_campaign
     from counterspin.campaign.quantity import Quantity as Quantity
-    from counterspin.campaign.simulation import simulate as simulate
     from counterspin.campaign.starter import init as init
     from counterspin.certificates.issuing import Certificate as Certificate
     from counterspin.certificates.issuing import certificate as certificate
@@ -150,6 +149,7 @@ if TYPE_CHECKING:
     from counterspin.reproduction.demo import Demonstration as Demonstration
     from counterspin.reproduction.demo import demo as demo
     from counterspin.reproduction.result import Reproduction as Reproduction
+    from counterspin.simulation.simulate import simulate as simulate
     from counterspin.studies.folder import StudyFolder as StudyFolder
     from counterspin.studies.result import StudyResult as StudyResult
     from counterspin.studies.study import study as study
@@ -183,7 +183,7 @@ _OFFERED = {
     "histories.result": ("History",),
     "campaign.starter": ("init",),
     "planning.plan": ("Planned", "plan"),
-    "campaign.simulation": ("simulate",),
+    "simulation.simulate": ("simulate",),
     "calibration.options": ("TwoStageOptions",),
     "errors": (
         "CampaignError",

@@ -17,7 +17,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from workbooks import write_workbook
 
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 RUNS = {"slow": "0.5 rev/s", "fast": "1 rev/s"}
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
-from counterspin.campaign.simulation import simulate_run
+from counterspin.simulation.simulate import simulate_run
 
 
 def small():

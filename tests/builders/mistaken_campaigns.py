@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from campaigns import PLACE, changed, runs, write
 
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 NOISE = '\n[noise]\ndisplacement = "0.01 m"\n'
 SOUND = f"""{PLACE}

@@ -7,9 +7,9 @@ from reading_campaigns import SITE, TRUTH, arm, simulated
 from reading_descriptions import at_rest, on_arm
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
+from counterspin.simulation.simulate import simulate
 
 RATES = (3.0, 6.0, 9.9)
 KINDS = ("double turntable", "at rest", "arm")

@@ -4,8 +4,8 @@ import numpy as np
 import polars as pl
 from campaigns import write
 
-from counterspin.campaign.simulation import simulate
 from counterspin.campaign.toml_file import load_document
+from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import write_document
 
 #: True noise of a sample of the two columns of a record at rest, m.

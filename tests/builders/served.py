@@ -13,7 +13,7 @@ from counterspin.application.guard import Door
 from counterspin.application.jobs import Jobs
 from counterspin.application.server import listening, server_of
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 #: Shorter than the other tests' campaign: nobody asks here what comes out.
 SHORT = (

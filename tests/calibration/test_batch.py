@@ -18,9 +18,9 @@ from clusters import cluster_of_the_page, dask_cluster
 from counterspin import workers
 from counterspin.calibration.batch import BatchResult, calibrate_many
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CounterspinError
+from counterspin.simulation.simulate import simulate
 from counterspin.workers import Workers
 
 

@@ -10,8 +10,8 @@ from campaigns import SMALL, campaign_of, changed, write
 from counterspin.calibration import observed
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.checksums import Checksums
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import RecordError
+from counterspin.simulation.simulate import simulate
 
 
 def checksum(file):

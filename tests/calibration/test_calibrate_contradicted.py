@@ -9,7 +9,7 @@ from campaigns import SMALL, changed, write
 from counterspin import cli
 from counterspin.calibration.batch import BatchResult
 from counterspin.calibration.result import Result
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 REASON = "radius measured again: 2.6 m it is"
 SPECIFIED = (

@@ -11,9 +11,9 @@ from counterspin.calibration.pages.sections import sections
 from counterspin.calibration.result import Result
 from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.simulation import simulate
 from counterspin.campaign.specification import resolve_specifications
 from counterspin.inference.conformity import DecisionRule, Specification, judge
+from counterspin.simulation.simulate import simulate
 
 # K_II of Qx is 27 and of Qy -32 ug/g^2, u below 0.4 by either method; K_PO is not in the model.
 SPECIFIED = (

@@ -16,9 +16,9 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CampaignError, ConvergenceError, NotIdentifiableError
+from counterspin.simulation.simulate import simulate
 
 BASE = f"""{PLACE}
 [accelerometers.Qx]

@@ -13,9 +13,9 @@ from counterspin.calibration.joint_parts import hidden_walk
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.memory.making import make_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import DEGREE_PER_HOUR
+from counterspin.simulation.simulate import simulate
 
 
 def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:

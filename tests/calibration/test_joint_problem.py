@@ -14,7 +14,6 @@ from counterspin.calibration.observed import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
@@ -22,6 +21,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
+from counterspin.simulation.simulate import simulate
 
 RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
 

@@ -10,8 +10,8 @@ from campaigns import PLACE, SMALL, campaign_of, changed, runs
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import observe
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import RecordError
+from counterspin.simulation.simulate import simulate
 
 #: What an observable's columns are called in the description, and its noise.
 OBSERVED = {"velocity": ("m/s", "0.01 m/s"), "specific_force": ("g", "1e-4 g")}

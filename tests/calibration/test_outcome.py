@@ -6,7 +6,7 @@ from campaigns import SMALL, campaign_of, changed
 
 from counterspin.calibration.joint import joint
 from counterspin.calibration.observed import observe
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 
 def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):

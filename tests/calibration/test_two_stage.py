@@ -18,9 +18,9 @@ from counterspin.calibration.options import command_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.two_stage import TwoStageOptions, two_stage, two_stage_view
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import NotIdentifiableError
+from counterspin.simulation.simulate import simulate
 
 TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 8
 

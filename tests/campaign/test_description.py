@@ -10,12 +10,12 @@ from campaigns import PLACE, changed
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.model import DEFAULT_TERMS
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.simulated.simulable import simulation_problems
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import TABLE, term
+from counterspin.simulation.simulable import simulation_problems
 
 BASE = (
     changed(

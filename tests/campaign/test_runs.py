@@ -6,9 +6,9 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError
 from counterspin.records.dialect import Dialect
+from counterspin.simulation.simulate import simulate
 
 ANGLE = 'angle = { column = "angle_rad", unit = "rad" }'
 TIME = 'time = { column = "time_s", unit = "s" }'

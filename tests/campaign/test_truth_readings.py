@@ -4,8 +4,8 @@ import pytest
 from campaigns import campaign_of
 from reading_descriptions import ACCELEROMETER, on_arm, place
 
-from counterspin.campaign.simulated.simulable import unfit_readings
 from counterspin.errors import CampaignError
+from counterspin.simulation.simulable import unfit_readings
 
 RUN = on_arm("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")
 BASE = place("1 m") + ACCELEROMETER + RUN

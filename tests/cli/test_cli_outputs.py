@@ -13,8 +13,8 @@ from results import result
 from certificates import write_lab
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CounterspinError
+from counterspin.simulation.simulate import simulate
 from counterspin.validation.validate import validate, write_dossier
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"

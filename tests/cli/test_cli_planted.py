@@ -18,8 +18,8 @@ from counterspin import cli
 from counterspin.application.jobs import Job, Jobs, calibrate_into
 from counterspin.application.live import LiveViews
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.records import isolation
+from counterspin.simulation.simulate import simulate
 
 #: What a new process of Python, of multiprocessing and of the reader imports first.
 PLANTED = ("json", "signal", "multiprocessing")

@@ -13,7 +13,7 @@ from campaigns import SMALL, changed, write
 from results import result
 
 from counterspin import cli
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"
 COMMAND = f"{sys.executable} -m counterspin"

@@ -7,9 +7,9 @@ from campaigns import SMALL, changed, write
 from mixed_campaign import MixedCampaign
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError
 from counterspin.planning.forecast import forecast
+from counterspin.simulation.simulate import simulate
 
 
 def test_a_mixed_campaign_has_the_uncertainties_that_were_forecast(tmp_path):

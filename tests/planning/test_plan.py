@@ -15,7 +15,6 @@ from campaigns import PLACE, changed, without
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.planning.design import Design
 from counterspin.planning.figures import FIGURES, plan_plots, save_figures
@@ -25,6 +24,7 @@ from counterspin.planning.plan_file import read_plan
 from counterspin.planning.result import Curve, Curves, PlanResult
 from counterspin.planning.search import Search
 from counterspin.reports.text import report_console
+from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import write_document
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -7,9 +7,9 @@ from campaigns import SMALL, changed, write
 from reading_descriptions import on_arm
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.planning.page import plan_blocks
 from counterspin.planning.plan import check
+from counterspin.simulation.simulate import simulate
 
 ASSUMED = 'assume = "all"\n'
 

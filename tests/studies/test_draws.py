@@ -9,8 +9,8 @@ import pytest
 from campaigns import changed, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError
+from counterspin.simulation.simulate import simulate
 from counterspin.studies.analyses import analyses_of
 from counterspin.studies.choice import choose_engine
 from counterspin.studies.description import read_study

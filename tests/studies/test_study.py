@@ -15,11 +15,11 @@ from scipy import stats
 from counterspin import workers
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import term
+from counterspin.simulation.simulate import simulate
 from counterspin.studies import full_engine
 from counterspin.studies import work as study_work
 from counterspin.studies.analyses import analyses_of

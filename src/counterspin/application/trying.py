@@ -75,7 +75,7 @@ def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
     """Make a campaign's records in a folder; `there` is told as of `processes.report_progress`."""
 
     def work(progress: Progress) -> None:
-        from counterspin.campaign.simulation import simulate
+        from counterspin.simulation.simulate import simulate
 
         simulate(campaign, folder, progress=progress)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics import observation

@@ -10,9 +10,9 @@ from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.unknowns import Unknowns

@@ -10,7 +10,8 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `checking`: mistakes in the file, collected and reported with their keys
 - `terms`: names of error terms: what each stands for, and where it acts
 - `model`: what is asked for, held and known of terms
-- `truth`: the true values of a simulated campaign; a calibration does not read them
+- `truth`, `truth_of_inputs`: the true values of a simulated campaign; a calibration does not read
+  them
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the parts of a campaign as the calculation sees them, in SI
 - `toml_file`: files in TOML, read
@@ -24,6 +25,5 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `runs`: runs with records: how each is read, and which are left out
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `starter`: a commented campaign to start from
-- `simulation`: records and readings of a campaign whose coefficients are known
-- `simulated`: whether a campaign can be simulated; its readings, and noise from a record at rest
+- `noise_at_rest`: noise that is left to a record at rest
 """

@@ -33,7 +33,6 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SiteSettings,
 )
-from counterspin.campaign.simulated.truth_of_inputs import recorders_of
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -45,6 +44,7 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
 from counterspin.campaign.truth import TruthReader
+from counterspin.campaign.truth_of_inputs import recorders_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.grades import DEFAULT_GRADE, Size

@@ -33,14 +33,14 @@ from counterspin.campaign.settings import (
     StatedNoise,
     term_keys,
 )
-from counterspin.campaign.simulated.truth_of_inputs import (
+from counterspin.campaign.terms import expand, symbols_shown
+from counterspin.campaign.toml_file import flat_keys, table_of
+from counterspin.campaign.truth_of_inputs import (
     RecordsTruthSettings,
     SiteTruthSettings,
     TrueRadius,
     true_inputs,
 )
-from counterspin.campaign.terms import expand, symbols_shown
-from counterspin.campaign.toml_file import flat_keys, table_of
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import (
     COMMON_NAMES,

@@ -21,8 +21,8 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     """
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions
-    from counterspin.campaign.simulation import simulate as run
     from counterspin.reports.progress import progress
+    from counterspin.simulation.simulate import simulate as run
 
     described = read_campaign(campaign)
     with progress(words=("Simulating", "Files", "Files")) as advance:

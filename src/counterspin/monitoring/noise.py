@@ -13,8 +13,8 @@ from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.kinds import exact
+from counterspin.campaign.noise_at_rest import SI_UNITS, rest_signals
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.simulated.noise_at_rest import SI_UNITS, rest_signals
 from counterspin.errors import CampaignError, RecordError
 from counterspin.exports.guessing import STANDARD_GRAVITY, FileGuess, converts, guess_file
 from counterspin.exports.looking import FileColumn, Look, look

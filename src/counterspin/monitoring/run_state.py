@@ -10,8 +10,8 @@ from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
 from counterspin.monitoring.observer import record_name
 from counterspin.monitoring.result import ResidualState, RunState

@@ -18,9 +18,8 @@ from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.noise_at_rest import said_noise, true_noise
 from counterspin.campaign.resolved import Run, sample_count
-from counterspin.campaign.simulated.noise_at_rest import said_noise, true_noise
-from counterspin.campaign.simulated.simulable import require_room
 from counterspin.campaign.triads.grouped import all_groups
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -38,6 +37,7 @@ from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS
 from counterspin.planning.runs.setup import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
 from counterspin.reports.numbers import field_unit, format_number
+from counterspin.simulation.simulable import require_room
 
 
 @frozen(eq=False)

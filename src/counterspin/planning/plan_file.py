@@ -18,9 +18,9 @@ from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.memory.changes import SHORT
 from counterspin.campaign.memory.documents import patched, plain
+from counterspin.campaign.noise_at_rest import SI_UNITS, with_sizes_found
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
-from counterspin.campaign.simulated.noise_at_rest import SI_UNITS, with_sizes_found
 from counterspin.campaign.toml_file import list_of, load_document, table_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen

@@ -24,12 +24,6 @@ from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.kinds import SettingsSection, Several, Text, described, exact
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.simulated.simulable import (
-    require_room,
-    simulation_problems,
-    unfit_readings,
-)
-from counterspin.campaign.simulated.truth_of_inputs import recorders_of
 from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -37,11 +31,17 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_document,
 )
+from counterspin.campaign.truth_of_inputs import recorders_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
+from counterspin.simulation.simulable import (
+    require_room,
+    simulation_problems,
+    unfit_readings,
+)
 from counterspin.studies.draws import OTHERS, VariedQuantity
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 

@@ -16,7 +16,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.model import inputs_by_owner
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.simulated.noise_at_rest import true_noise
+from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import INPUTS, OWN_TERMS

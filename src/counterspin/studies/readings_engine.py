@@ -15,15 +15,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.simulated.noise_at_rest import true_noise
-from counterspin.campaign.simulated.reading_simulation import (
-    head_errors,
-    indications,
-    numbered_groups,
-    true_directions,
-    true_poses,
-)
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
@@ -31,6 +24,13 @@ from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_in
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.physics.terms import shown_by_readings
 from counterspin.records.mean import stretches
+from counterspin.simulation.readings import (
+    head_errors,
+    indications,
+    numbered_groups,
+    true_directions,
+    true_poses,
+)
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws
 from counterspin.studies.full_engine import FullEngine

@@ -6,7 +6,7 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 ARCMIN = math.radians(1.0 / 60.0)
 

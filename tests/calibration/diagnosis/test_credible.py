@@ -10,8 +10,8 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.histories.history import history
+from counterspin.simulation.simulate import simulate
 
 SIGMA = 2e-6
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}

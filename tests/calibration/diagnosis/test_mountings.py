@@ -11,7 +11,7 @@ from reading_descriptions import at_rest
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.diagnosis.mountings import OtherMounting, better
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 UNITS = {"displacement": ("m", "0.01 m"), "specific_force": ("m/s^2", "1e-4 m/s^2")}
 STATED = """K_OO = "2e-6 ± 1e-8 g/g^2"

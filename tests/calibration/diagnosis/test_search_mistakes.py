@@ -28,9 +28,9 @@ from mistaken_campaigns import (
 
 from counterspin import calibrate
 from counterspin.calibration.diagnosis import search
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CounterspinError
 from counterspin.inference.joint.estimation import estimate_again
+from counterspin.simulation.simulate import simulate
 
 PAGE = Path(__file__).parents[3] / "docs" / "diagnosis.md"
 RADIUS = 'radius = "2.5 m"'

@@ -19,9 +19,9 @@ from counterspin.calibration.notebook.latex import (
 )
 from counterspin.calibration.result import Result, read_result
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CounterspinError
 from counterspin.reports.shown import LINES
+from counterspin.simulation.simulate import simulate
 
 mpl.use("Agg")
 

@@ -6,8 +6,8 @@ from campaigns import SMALL, changed, write
 from results import accelerometer, bare_result, coefficient
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 from counterspin.correction.apply import ApplyOptions, apply
+from counterspin.simulation.simulate import simulate
 
 CROSSED = changed(
     SMALL,

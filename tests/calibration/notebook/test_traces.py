@@ -8,7 +8,7 @@ from campaigns import SMALL, changed, write
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.notebook.traces import _rounded
 from counterspin.calibration.result import Result
-from counterspin.campaign.simulation import simulate
+from counterspin.simulation.simulate import simulate
 
 #: Where samples are displaced, and by how much, in metres.
 PLANTED = {100: 0.4, 371: -0.25}

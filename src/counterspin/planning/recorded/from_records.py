@@ -10,8 +10,8 @@ from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
-from counterspin.campaign.simulated.noise_at_rest import said_noise
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.noise.model import Noise
 

@@ -11,10 +11,10 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
-from counterspin.campaign.simulated.pose_record import record_seconds
 from counterspin.errors import CampaignError
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term
+from counterspin.simulation.pose_record import record_seconds
 
 #: A true value may be this many times its largest credible size.
 TRUTH_MARGIN: Final = 5.0

@@ -9,13 +9,13 @@ import pytest
 from campaigns import SMALL, campaign_of, changed, without, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign import simulation as module
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate, simulate_run
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.physics import simulation
 from counterspin.physics.motion import Trajectory
+from counterspin.simulation import simulate as module
+from counterspin.simulation.simulate import simulate, simulate_run
 
 SILENT = changed(without(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]"))
 RECORDS = ("slow.csv", "middle.csv", "fast.csv")

@@ -9,9 +9,9 @@ import pytest
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
+from counterspin.simulation.simulate import simulate
 
 TEXT = """# of the laboratory
 schema = 1

@@ -5,10 +5,10 @@ import pytest
 import triads
 
 import counterspin as cs
-from counterspin.campaign.simulated.pose_record import forces_in_record, record_seconds
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
+from counterspin.simulation.pose_record import forces_in_record, record_seconds
 
 NOISE = 5e-4  # g, of each row
 
@@ -68,7 +68,7 @@ def test_what_was_simulated_comes_back(tmp_path):
     assert max(c.u for c in found) < 1e-4
     record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, None, None)
     campaign = cs.read_campaign(tmp_path)
-    from counterspin.campaign.simulated.reading_simulation import stream
+    from counterspin.simulation.readings import stream
 
     _, _, along = forces_in_record(record, 30, 100.0, stream(campaign, 0, 3))
     directions = np.array([pose.direction for pose in result.triad.poses])

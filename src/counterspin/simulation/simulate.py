@@ -19,6 +19,7 @@ from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign, resolved_in_memory
 from counterspin.campaign.memory.records import WRITERS, write_as_it_is
 from counterspin.campaign.memory.source import source_of
+from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
     Accelerometer,
@@ -27,28 +28,6 @@ from counterspin.campaign.resolved import (
     sample_count,
 )
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.simulated.noise_at_rest import true_noise
-from counterspin.campaign.simulated.pose_record import forces_in_record, indicated_forces
-from counterspin.campaign.simulated.reading_simulation import (
-    Exact,
-    filled_description,
-    filled_table,
-    simulate_mean_record,
-    stream,
-    true_poses,
-    true_readings,
-)
-from counterspin.campaign.simulated.simulable import (
-    refuse_unsupported,
-    require_room,
-    simulation_problems,
-    unfit_readings,
-)
-from counterspin.campaign.simulated.true_inputs import (
-    stamped_over_true,
-    stated_over_true,
-    with_true_inputs,
-)
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
@@ -57,6 +36,27 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
 from counterspin.physics.path_errors import encoder_error, true_trajectory
 from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.simulation.pose_record import forces_in_record, indicated_forces
+from counterspin.simulation.readings import (
+    Exact,
+    filled_description,
+    filled_table,
+    simulate_mean_record,
+    stream,
+    true_poses,
+    true_readings,
+)
+from counterspin.simulation.simulable import (
+    refuse_unsupported,
+    require_room,
+    simulation_problems,
+    unfit_readings,
+)
+from counterspin.simulation.true_inputs import (
+    stamped_over_true,
+    stated_over_true,
+    with_true_inputs,
+)
 
 
 @overload

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from campaigns import campaign_of
 
-from counterspin.campaign.simulated.reading_simulation import (
+from counterspin.simulation.readings import (
     head_errors,
     simulate_mean_record,
     true_machine,

@@ -10,11 +10,11 @@ from campaigns import SMALL, changed, write
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import MOST_ROWS, MOST_SIMULATED_ROWS
-from counterspin.campaign.simulated.simulable import paper_rows, require_room
-from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check
+from counterspin.simulation.simulable import paper_rows, require_room
+from counterspin.simulation.simulate import simulate
 from counterspin.studies.study import study
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from campaigns import SMALL, campaign_of, changed, without
 
-from counterspin.campaign.simulation import simulate, simulate_run
 from counterspin.errors import CampaignError
+from counterspin.simulation.simulate import simulate, simulate_run
 
 SILENT = changed(without(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]"))
 #: A steady spindle, so that closed forms hold.

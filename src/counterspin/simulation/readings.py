@@ -27,7 +27,6 @@ from counterspin.campaign.readings_table import (
     load_table,
 )
 from counterspin.campaign.resolved import sample_count
-from counterspin.campaign.simulated.true_inputs import at_true_inputs, with_true_inputs
 from counterspin.campaign.terms import POSITION
 from counterspin.campaign.toml_file import load_document
 from counterspin.campaign.triads.declared import is_pose
@@ -39,6 +38,7 @@ from counterspin.inference.poses import indications_along
 from counterspin.input import read_file
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.simulation.true_inputs import at_true_inputs, with_true_inputs
 from counterspin.toml_text import write_document
 from counterspin.units import unit_factor
 

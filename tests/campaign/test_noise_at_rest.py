@@ -10,7 +10,7 @@ import counterspin as cs
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.memory.making import make_campaign
-from counterspin.campaign.simulated.noise_at_rest import true_noise
+from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.errors import CampaignError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
