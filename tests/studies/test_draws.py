@@ -57,7 +57,7 @@ def made(folder, text, engine):
     names = [one.symbol for one in part.reported]
     rows = list(part.rows)
     values = zip(trials.estimate[rows, 0], trials.u[rows, 0], strict=True)
-    return part.kind, dict(zip(names, values, strict=True))
+    return part.cost, dict(zip(names, values, strict=True))
 
 
 # K_F shows as g t^2/2, K_I - 1 as R cos wt beside the reference R cos wt, K_II as

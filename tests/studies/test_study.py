@@ -181,7 +181,7 @@ def test_shortcut_refuses_outside_its_validity(tmp_path, change, reason):
     two_stage = next(one for one in analyses_of(description) if one.name == "two-stage")
     with pytest.raises(NotIdentifiableError, match=reason):
         choose_engine(world, truth, two_stage, "surrogate")
-    assert choose_engine(world, truth, two_stage, "auto").kind == "full"
+    assert choose_engine(world, truth, two_stage, "auto").cost == "full"
 
 
 @pytest.mark.parametrize("engine", ["auto", "full"])
@@ -244,7 +244,7 @@ def two_stage_part(folder, noise):
 )
 def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_path, noise, reason):
     _, truth, part = two_stage_part(tmp_path / "a", f'[noise]\ndisplacement = "0.01 m"\n{noise}')
-    assert part.kind == "full"
+    assert part.cost == "full"
     assert reason in part.words
     draws = truth.draw(stream(3, 0, 0), 2)
     found = part.engine.trials(draws, stream(3, 0, 1))
@@ -301,7 +301,7 @@ def test_joint_fit_of_a_varying_rotation_needs_whole_records(tmp_path):
     description = read_study(write(tmp_path / "a", text))
     joint = next(one for one in analyses_of(description) if one.name == "joint")
     part = choose_engine(*world_and_truth(description), joint, "auto")
-    assert part.kind == "full"
+    assert part.cost == "full"
     assert "rotation varies" in part.words
 
 
@@ -363,7 +363,7 @@ def test_what_is_known_is_drawn_and_what_is_true_or_asked_for_is_not(tmp_path):
     varying = drawn("unstated", UNSTATED)
     assert {"K_OO", "K_OQ", "K_F.trend"} <= {symbol for owner, symbol in varying if owner == "Qx"}
     k_oo = varying["Qx", "K_OO"]
-    assert (k_oo.kind, k_oo.first, k_oo.second) == ("normal", 0.0, term("K_OO").typical)
+    assert (k_oo.distribution, k_oo.first, k_oo.second) == ("normal", 0.0, term("K_OO").typical)
     radius = varying["", "centrifuge.radius"]
     assert (radius.first, radius.second) == (2.5, term("centrifuge.radius").typical)
     assert varying["", "platform.tilt.north"].per_run
@@ -382,7 +382,7 @@ def test_what_is_known_is_drawn_and_what_is_true_or_asked_for_is_not(tmp_path):
     changed = drawn("stated", stated)
     true = {"K_OO", "site.latitude", "platform.tilt.north"}
     assert {symbol for _, symbol in set(varying) - set(changed)} == true
-    assert changed["Qx", "K_PO"].kind == "uniform"
+    assert changed["Qx", "K_PO"].distribution == "uniform"
     assert changed["Qx", "K_IO"].second == 1e-7
     k_pp, radius = changed["Qx", "K_PP"], changed["", "centrifuge.radius"]
     assert (k_pp.first, k_pp.second, radius.second) == (3e-6, 1e-6, 2e-6)

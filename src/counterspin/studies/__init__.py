@@ -6,11 +6,11 @@
 - `analyses`: what competes; `bound`: the least uncertainty that the records allow
 - `strobed_effects`, `surrogate`: what errors add to a strobed run, by quadrature and as a
   polynomial
-- `trials`: what every engine gives
+- `engine`, `tally`: what every engine gives, all analyses of a batch of trials; what trials
+  amount to
 - `two_stage_engine`, `joint_engine`: trials by sufficient statistics
-- `full_engine`, `readings_engine`: trials by whole records, and of readings
+- `full_engine`: trials without any shortcut, of `trial_records` and `trial_readings`
 - `validity`, `choice`: where the fast engines hold; which engine an analysis gets
-- `engine`, `tally`: all analyses of a batch of trials; what trials amount to
 - `work`: the trials shared out, on one core, on many or on a cluster
 - `result`: what a study found, its JSON; `folder`: where it is kept, and what a resumption needs
 - `page`: a study as a person reads it, with its figures

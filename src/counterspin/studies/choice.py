@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Final, Literal
 
 import numpy as np
@@ -16,12 +15,12 @@ from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
 from counterspin.studies.bound import bounds
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import DRIFT, RIPPLE_AMPLITUDE, RIPPLE_RATIO, StudyTruth
-from counterspin.studies.engine import EnginePart, ReportedCoefficient, StudyEngine
+from counterspin.studies.engine import Cost, EnginePart, ReportedCoefficient, StudyEngine
 from counterspin.studies.full_engine import FullEngine
 from counterspin.studies.joint_engine import JointEngine
-from counterspin.studies.readings_engine import readings_engine
 from counterspin.studies.surrogate import Surrogate, box_of
 from counterspin.studies.tally import Driver, Tally
+from counterspin.studies.trial_readings import TrialReadings
 from counterspin.studies.two_stage_engine import TwoStageEngine, changes_by_inputs
 from counterspin.studies.validity import against_joint, against_strobes
 from counterspin.studies.world import World, world_of
@@ -42,7 +41,7 @@ def prepare(study: StudyDescription, seed: int, engine: EngineName = "auto") -> 
     parts = []
     for analysis in analyses_of(study):
         if read:
-            parts.append(_readings(campaign, world, truth, analysis, engine))
+            parts.append(_with_readings(campaign, world, truth, analysis, engine))
         else:
             assert world is not None
             parts.append(choose_engine(world, truth, analysis, engine))
@@ -86,7 +85,7 @@ def choose_engine(
     return _two_stage(world, truth, analysis, request, engine)
 
 
-def _readings(
+def _with_readings(
     campaign: Campaign,
     world: World | None,
     truth: StudyTruth,
@@ -94,38 +93,17 @@ def _readings(
     engine: EngineName,
 ) -> EnginePart:
     """Return the engine of a campaign with readings, records beside them or not."""
-    request = analysis.joint
     if engine in ("surrogate", "exact"):
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="{engine}"` is not valid here: there are readings; '
             'use `engine="full"`, or omit `engine`'
         )
-    records = None if world is None else FullEngine(world, request, request)
     try:
-        made = readings_engine(campaign, request, records)
+        readings = TrialReadings.of(campaign)
     except ValueError as error:
         raise NotIdentifiableError(f"{analysis.name}: {error}") from error
-    least = bounds(truth, request.model, world, made.with_true_noise)
-    kept, lost = _determined(request, least)
-    return EnginePart(
-        engine=replace(made, rows=kept),
-        kind="readings" if records is None else "full",
-        noise=0,
-        words="readings" if records is None else "full records and readings",
-        rows=tuple(range(len(kept))),
-        reported=_reported(analysis, [request.model.unknowns[place] for place in kept], least),
-        lost=lost,
-    )
-
-
-def _determined(
-    request: JointRequest, least: Mapping[str, float]
-) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """Return the places of what is reported and has a bound, and the names of what has none."""
-    unknowns = request.model.unknowns
-    kept = tuple(place for place in request.reported if unknowns[place].name in least)
-    lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
-    return kept, lost
+    words = "readings" if world is None else "full records and readings"
+    return _full_joint(world, truth, analysis, analysis.joint, words, readings)
 
 
 def _two_stage(
@@ -145,7 +123,8 @@ def _two_stage(
     asked = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
     symbols = tuple(dict.fromkeys([*(symbol for _, symbol in true), *asked]))
     surrogates: tuple[Surrogate, ...] | None = None
-    kind, words = "exact", "sufficient statistics, exact quadrature"
+    cost: Cost
+    cost, words = "exact", "sufficient statistics, exact quadrature"
     if engine != "exact":
         boxes = [box_of(motion, truth.small_bounds(run)) for run, motion in enumerate(motions)]
         fitted = tuple(
@@ -154,21 +133,21 @@ def _two_stage(
         outside = _share_outside(truth, fitted)
         if engine == "surrogate" or outside < _LARGEST_SHARE_OUTSIDE:
             surrogates = fitted
-            kind, words = (
+            cost, words = (
                 "sampled" if request.sigma is None else "constant",
                 "sufficient statistics",
             )
             if any(box.varies.size for box in boxes):
                 error = max(surrogate.error for surrogate in fitted)
-                kind = "surrogate"
+                cost = "surrogate"
                 words += f", surrogate of degree 4 (error {error:.0e})"
             if outside:
-                kind = "exact" if outside > 0.05 else kind
+                cost = "exact" if outside > 0.05 else cost
                 words += f", exact quadrature for the {100.0 * outside:.2g} % outside its box"
     inputs = changes_by_inputs(world, truth, analysis.owner, symbols)
     made = TwoStageEngine(request, analysis.owner, motions, symbols, true, surrogates, inputs)
     rows, reported = _of_two_stage(world, truth, analysis, request)
-    return EnginePart(made, kind, _stream(world, analysis), words, rows, reported)
+    return EnginePart(made, cost, _stream(world, analysis), words, rows, reported)
 
 
 def _stream(world: World, analysis: Analysis) -> int:
@@ -202,16 +181,36 @@ def _joint(
 
 
 def _full(world: World, truth: StudyTruth, analysis: Analysis, words: str) -> EnginePart:
-    request, noise = analysis.request, _stream(world, analysis)
-    if isinstance(request, TwoStageRequest):
-        rows, reported = _of_two_stage(world, truth, analysis, request)
-        made = FullEngine(world, request, analysis.joint, analysis.owner)
-        return EnginePart(made, "full", noise, words, rows, reported)
-    least = bounds(truth, request.model, world)
-    kept, lost = _determined(request, least)
-    reported = _reported(analysis, [request.model.unknowns[place] for place in kept], least)
-    made, rows = FullEngine(world, request, request, rows=kept), tuple(range(len(kept)))
-    return EnginePart(made, "full", noise, words, rows, reported, lost)
+    request = analysis.request
+    if isinstance(request, JointRequest):
+        return _full_joint(world, truth, analysis, request, words)
+    rows, reported = _of_two_stage(world, truth, analysis, request)
+    made = FullEngine(world, request, analysis.joint, analysis.owner)
+    return EnginePart(made, "full", _stream(world, analysis), words, rows, reported)
+
+
+def _full_joint(
+    world: World | None,
+    truth: StudyTruth,
+    analysis: Analysis,
+    request: JointRequest,
+    words: str,
+    readings: TrialReadings | None = None,
+) -> EnginePart:
+    known = () if readings is None else readings.with_true_noise
+    least = bounds(truth, request.model, world, known)
+    unknowns = request.model.unknowns
+    kept = tuple(place for place in request.reported if unknowns[place].name in least)
+    lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
+    return EnginePart(
+        engine=FullEngine(world, request, request, rows=kept, readings=readings),
+        cost="readings" if world is None else "full",
+        noise=0 if world is None or readings is not None else _stream(world, analysis),
+        words=words,
+        rows=tuple(range(len(kept))),
+        reported=_reported(analysis, [unknowns[place] for place in kept], least),
+        lost=lost,
+    )
 
 
 def _of_two_stage(

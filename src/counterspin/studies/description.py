@@ -46,7 +46,7 @@ from counterspin.studies.draws import OTHERS, VariedQuantity
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 #: Kinds of distribution, as they are written.
-_KINDS: Final = ("normal", "uniform", "fixed")
+_DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")
 
 
 def _analysis_name(analysis: str) -> str:
@@ -292,7 +292,7 @@ def _entries(
 ) -> Iterator[tuple[str, KeyPath, Any]]:
     """Yield name, path and entry; names may be written with quotation marks or without."""
     for key, value in table.items():
-        nested = isinstance(value, Mapping) and not any(kind in value for kind in _KINDS)
+        nested = isinstance(value, Mapping) and not any(name in value for name in _DISTRIBUTIONS)
         if nested and value and all(isinstance(inner, Mapping) for inner in value.values()):
             yield from _entries(value, (*path, key), f"{prefix}{key}.")
         else:
@@ -311,15 +311,15 @@ def _varying(
     names = _names(key, path, campaign, recorders, problems)
     if settings is None or not names:
         return []
-    given = [kind for kind in _KINDS if getattr(settings, kind) is not None]
+    given = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
     if len(given) != 1:
         problems.add(path, "needs one of normal, uniform and fixed")
         return []
-    (kind,) = given
+    (distribution,) = given
     symbol = names[0][1]
     unit = OTHERS.get(symbol) or unit_of(symbol)
     read = problems.attempt(
-        path, _read, kind, getattr(settings, kind), unit, campaign.gravity.value
+        path, _read, distribution, getattr(settings, distribution), unit, campaign.gravity.value
     )
     per_run = settings.per == "run"
     if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
@@ -332,13 +332,14 @@ def _varying(
     if symbol in INPUTS:
         low, high = term(symbol).effect.between
         if not all(
-            low <= value <= high for value in (first, second if kind == "uniform" else first)
+            low <= value <= high
+            for value in (first, second if distribution == "uniform" else first)
         ):
             problems.add(path, f"must be between {low:.4g} and {high:.4g} {unit}")
     if symbol in NOISE_LEVELS and first < 0.0:
         problems.add(path, "must not be less than zero")
     return [
-        VariedQuantity(owner, name, kind, first, second, per_run)  # type: ignore[arg-type]
+        VariedQuantity(owner, name, distribution, first, second, per_run)  # type: ignore[arg-type]
         for owner, name in names
     ]
 
@@ -392,14 +393,14 @@ def _inputs(
     return named
 
 
-def _read(kind: str, value: Any, unit: str, gravity: float) -> tuple[float, float]:
+def _read(distribution: str, value: Any, unit: str, gravity: float) -> tuple[float, float]:
     """Return the two numbers of a distribution."""
-    if kind == "normal":
+    if distribution == "normal":
         quantity = parse(_text(value, unit), unit, gravity=gravity)
         if quantity.u <= 0.0:
             raise ValueError('a normal distribution is written "MEAN ± SD UNIT"')
         return quantity.value, quantity.u
-    if kind == "fixed":
+    if distribution == "fixed":
         return exact(_text(value, unit), unit, gravity), 0.0
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError('a uniform distribution is written ["LEAST UNIT", "GREATEST UNIT"]')

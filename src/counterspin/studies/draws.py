@@ -47,7 +47,7 @@ class VariedQuantity:
 
     owner: str  #: The accelerometer of a term of its own, the recorder of a clock; else empty.
     symbol: str  #: A term of the tables or a key of `OTHERS`.
-    kind: Literal["normal", "uniform", "fixed"]  #: ``normal``, ``uniform`` or ``fixed``.
+    distribution: Literal["normal", "uniform", "fixed"]
     #: Mean and standard deviation; least and greatest value; value and 0.
     first: float
     second: float
@@ -56,12 +56,12 @@ class VariedQuantity:
     def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
         """Return values, shape (runs, trials), with 1 in place of what has them in common."""
         rows = runs if self.per_run else 1
-        if self.kind == "normal":
+        if self.distribution == "normal":
             drawn: Array = generator.standard_normal((rows, trials))
             drawn *= self.second
             drawn += self.first
             return drawn
-        if self.kind == "uniform":
+        if self.distribution == "uniform":
             drawn = generator.random((rows, trials))
             drawn *= self.second - self.first
             drawn += self.first
@@ -71,9 +71,9 @@ class VariedQuantity:
     @property
     def reach(self) -> tuple[float, float]:
         """The least and greatest value that matter."""
-        if self.kind == "normal":
+        if self.distribution == "normal":
             return self.first - _VALID_SDS * self.second, self.first + _VALID_SDS * self.second
-        return (self.first, self.second if self.kind == "uniform" else self.first)
+        return (self.first, self.second if self.distribution == "uniform" else self.first)
 
 
 @frozen
@@ -267,7 +267,8 @@ class StudyTruth:
     def varies(self, *symbols: str) -> bool:
         """Return whether any of some quantities varies."""
         return any(
-            varying.symbol in symbols and varying.kind != "fixed" for varying in self.varying
+            varying.symbol in symbols and varying.distribution != "fixed"
+            for varying in self.varying
         )
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
@@ -11,10 +11,13 @@ from counterspin.frozen import frozen
 from counterspin.studies.draws import DRIFT, Draws, StudyTruth
 from counterspin.studies.noise import NOISE_STREAM, TRUTH_STREAM, stream
 from counterspin.studies.tally import Driver, Tally
-from counterspin.studies.trials import Engine
+
+#: What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with it the
+#: second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
+Cost = Literal["constant", "sampled", "surrogate", "exact", "readings", "full"]
 
 #: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
-_BATCH: Final = {
+_BATCH: Final[dict[Cost, int]] = {
     "constant": 16384,
     "sampled": 8192,
     "surrogate": 4096,
@@ -22,6 +25,24 @@ _BATCH: Final = {
     "readings": 64,
     "full": 8,
 }
+
+
+@frozen
+class Trials:
+    """What an analysis says in n trials."""
+
+    #: Of each coefficient, shape (c, n); u is the combined standard uncertainty.
+    estimate: Array
+    u: Array
+    dof: Array  #: Its effective degrees of freedom, shape (c, n); infinite where noise is given.
+
+
+class Engine(Protocol):
+    """Makes the trials of one analysis."""
+
+    def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
+        """Return what the analysis says of each draw of what is true, with noise of its own."""
+        ...
 
 
 @frozen
@@ -46,9 +67,7 @@ class EnginePart:
     """An engine and what it reports, in the order of its rows."""
 
     engine: Engine  #: The engine.
-    #: What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with it
-    #: the second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
-    kind: str
+    cost: Cost  #: What a trial of it costs.
     #: Which stream of noise it draws from. Analyses that share one see the same readings.
     noise: int
     words: str  #: What it is called.
@@ -77,7 +96,7 @@ class StudyEngine:
     @property
     def batch_size(self) -> int:
         """Trials in a batch."""
-        return min(_BATCH[part.kind] for part in self.parts)
+        return min(_BATCH[part.cost] for part in self.parts)
 
     @property
     def reported(self) -> tuple[ReportedCoefficient, ...]:
@@ -96,7 +115,7 @@ class StudyEngine:
         for part in self.parts:
             noise = stream(self.seed, number, NOISE_STREAM + part.noise)
             # What is simulated without shortcut is slow: no more trials of it than count.
-            few = draws.part(0, trials) if part.kind in ("full", "readings") else draws
+            few = draws.part(0, trials) if part.cost in ("full", "readings") else draws
             said = part.engine.trials(few, noise)
             for row, coefficient in zip(part.rows, part.reported, strict=True):
                 truth = draws.mean(coefficient.owner, coefficient.symbol)[:trials]

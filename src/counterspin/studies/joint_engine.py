@@ -29,8 +29,8 @@ from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws, StudyTruth, nominal, of_run
+from counterspin.studies.engine import Trials
 from counterspin.studies.noise import estimate_noise
-from counterspin.studies.trials import Trials
 
 #: (owner, symbol, run) of a term or an input that is true; run is None where the runs share one.
 Key = tuple[str, str, int | None]

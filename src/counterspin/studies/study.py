@@ -144,7 +144,7 @@ def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
     hours = expected_duration(engine, trials) / workers / 3600.0
     if hours < _LONG_HOURS:
         return
-    slow = [part for part in engine.parts if part.kind in ("full", "exact")]
+    slow = [part for part in engine.parts if part.cost in ("full", "exact")]
     why = "; ".join(f"{part.reported[0].analysis}: {part.words}" for part in slow)
     warnings.warn(
         f"{trials} trials will take about {hours:.1g} h"
@@ -223,5 +223,5 @@ def _in_words(varying: VariedQuantity) -> str:
         "normal": f"normal, mean {low}, standard deviation {high}",
         "uniform": f"uniform from {low} to {high}",
         "fixed": low,
-    }[varying.kind]
+    }[varying.distribution]
     return f"{name}: {how}" + (", anew in each run" if varying.per_run else "")

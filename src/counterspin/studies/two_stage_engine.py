@@ -22,10 +22,10 @@ from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 from counterspin.studies.draws import Draws, StudyTruth, of_run
+from counterspin.studies.engine import Trials
 from counterspin.studies.noise import curvature_noise, residual_variances
 from counterspin.studies.strobed_effects import StrobedMotion, curvature_gain, effects
 from counterspin.studies.surrogate import Surrogate
-from counterspin.studies.trials import Trials
 from counterspin.studies.world import World
 
 

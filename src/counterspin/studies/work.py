@@ -20,7 +20,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError
-from counterspin.studies.engine import StudyEngine
+from counterspin.studies.engine import Cost, StudyEngine
 from counterspin.studies.noise import NOISE_STREAM, TRUTH_STREAM, stream
 from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
 
@@ -37,8 +37,8 @@ _MOST_LOSSES: Final = 5
 #: Work of whole records, roughly, below which nobody needs to know how long it takes, s.
 _SHORT_SECONDS: Final = 60.0
 
-#: What a trial of each kind takes, roughly, s.
-_TRIAL_DURATIONS: Final = {
+#: What a trial takes, roughly, s.
+_TRIAL_DURATIONS: Final[dict[Cost, float]] = {
     "constant": 1e-7,
     "sampled": 3e-7,
     "surrogate": 1.5e-6,
@@ -90,8 +90,8 @@ def expected_duration(engine: StudyEngine, trials: int) -> float:
     """
     seconds = 0.0
     for part in engine.parts:
-        duration = _TRIAL_DURATIONS[part.kind]
-        if part.kind == "full" and duration * trials > _SHORT_SECONDS:
+        duration = _TRIAL_DURATIONS[part.cost]
+        if part.cost == "full" and duration * trials > _SHORT_SECONDS:
             draws = engine.truth.draw(stream(engine.seed, 0, TRUTH_STREAM), 1)
             for _ in range(2):  # the first loads what it needs
                 start = time.perf_counter()
@@ -134,7 +134,7 @@ def run_batches(
     batches_per_task: How many batches are handed out at once; by default about a third of a
         second's work.
     """
-    cost = sum(_TRIAL_DURATIONS[part.kind] for part in engine.parts) * engine.batch_size
+    cost = sum(_TRIAL_DURATIONS[part.cost] for part in engine.parts) * engine.batch_size
     size = batches_per_task or max(1, min(64, round(_TASK_DURATION / cost)))
     packed = pickle.dumps(engine)
     try:

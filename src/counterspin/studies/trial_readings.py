@@ -1,7 +1,4 @@
-"""Trials of campaigns with readings: simulated without linearisation, analysed as `calibrate` does.
-
-Records of a double turntable, if there are any, are simulated and analysed beside them.
-"""
+"""The readings and poses of one trial: simulated without linearisation."""
 
 from __future__ import annotations
 
@@ -13,13 +10,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.readings import with_groups
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
-from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_input
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.physics.terms import shown_by_readings
@@ -31,10 +27,7 @@ from counterspin.simulation.readings import (
     true_directions,
     true_poses,
 )
-from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws
-from counterspin.studies.full_engine import FullEngine
-from counterspin.studies.trials import Trials, one_by_one
 
 
 @frozen
@@ -50,44 +43,58 @@ _NO_NOISE: Final = "the readings have no noise, so that results do not scatter"
 
 
 @frozen
-class ReadingsEngine:
-    """Trials of one joint analysis of a campaign with readings."""
+class TrialReadings:
+    """What is read of a campaign in each trial."""
 
-    request: JointRequest  #: What is asked of the analysis.
-    rows: tuple[int, ...]  #: Places of the model's unknowns that are reported.
     readings: tuple[Reading, ...]  #: Of the campaign, m of them, in its order.
     #: The same as the fit takes them, with the places of each.
-    groups: tuple[tuple[Readings, tuple[int, ...]], ...]
+    grouped: tuple[tuple[Readings, tuple[int, ...]], ...]
     noise: Array  #: True standard deviation of the mean of each reading's repeats, g, shape (m,).
     #: Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
     #: is; infinite where it is stated; shape (m,).
     scattered: Array
-    poses: tuple[DrawnPoses, ...] = ()  #: Poses at unknown attitudes beside them.
-    records: FullEngine | None = None  #: Trials of the records beside them; None: there are none.
+    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes beside them.
 
-    def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of n trials; see `Engine`."""
-        return one_by_one(self._trial, draws, generator)
+    @classmethod
+    def of(cls, campaign: Campaign) -> TrialReadings:
+        """Return what is read of a campaign; raise ValueError if it has no noise."""
+        assert campaign.simulation is not None
+        known = campaign.simulation.truth.reading_noise
+        readings, noise, scattered = [], [], []
+        for reading in campaign.readings:
+            own = known.get(reading.accelerometer)
+            true = (reading.u or 0.0) if own is None else own / math.sqrt(reading.repeats)
+            dof = math.inf
+            if reading.record is not None:
+                true, dof = _of_record(campaign, reading)
+            if true <= 0.0 and reading.u is None:
+                raise ValueError(f"{_NO_NOISE}: {reading.name}")
+            # What is drawn is not rounded.
+            own_u = true if math.isfinite(dof) else reading.u
+            readings.append(replace(reading, value=0.0, u=own_u, resolution=0.0))
+            noise.append(true)
+            scattered.append(dof)
+        ready = replace(campaign, readings=tuple(readings))
+        return cls(
+            ready.readings,
+            tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
+            np.array(noise),
+            np.array(scattered),
+            tuple(_drawn_poses(campaign)),
+        )
 
-    def _trial(self, draws: Draws, generator: np.random.Generator) -> tuple[Array, Array, Array]:
-        model = self.request.model
-        estimated = None
-        if self.records is not None:
-            estimated = estimate(self.records.series(draws, generator), model, self.request.noise)
-        read: list[Readings | TriadPoses] = [*self._read(draws, generator)]
-        read += self._posed(draws, generator)
-        estimated, _ = with_groups(estimated, model, read)
-        rows, unknowns = list(self.rows), estimated.fit.model.unknowns
-        nominal = np.array([unknowns[place].nominal for place in rows])
-        solution = estimated.fit.solution
-        return solution.estimate[rows] + nominal, solution.u[rows], estimated.dof[rows]
+    def groups(
+        self, draws: Draws, generator: np.random.Generator, model: Unknowns
+    ) -> list[Readings | TriadPoses]:
+        """Return what one trial reads, as the fit takes it."""
+        return [*self._read(draws, generator, model), *self._posed(draws, generator)]
 
     @property
     def with_true_noise(self) -> list[Readings | TriadPoses]:
         """Readings and poses, each with its true standard deviation as its uncertainty."""
         readings = [
             replace(group, u=np.maximum(self.noise[list(places)], 1e-15))
-            for group, places in self.groups
+            for group, places in self.grouped
         ]
         poses = [replace(own.group, u=np.maximum(own.noise, 1e-15)) for own in self.poses]
         return [*readings, *poses]
@@ -110,8 +117,10 @@ class ReadingsEngine:
             scatter = np.sum(again * own.noise**2 * repeats, axis=1)
             yield replace(group, value=value, scatter=scatter)
 
-    def _read(self, draws: Draws, generator: np.random.Generator) -> list[Readings]:
-        """Return the readings of one trial."""
+    def _read(
+        self, draws: Draws, generator: np.random.Generator, model: Unknowns
+    ) -> Iterator[Readings]:
+        """Yield the readings of one trial."""
         errors = head_errors(self.readings, generator)
         noise = self.noise * generator.standard_normal(self.noise.size)
         true = {key: float(value.mean()) for key, value in draws.values.items()}
@@ -121,10 +130,8 @@ class ReadingsEngine:
             if not owner and shown_by_readings(symbol)
         }
         off = {symbol: float(draws.off(symbol)[0]) for symbol in INPUT_STEPS}
-        model = self.request.model
         known = {other.symbol for other in (*model.unknowns, *model.considered)}
-        read = []
-        for group, places in self.groups:
+        for group, places in self.grouped:
             at = list(places)
             own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
             # The analysis assumes what is stated of the inputs, whatever is true.
@@ -144,44 +151,7 @@ class ReadingsEngine:
                 dof = np.where(np.isfinite(self.scattered[at]), self.scattered[at], 1.0)
                 sigma = self.noise[at] * np.sqrt(2.0 * generator.standard_gamma(0.5 * dof) / dof)
                 one = replace(one, u=np.where(np.isfinite(self.scattered[at]), sigma, group.u))
-            read.append(one)
-        return read
-
-
-def readings_engine(
-    campaign: Campaign, request: JointRequest, records: FullEngine | None
-) -> ReadingsEngine:
-    """Return the engine of an analysis.
-
-    records: Trials of the campaign's records; None: it has none.
-    """
-    assert campaign.simulation is not None
-    known = campaign.simulation.truth.reading_noise
-    readings, noise, scattered = [], [], []
-    for reading in campaign.readings:
-        own = known.get(reading.accelerometer)
-        true = (reading.u or 0.0) if own is None else own / math.sqrt(reading.repeats)
-        dof = math.inf
-        if reading.record is not None:
-            true, dof = _of_record(campaign, reading)
-        if true <= 0.0 and reading.u is None:
-            raise ValueError(f"{_NO_NOISE}: {reading.name}")
-        # What is drawn is not rounded.
-        own_u = true if math.isfinite(dof) else reading.u
-        readings.append(replace(reading, value=0.0, u=own_u, resolution=0.0))
-        noise.append(true)
-        scattered.append(dof)
-    ready = replace(campaign, readings=tuple(readings))
-    return ReadingsEngine(
-        request,
-        tuple(request.reported),
-        ready.readings,
-        tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
-        np.array(noise),
-        np.array(scattered),
-        tuple(_drawn_poses(campaign)),
-        records,
-    )
+            yield one
 
 
 def _drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
