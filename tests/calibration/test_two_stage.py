@@ -22,7 +22,7 @@ from counterspin.cli import main
 from counterspin.errors import NotIdentifiableError
 from counterspin.simulation.simulate import simulate
 
-TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 8
+TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 5
 
 K_II = {"Qx": 2.7e-5, "Qy": -3.2e-5}
 PRIORS = (

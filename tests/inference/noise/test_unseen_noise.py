@@ -118,7 +118,7 @@ class Slow:
 def test_intervals_of_a_dropped_walk_hold(walk, felt):
     """Kept walks have their own, longer interval, which holds nearly always: count it as such."""
     slow = Slow(felt, np.random.default_rng([2, int(10 * walk)]))
-    trials = 5000 if FULL else 300
+    trials = 5000 if FULL else 150
     inside = [slow.interval_holds(walk) for _ in range(trials)]
     dropped = [one for one in inside if one is not None]
     held = sum(dropped) + (trials - len(dropped))
@@ -142,7 +142,7 @@ def clean():
 def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, walk):
     """Whole estimates; at 1.2e-4 half of the records show the walk, and half do not."""
     rng = np.random.default_rng([3, int(1e6 * walk)])
-    trials = 1000 if FULL else 20
+    trials = 1000 if FULL else 14
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
         drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
@@ -245,7 +245,7 @@ def least_eigenvalue(covariance):
     return np.linalg.eigvalsh((covariance / np.outer(u, u).clip(1e-300))[np.ix_(kept, kept)])[0]
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(30 if FULL else 12))
 def test_covariances_are_positive_semi_definite(seed):
     """Of all coefficients and considered terms together, whatever is unseen and considered."""
     fit = random_estimate(seed).fit
