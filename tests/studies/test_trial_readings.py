@@ -149,8 +149,8 @@ def holds_the_truth(analysis, engine):
         )
 
 
-def test_records_and_readings_of_one_accelerometer(tmp_path):
-    """The tilt that the records share with nothing at rest or on the arm varies as it is known."""
+def beside_records(folder, varying):
+    """Describe records of a double turntable with readings at rest and on the arm beside them."""
     resting = "".join(
         at_rest(f"rest {angle}", f"{angle} deg about north", "? ± 2.5e-6 mA")
         for angle in range(0, 360, 30)
@@ -160,15 +160,35 @@ def test_records_and_readings_of_one_accelerometer(tmp_path):
         for side in ("inward", "outward")
         for rate in (3.1, 7.0, 14.0)
     )
-    varying = "[study.vary]\n" + "".join(
-        f'"platform.tilt.{about}" = {{ normal = "0 ± 0.5 arcsec" }}\n'
-        for about in ("north", "east")
-    )
     short = TRUE.replace("revolutions = 20", "revolutions = 5")
     description = mixed_campaign.HEAD + MODEL + short + varying + RUNS + resting + carried
-    (tmp_path / "campaign.toml").write_text(description, encoding="utf-8")
+    folder.mkdir(exist_ok=True)
+    (folder / "campaign.toml").write_text(description, encoding="utf-8")
+    return folder
+
+
+TILTED = "[study.vary]\n" + "".join(
+    f'"platform.tilt.{about}" = {{ normal = "0 ± 0.5 arcsec" }}\n' for about in ("north", "east")
+)
+
+
+def test_records_and_readings_of_one_accelerometer(tmp_path):
+    """The tilt that the records share with nothing at rest or on the arm varies as it is known."""
+    beside_records(tmp_path, TILTED)
     result = study(tmp_path, trials=max(TRIALS // 3, 20), seed=5)
     holds_the_truth(result.analyses["joint"], "full records and readings")
+
+
+def test_noise_that_varies_is_that_of_the_records_beside_readings_too(tmp_path):
+    """A hundred times what the analysis assumes, from the same random numbers."""
+    noisy = TILTED + '"noise.displacement" = { fixed = "0.1 m" }\n'
+    trials = [
+        prepare(read_study(beside_records(tmp_path / name, varying)), 5).batch(0, 1, keep=True)
+        for name, varying in (("stated", TILTED), ("varied", noisy))
+    ]
+    (truth, estimate, u), (_, varied, _) = (batch.values[:, :, 0].T for batch in trials)
+    assert np.all(np.abs(estimate - truth) < 4.0 * u)
+    assert np.max(np.abs(varied - truth) / u) > 5.0
 
 
 def test_a_trial_claims_what_a_calibration_claims(tmp_path):
