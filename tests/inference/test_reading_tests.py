@@ -1,6 +1,7 @@
 """The columns that residuals of readings are held against, and the chance of what they gain."""
 
 import math
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -144,18 +145,23 @@ def test_the_gain_is_that_of_a_fit_with_the_column():
     assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("u", [None, 2e-6], ids=["noise estimated", "noise stated"])
 def test_of_good_readings_as_few_are_blamed_as_the_significance_says(u):
-    """300 tumbles at 5 %, shared out among the columns: no more than 27 (p = 0.002)."""
+    """At 5 %, shared out among the columns: of 100 tumbles no more than 12 (p = 0.0015).
+
+    Of 300 no more than 27 (p = 0.002).
+    """
+    trials, most = (300, 27) if os.environ.get("COUNTERSPIN_FULL") else (100, 12)
     rng = np.random.default_rng(3)
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
     blamed = 0
-    for _ in range(300):
+    for _ in range(trials):
         joint, group, columns = held(tumble(), simulated(tumble(), rng, 2e-6, truth=truth), u)
         (found,) = most_followed(joint, [group], [columns])
         assert 8 <= found.tests <= len(columns)
         blamed += found.p * found.tests < 0.05
-    assert blamed <= 27
+    assert blamed <= most
 
 
 def test_a_reading_that_stands_out_is_left_out_and_leads_to_no_column():

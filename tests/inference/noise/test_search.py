@@ -14,7 +14,7 @@ from counterspin.inference.noise.restricted_likelihood import RestrictedLikeliho
 from counterspin.inference.noise.search import KEEPING_GAIN, _step, effective_dof, find_noise
 from counterspin.physics.simulation import bias_wander
 
-TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 160
+TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 80
 STEP = 0.5
 BOTH = Noise(WANTED, WANTED)
 
@@ -146,7 +146,7 @@ def test_components_are_unbiased_and_their_covariance_holds(mixed):
     truth = np.array([noise.white, noise.random_walk]) ** 2
     spread = components.std(axis=0, ddof=1)
     assert (np.abs(components.mean(axis=0) - truth) < 4 * spread / np.sqrt(TRIALS)).all()
-    # The information is observed at each estimate: its typical value, to what 160 trials can tell.
+    # The information is observed at each estimate: its typical value, to what 80 trials can tell.
     claimed = np.sqrt([np.median([f.covariance[k, k] for f, *_ in rows]) for k in range(2)])
     np.testing.assert_allclose(claimed, spread, rtol=0.3)
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.linalg import toeplitz
 
 from counterspin.inference.noise.model import Noise, make_whitener
 from counterspin.inference.noise.wander import (
@@ -52,9 +53,8 @@ def test_spectrum_of_the_cosines_is_that_of_the_process(levels, power):
     times = (np.arange(points) + 0.5) * LENGTH / points
     bias = np.cos(math.pi * np.outer(times, np.arange(count)) / LENGTH) @ root
     window = 0.5 - 0.5 * np.cos(2 * math.pi * times / LENGTH)
-    lag = np.abs(times[:, None] - times)
     exact = (
-        flicker_autocovariance(lag, LOWEST, points / (2 * LENGTH))
+        toeplitz(flicker_autocovariance(times - times[0], LOWEST, points / (2 * LENGTH)))
         if power == 1
         else np.minimum(times[:, None], times)
     )
@@ -73,9 +73,9 @@ def dense(order, noise, times, before, fine=3000):
     grid = (np.arange(fine) + 0.5) * times[-1] / fine
     step = times[-1] / fine
     high = fine / (2 * times[-1])
-    bias = noise.flicker**2 * flicker_autocovariance(
-        np.abs(grid[:, None] - grid), LOWEST, high
-    ) + noise.bias_walk**2 * (before + np.minimum(grid[:, None], grid))
+    flicker = toeplitz(flicker_autocovariance(grid - grid[0], LOWEST, high))
+    bias = noise.flicker**2 * flicker
+    bias += noise.bias_walk**2 * (before + np.minimum(grid[:, None], grid))
     later = np.maximum(times[:, None] - grid, 0.0)
     seen = step * (later if order == 2 else (later > 0).astype(float))
     h = times[1]
