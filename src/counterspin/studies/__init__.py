@@ -9,7 +9,8 @@
 - `engine`, `tally`: what every engine gives, all analyses of a batch of trials; what trials
   amount to
 - `two_stage_engine`, `joint_engine`: trials by sufficient statistics
-- `full_engine`: trials without any shortcut, of `trial_records` and `trial_readings`
+- `full_engine`: trials without any shortcut; `trial_records`, `trial_readings`: what one of them
+  records and reads
 - `validity`, `choice`: where the fast engines hold; which engine an analysis gets
 - `work`: the trials shared out, on one core, on many or on a cluster
 - `result`: what a study found, its JSON; `folder`: where it is kept, and what a resumption needs
