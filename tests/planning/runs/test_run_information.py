@@ -14,7 +14,7 @@ from counterspin.planning.runs.angle_functions import functions, integration, pr
 from counterspin.planning.runs.run_information import RunInformation
 
 INPUTS = ("centrifuge.radius", "site.gravity", "records.timing_offset")
-RATES, TURNS = (1.0, 7.0), (5.0, 120.0)
+RATES, TURNS = (1.0, 7.0), (5.0, 62.0)
 
 CASES = {
     "one accelerometer": {},
