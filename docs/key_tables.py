@@ -18,7 +18,7 @@ from counterspin import schemas
 from counterspin.calibration.result import Result
 from counterspin.campaign.kinds import known
 from counterspin.campaign.truth import TRUE_TABLES
-from counterspin.comparisons.result import Compared, Repeated
+from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, WatchState
 from counterspin.monitoring.result_noise import NoiseResult
@@ -36,8 +36,8 @@ PARTS = {
     name: part
     for result in (
         Result,
-        Compared,
-        Repeated,
+        ResultComparison,
+        RepeatedCalibration,
         History,
         CheckedRun,
         WatchState,

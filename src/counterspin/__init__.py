@@ -13,14 +13,14 @@ The commands, as functions:
 - `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
 - `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a
   file; `ApplyOptions`: unit, and forces along the other axes
-- `plan`: which runs to make for a goal (`Planned`)
+- `plan`: which runs to make for a goal (`PlannedCampaign`)
 - `forecast`: what the calibration of a campaign will say (`Forecast`)
 - `study`: many simulated trials of a campaign and its analyses (`StudyResult`); `StudyFolder`,
   `Workers`: where they are kept, and who makes them
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
-- `compare`: results of other models, methods or campaigns beside each other (`Compared`)
-- `rerun`: a result's calibration made again (`Repeated`)
+- `compare`: results of other models, methods or campaigns beside each other (`ResultComparison`)
+- `rerun`: a result's calibration made again (`RepeatedCalibration`)
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
 - `noise`: what a record at rest says of its noise (`NoiseResult`)
@@ -95,8 +95,8 @@ if TYPE_CHECKING:
     from counterspin.certificates.issuing import certificate as certificate
     from counterspin.comparisons.compare import compare as compare
     from counterspin.comparisons.rerun import rerun as rerun
-    from counterspin.comparisons.result import Compared as Compared
-    from counterspin.comparisons.result import Repeated as Repeated
+    from counterspin.comparisons.result import RepeatedCalibration as RepeatedCalibration
+    from counterspin.comparisons.result import ResultComparison as ResultComparison
     from counterspin.correction.apply import ApplyOptions as ApplyOptions
     from counterspin.correction.apply import Correction as Correction
     from counterspin.correction.apply import apply as apply
@@ -141,7 +141,7 @@ if TYPE_CHECKING:
     from counterspin.physics.terms import TERMS as TERMS
     from counterspin.planning.forecast import Forecast as Forecast
     from counterspin.planning.forecast import forecast as forecast
-    from counterspin.planning.plan import Planned as Planned
+    from counterspin.planning.plan import PlannedCampaign as PlannedCampaign
     from counterspin.planning.plan import plan as plan
     from counterspin.reports.publishing import report as report
     from counterspin.reports.publishing import write_report as write_report
@@ -169,7 +169,7 @@ _OFFERED = {
     "calibration.result": ("Result", "read_result", "write_result"),
     "comparisons.compare": ("compare",),
     "comparisons.rerun": ("rerun",),
-    "comparisons.result": ("Compared", "Repeated"),
+    "comparisons.result": ("ResultComparison", "RepeatedCalibration"),
     "monitoring.check": ("check",),
     "monitoring.noise": ("noise",),
     "monitoring.result_noise": ("NoiseResult",),
@@ -182,7 +182,7 @@ _OFFERED = {
     "histories.history": ("history",),
     "histories.result": ("History",),
     "campaign.starter": ("init",),
-    "planning.plan": ("Planned", "plan"),
+    "planning.plan": ("PlannedCampaign", "plan"),
     "simulation.simulate": ("simulate",),
     "calibration.options": ("TwoStageOptions",),
     "errors": (

@@ -14,7 +14,7 @@ from scipy.stats import chi2 as chi2_distribution
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.comparisons.page import comparison_blocks
-from counterspin.comparisons.result import Compared
+from counterspin.comparisons.result import ResultComparison
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import term
 from counterspin.reports.blocks import Paragraph, Table
@@ -306,7 +306,7 @@ def test_a_comparison_shows_itself_and_is_read_back(one, tmp_path):
     assert "<table" in compared._repr_html_()
     assert "| middle.parquet |" in compared._repr_markdown_()
     compared.write(tmp_path / "c.json")
-    assert Compared.read(tmp_path / "c.json") == compared
+    assert ResultComparison.read(tmp_path / "c.json") == compared
     table = compared.table()
     assert table.height == 3 * len(compared.coefficients)
     assert compared.table("pandas").shape == table.shape

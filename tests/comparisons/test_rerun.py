@@ -11,7 +11,7 @@ from results import sealed
 import counterspin as cs
 from counterspin.calibration.options import TwoStageOptions, asked_by, command_words, without_words
 from counterspin.cli import main
-from counterspin.comparisons.result import Repeated
+from counterspin.comparisons.result import RepeatedCalibration
 from counterspin.errors import CampaignError, RecordError
 
 FROZEN = Path(__file__).parents[1] / "frozen"
@@ -34,7 +34,7 @@ def camp(archive, tmp_path):
 def test_the_same_files_give_the_same_numbers(camp, capsys, tmp_path):
     assert main(["rerun", str(camp / "result.json"), "--json", str(tmp_path / "again.json")]) == 0
     assert "the same within 1e-12" in " ".join(capsys.readouterr().out.split())
-    repeated = Repeated.read(tmp_path / "again.json")
+    repeated = RepeatedCalibration.read(tmp_path / "again.json")
     assert repeated.same
     assert repeated.largest <= repeated.limit
     assert repeated.changes == []

@@ -7,7 +7,7 @@ import pytest
 
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.readings import (
-    Sensed,
+    OutputEstimate,
     kind_of_columns,
     output_questions,
     output_unit,
@@ -137,7 +137,7 @@ def test_the_unit_of_an_output_is_told_or_stands_in_the_file_or_its_name():
 
 def test_the_sensitivity_is_shown_and_a_zero_is_asked_where_it_is_no_bias():
     def questions(per_g, zero):
-        sensed = Sensed(per_g, zero)
+        sensed = OutputEstimate(per_g, zero)
         return list(output_questions(column("A", "V"), {}, sensed))[1:]
 
     (sensitivity,) = questions(2.0, 0.5)
@@ -151,7 +151,7 @@ def test_the_sensitivity_is_shown_and_a_zero_is_asked_where_it_is_no_bias():
 
 def test_an_acceleration_has_no_sensitivity():
     def keys(unit):
-        return [q.key for q in output_questions(column("A", unit), {}, Sensed(1.25, 2.5))]
+        return [q.key for q in output_questions(column("A", unit), {}, OutputEstimate(1.25, 2.5))]
 
     assert keys("g") == ["A unit"]
     assert keys("mA") == ["A unit", "A sensitivity", "A zero"]

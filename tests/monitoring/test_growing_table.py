@@ -5,7 +5,7 @@ import pytest
 
 from counterspin.errors import RecordError
 from counterspin.monitoring import growing_table
-from counterspin.monitoring.growing_table import FollowedTable
+from counterspin.monitoring.growing_table import GrowingTable
 from counterspin.records.formats import open_columns
 from counterspin.records.tables import read_numbers
 
@@ -31,7 +31,7 @@ def append(file, content):
 
 def test_parts_of_any_length_make_the_whole(file):
     content = HEAD + lines(0, 40) + b"# a remark\n" + lines(40, 300)
-    followed, random = FollowedTable(file, NAMES), np.random.default_rng(1)
+    followed, random = GrowingTable(file, NAMES), np.random.default_rng(1)
     done = 0
     while done < len(content):
         step = int(random.integers(1, 400))
@@ -47,7 +47,7 @@ def test_parts_of_any_length_make_the_whole(file):
 
 
 def test_a_line_without_its_end_is_waited_for(file):
-    followed = FollowedTable(file, NAMES)
+    followed = GrowingTable(file, NAMES)
     append(file, HEAD + lines(0, 30) + b"0.300,0.1")
     assert followed.follow() == (True, None)
     assert followed.rows == 30
@@ -57,7 +57,7 @@ def test_a_line_without_its_end_is_waited_for(file):
 
 
 def test_names_without_rows_are_waited_for(file):
-    followed = FollowedTable(file, NAMES)
+    followed = GrowingTable(file, NAMES)
     append(file, HEAD)
     assert followed.follow() == (False, None)
     append(file, lines(0, 5))
@@ -70,7 +70,7 @@ def test_names_without_rows_are_waited_for(file):
 def test_a_recorder_s_own_style_is_kept(file):
     head = b"Station;7\r\nBegun;2026-03-01\r\nt;x\r\ns;V\r\n"
     rows = b"".join(b"%d,5;-%d,25\r\n" % (k, k) for k in range(400))
-    whole, followed = head + rows, FollowedTable(file, NAMES)
+    whole, followed = head + rows, GrowingTable(file, NAMES)
     for begin in range(0, len(whole), 700):
         append(file, whole[begin : begin + 700])
         followed.follow()
@@ -86,7 +86,7 @@ def test_old_bytes_are_not_read_again(file, monkeypatch):
         "open_columns",
         lambda path, dialect: read.append(path.stat().st_size) or open_columns(path, dialect),
     )
-    followed = FollowedTable(file, NAMES)
+    followed = GrowingTable(file, NAMES)
     append(file, HEAD + lines(0, 5000))
     followed.follow()
     before = len(read)
@@ -101,7 +101,7 @@ def test_old_bytes_are_not_read_again(file, monkeypatch):
     [("replaced", "was replaced"), ("shorter", "has become shorter"), ("anew", "was rewritten")],
 )
 def test_another_file_is_told_and_read_from_its_start(happens, words, file):
-    followed = FollowedTable(file, NAMES)
+    followed = GrowingTable(file, NAMES)
     append(file, HEAD + lines(0, 100))
     followed.follow()
     if happens == "replaced":
@@ -118,7 +118,7 @@ def test_another_file_is_told_and_read_from_its_start(happens, words, file):
 
 
 def test_rows_that_are_none_are_refused_and_nothing_before_is_lost(file):
-    followed = FollowedTable(file, NAMES)
+    followed = GrowingTable(file, NAMES)
     append(file, HEAD + lines(0, 600))
     followed.follow()
     append(file, b"0.1,word,ok\n")

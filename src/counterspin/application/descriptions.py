@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from counterspin.application.desk import Desk
-from counterspin.application.editing import Edited, changed, checked_campaign, checked_lab
+from counterspin.application.editing import EditedText, changed, checked_campaign, checked_lab
 from counterspin.application.folder import OutsideError
 from counterspin.application.form import campaign_form, lab_form
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
@@ -64,7 +64,7 @@ def change_text(
     return _checked(desk, file, changed(text, path, value, kind), result).shown()
 
 
-def _checked(desk: Desk, file: str, text: str, result: str | None) -> Edited:
+def _checked(desk: Desk, file: str, text: str, result: str | None) -> EditedText:
     path = _place(desk, file)
     if path.name == DESCRIPTION_NAME:
         return checked_campaign(desk, path, text)

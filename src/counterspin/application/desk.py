@@ -26,7 +26,7 @@ T = TypeVar("T")
 _MAX_REMEMBERED: Final = 300
 
 
-class Remembered:
+class FileCache:
     """What was made of files, which takes long, until one of them changes."""
 
     def __init__(self, most: int = _MAX_REMEMBERED) -> None:
@@ -78,7 +78,7 @@ class Desk:
         self.signer_options = signer_options or {}
         self.jobs = Jobs()
         self.live = LiveViews()
-        self.remembered = Remembered()
+        self.remembered = FileCache()
         #: Each for a request that only reads: its name, and what it says.
         self.tickets = Tickets[tuple[str, dict[str, str]]]()
         #: Who draws holds it: Matplotlib draws one picture at a time.

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.application.commands import export_command
-from counterspin.application.desk import Desk, Remembered
+from counterspin.application.desk import Desk, FileCache
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.starter import Test
 from counterspin.exports.description import AnyDraft, guessed_test, write_description
@@ -22,7 +22,7 @@ from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder
 from counterspin.records.formats import wrong_ending
 
-_LOOKS: Final = Remembered(2)
+_LOOKS: Final = FileCache(2)
 #: Rows, and parts of a column, that are shown before a campaign is written.
 _PREVIEW_ROWS: Final = 4
 _PREVIEW_PARTS: Final = 90

@@ -41,7 +41,7 @@ _OF_TABLES: Final = ("accelerometers", "truth", "model", "specification", "study
 
 
 @frozen
-class Edited:
+class EditedText:
     """A text, what it says, and what is wrong with it."""
 
     text: str  #: Of the file.
@@ -64,13 +64,13 @@ class Edited:
         }
 
 
-def checked_campaign(desk: Desk, file: Path, text: str) -> Edited:
+def checked_campaign(desk: Desk, file: Path, text: str) -> EditedText:
     """Return a campaign's text with all its mistakes."""
     try:
         document = _document(text)
         desk.require_inside(file.parent, document)
     except CampaignError as error:
-        return Edited(text, {}, _split(error.problems))
+        return EditedText(text, {}, _split(error.problems))
     problems = Problems(document)
     campaign = resolve_campaign(document, file, problems)
     asked = () if campaign is None else tuple(q.text for q in questions(campaign))
@@ -78,21 +78,21 @@ def checked_campaign(desk: Desk, file: Path, text: str) -> Edited:
         try:
             study_of(document, file)
         except CampaignError as error:
-            return Edited(text, document, _split(error.problems), asked)
-    return Edited(text, document, _split(problems.lines), asked)
+            return EditedText(text, document, _split(error.problems), asked)
+    return EditedText(text, document, _split(problems.lines), asked)
 
 
-def checked_lab(text: str, result: Result) -> Edited:
+def checked_lab(text: str, result: Result) -> EditedText:
     """Return the laboratory's data with all mistakes, for the certificate of a result."""
     try:
         document = _document(text)
     except CampaignError as error:
-        return Edited(text, {}, _split(error.problems))
+        return EditedText(text, {}, _split(error.problems))
     try:
         lab, _ = read_lab(document, result)
     except CampaignError as error:
-        return Edited(text, document, _split(error.problems))
-    return Edited(text, document, example=tuple(example_keys(lab)))
+        return EditedText(text, document, _split(error.problems))
+    return EditedText(text, document, example=tuple(example_keys(lab)))
 
 
 def _document(text: str) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from counterspin.output import make_folder
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Limits
 from counterspin.planning.plan import (
-    Planned,
+    PlannedCampaign,
     plan,
     refuse_other_campaign,
     write_campaign,
@@ -307,7 +307,7 @@ def begin_planned(
     def make(number: int) -> Job:
         return Job(number, name, desk.folder.name(place), plan_command(file, place), "plan")
 
-    def write(planned: Planned) -> None:
+    def write(planned: PlannedCampaign) -> None:
         # Planned before anything is written: a plan that cannot be made changes no file.
         make_folder(place)
         if text != before.text:

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import FiniteFloat
 
-from counterspin.application.desk import Desk, Remembered
+from counterspin.application.desk import Desk, FileCache
 from counterspin.application.fits import SeenRecord, fitted_run
 from counterspin.application.folder import NotThereError
 from counterspin.arrays import Array
@@ -29,7 +29,7 @@ MOST_PARTS: Final = 4000
 
 #: Records that are kept; each may have a million rows.
 _MAX_RECORDS: Final = 4
-_RECORDS: Final = Remembered(_MAX_RECORDS)
+_RECORDS: Final = FileCache(_MAX_RECORDS)
 
 
 def record_overview(desk: Desk, name: str, run: str, fit: bool = False) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from counterspin.arrays import Array
-from counterspin.calibration.notebook.labelled import Labelled
+from counterspin.calibration.notebook.labelled import LabelledMatrix
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
 from counterspin.campaign.quantity import Quantity
@@ -110,7 +110,7 @@ class Coefficient(ResultPart):
         return self.value, self.u
 
 
-class Correlation(ResultPart, Labelled):
+class Correlation(ResultPart, LabelledMatrix):
     """Correlation matrix of the estimated coefficients, rows in the order of `terms`.
 
     ``correlation["K_F", "K_II"]`` is one of them, ``np.asarray(correlation)`` all.
@@ -129,8 +129,8 @@ class Correlation(ResultPart, Labelled):
         """The correlations, shape (p, p)."""
         return np.array(self.matrix)
 
-    __repr__ = Labelled.__repr__
-    __str__ = Labelled.__repr__
+    __repr__ = LabelledMatrix.__repr__
+    __str__ = LabelledMatrix.__repr__
 
 
 class Residual(ResultPart):

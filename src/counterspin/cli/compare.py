@@ -18,15 +18,15 @@ def compare(*results: Path, saved: SaveOptions = NOT_SAVED, report: Path | None 
         Also write the comparison to this file: .html, .pdf or .md.
     """
     from counterspin.comparisons.compare import compare as run
-    from counterspin.comparisons.result import Compared
+    from counterspin.comparisons.result import ResultComparison
     from counterspin.output import marked, reserve
     from counterspin.reports.publication import check_format
     from counterspin.reports.text import report_console
 
     if report is not None:
         check_format(report)
-        reserve(report, lambda: marked(Compared.report_kind()), overwrite=saved.overwrite)
-    saved.reserve(Compared.file_kind)
+        reserve(report, lambda: marked(ResultComparison.report_kind()), overwrite=saved.overwrite)
+    saved.reserve(ResultComparison.file_kind)
     compared = run(*results)
     with saved.written(compared):
         if report is not None:

@@ -25,11 +25,11 @@ def rerun(
         Folder of its campaign; by default the folder of the result.
     """
     from counterspin.comparisons.rerun import rerun as run
-    from counterspin.comparisons.result import Repeated
+    from counterspin.comparisons.result import RepeatedCalibration
     from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console
 
-    saved.reserve(Repeated.file_kind)
+    saved.reserve(RepeatedCalibration.file_kind)
     with progress() as advance:
         repeated = run(result, folder, progress=advance)
     with saved.written(repeated):

@@ -17,10 +17,10 @@ from counterspin.comparisons.estimates import estimates_of
 from counterspin.comparisons.relations import by_the_joint_check, records_of, relation_of
 from counterspin.comparisons.result import (
     AgreementOfTwo,
-    Compared,
     ComparedCoefficient,
     ComparedEstimate,
     ComparedResult,
+    ResultComparison,
 )
 from counterspin.errors import CampaignError
 
@@ -28,7 +28,7 @@ from counterspin.errors import CampaignError
 _NO_VARIANCE: Final = 1e-9
 
 
-def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> Compared:
+def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> ResultComparison:
     """Put results beside each other: values, differences and their uncertainty, what changed.
 
     Each is compared with the first that has the accelerometer. What two have in common is
@@ -74,7 +74,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         table, own = _accelerometer(name, read, called)
         coefficients += table
         agreements += own
-    return Compared(
+    return ResultComparison(
         gravity=read[0].inputs.gravity,
         results=[
             ComparedResult(

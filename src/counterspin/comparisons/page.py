@@ -8,10 +8,10 @@ from typing import Final
 from counterspin.comparisons.estimates import g_units_ratio
 from counterspin.comparisons.result import (
     AgreementOfTwo,
-    Compared,
     ComparedCoefficient,
     ComparedEstimate,
     ComparedResult,
+    ResultComparison,
 )
 from counterspin.reports.blocks import (
     Block,
@@ -42,7 +42,7 @@ _RECORDS: Final = {
 }
 
 
-def comparison_blocks(compared: Compared) -> Iterator[Block]:
+def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
     """Yield whether the results agree, their values and differences, and what changed."""
     yield Heading(_TITLE, 1)
     for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
@@ -76,7 +76,7 @@ def _style(agreement: AgreementOfTwo) -> Style:
     return "answer" if agreement.agrees else "warning"
 
 
-def _references(compared: Compared) -> str:
+def _references(compared: ResultComparison) -> str:
     names = dict.fromkeys(c.accelerometer for c in compared.coefficients)
     by_result = dict[str, list[str]]()
     for name in names:
@@ -86,7 +86,7 @@ def _references(compared: Compared) -> str:
     return " and ".join(f"{result} ({', '.join(own)})" for result, own in by_result.items())
 
 
-def _conversion(compared: Compared, result: ComparedResult, gravity: float) -> str:
+def _conversion(compared: ResultComparison, result: ComparedResult, gravity: float) -> str:
     """Return that a result's numbers were converted to the first result's g, and by how much."""
     moved = dict[float, list[str]]()
     own = (c.term for c in compared.coefficients if result.has(c.accelerometer))
@@ -104,7 +104,7 @@ def _conversion(compared: Compared, result: ComparedResult, gravity: float) -> s
     )
 
 
-def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
+def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
     """Return whether two results agree, in a sentence."""
     first = compared.reference(agreement.accelerometer).name
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
@@ -122,7 +122,7 @@ def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
     return f"{whose} {agree} ({words}; {records})."
 
 
-def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
+def _table(compared: ResultComparison, own: Sequence[ComparedCoefficient]) -> Table:
     rows, quiet = list[tuple[str, ...]](), set[int]()
     for coefficient in own:
         unit, factor = field_unit(coefficient.unit)
@@ -188,7 +188,7 @@ def _pictures(own: list[ComparedCoefficient]) -> Iterator[Block]:
             )
 
 
-def _what_is_common(compared: Compared) -> Iterator[Block]:
+def _what_is_common(compared: ResultComparison) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
         yield Paragraph(

@@ -20,7 +20,7 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.memory.source import keep, source_of
 from counterspin.campaign.resolved import EVERYTHING
 from counterspin.comparisons.changes import changes
-from counterspin.comparisons.result import Repeated, RepeatedCoefficient
+from counterspin.comparisons.result import RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError
 
 #: Two numbers that differ by less, relatively, are the same: rounding adds up to less.
@@ -32,7 +32,7 @@ def rerun(
     folder: Path | str | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
-) -> Repeated:
+) -> RepeatedCalibration:
     """Calibrate again what a result rests on, and say whether it still holds.
 
     An input is looked for under its name, then among all files of the folder by its checksum. One
@@ -152,7 +152,9 @@ def _stage(file: Path, target: Path) -> None:
         shutil.copyfile(file, target)
 
 
-def _repeated(called: str, before: Result, again: Result, moved: dict[str, str]) -> Repeated:
+def _repeated(
+    called: str, before: Result, again: Result, moved: dict[str, str]
+) -> RepeatedCalibration:
     old, new = dict(_coefficients(before)), dict(_coefficients(again))
     rows = [_row(name, old.get(name), new.get(name)) for name in dict.fromkeys([*old, *new])]
     relative = [row.relative for row in rows]
@@ -160,7 +162,7 @@ def _repeated(called: str, before: Result, again: Result, moved: dict[str, str])
     known = [size for size in relative if size is not None]
     complete = len(known) == len(relative)
     largest = max(known, default=0.0) if complete else None
-    return Repeated(
+    return RepeatedCalibration(
         result=called,
         same=largest is not None and largest <= LIMIT and before.state == again.state,
         limit=LIMIT,

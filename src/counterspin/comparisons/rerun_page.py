@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from counterspin.comparisons.result import Repeated, RepeatedCoefficient
+from counterspin.comparisons.result import RepeatedCalibration, RepeatedCoefficient
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
@@ -12,7 +12,7 @@ from counterspin.reports.numbers import (
 )
 
 
-def repeat_blocks(repeated: Repeated) -> list[Block]:
+def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     """Return whether the result still holds, and what changed."""
     blocks: list[Block] = [
         Heading("A result calibrated again", 1),
@@ -35,7 +35,7 @@ def repeat_blocks(repeated: Repeated) -> list[Block]:
     return blocks
 
 
-def in_words(repeated: Repeated) -> str:
+def in_words(repeated: RepeatedCalibration) -> str:
     """Return whether the result still holds, in a sentence."""
     limit = format_number(repeated.limit)
     if repeated.same:

@@ -84,13 +84,13 @@ class Change(ResultPart):
     values: list[str]  #: In each result; a file by the first digits of its SHA-256, ``-`` for none.
 
 
-#: Columns of `Compared.table`.
+#: Columns of `ResultComparison.table`.
 _COLUMNS: Final = (
     *("accelerometer", "term", "result", "value", "u", "difference", "u_difference", "z", "unit"),
 )
 
 
-class Compared(ShownResult):
+class ResultComparison(ShownResult):
     """Results beside each other; what one is compared with is `reference`.
 
     Attributes
@@ -176,7 +176,7 @@ class RepeatedCoefficient(ResultPart):
     in_u: float | None  #: Change of the estimate over `u_before`; None where there is no such u.
 
 
-class Repeated(ShownResult):
+class RepeatedCalibration(ShownResult):
     """A result and the same calibration made again.
 
     Attributes

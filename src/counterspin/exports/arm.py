@@ -42,8 +42,8 @@ from counterspin.exports.questions import (
 from counterspin.exports.readings import (
     SEVERAL,
     WORD_ROLES,
+    OutputEstimate,
     ReadingsDraft,
-    Sensed,
     of_role,
     output_questions,
     output_unit,
@@ -207,7 +207,7 @@ def _pointing(table: ArmTable, word: str) -> str | None:
     return meant if meant in ("inward", "outward") else _followed(table, word) or meant
 
 
-def _resting(table: ArmTable, sensed: Sensed, word: str) -> str | None:
+def _resting(table: ArmTable, sensed: OutputEstimate, word: str) -> str | None:
     """Return how the input axis points where nothing but the readings at rest tells it."""
     readings = of_role(table.look, table.roles, "reading")
     rows = table.rests & np.array([own == word for own in table.words])
@@ -306,7 +306,7 @@ def _radius_questions(table: ArmTable) -> Iterator[ExportQuestion]:
 
 def _sensed(
     table: ArmTable, column: FileColumn, axes: Mapping[str, str | None], told: Mapping[str, str]
-) -> Sensed:
+) -> OutputEstimate:
     """Return what rates and readings show of an output.
 
     axes: Mounting -> how the input axis points there, None: not known yet.
@@ -321,7 +321,7 @@ def _sensed(
         for word, axis in axes.items()
         if axis in signs and word in slopes
     ]
-    return Sensed(float(np.mean(inward)) if inward else math.nan, zero)
+    return OutputEstimate(float(np.mean(inward)) if inward else math.nan, zero)
 
 
 def _statements(look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> Iterator[str]:

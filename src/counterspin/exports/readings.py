@@ -56,7 +56,7 @@ _SAME: Final = 2e-4
 
 
 @frozen
-class Sensed:
+class OutputEstimate:
     """What readings show of an output, in its unit; NaN: not known."""
 
     per_g: float  #: Reading of 1 g along the input axis, less the zero.
@@ -264,7 +264,7 @@ def role_questions(
 
 
 def output_questions(
-    column: FileColumn, told: Mapping[str, str], sensed: Sensed
+    column: FileColumn, told: Mapping[str, str], sensed: OutputEstimate
 ) -> Iterator[ExportQuestion]:
     """Yield what a column of readings is in."""
     name = column.name

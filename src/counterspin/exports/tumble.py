@@ -21,8 +21,8 @@ from counterspin.exports.guessing import converts
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import ExportQuestion, place_questions, settled
 from counterspin.exports.readings import (
+    OutputEstimate,
     ReadingsDraft,
-    Sensed,
     kind_of_columns,
     of_role,
     output_questions,
@@ -201,12 +201,12 @@ def _questions(
         yield from output_questions(column, told, _sensed(column, angles))
 
 
-def _sensed(column: FileColumn, angles: Array | None) -> Sensed:
+def _sensed(column: FileColumn, angles: Array | None) -> OutputEstimate:
     """Return what the readings show of an output; angles in rad, None: not known yet."""
     if angles is None:
-        return Sensed(math.nan, math.nan)
+        return OutputEstimate(math.nan, math.nan)
     size, phase = wave(angles, column.values, degree=0)
-    return Sensed(size, float(np.nanmean(column.values - size * np.cos(angles + phase))))
+    return OutputEstimate(size, float(np.nanmean(column.values - size * np.cos(angles + phase))))
 
 
 def _statements(

@@ -41,7 +41,7 @@ _PART_BYTES: Final = 1 << 24
 
 
 @dataclass
-class FollowedTable:
+class GrowingTable:
     """The columns of a growing file."""
 
     path: Path  #: The file.

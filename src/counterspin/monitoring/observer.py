@@ -15,7 +15,7 @@ from counterspin.campaign.resolved import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
-from counterspin.monitoring.growing_table import APPENDED, FollowedTable
+from counterspin.monitoring.growing_table import APPENDED, GrowingTable
 from counterspin.monitoring.result import RunState
 from counterspin.physics.effects import RunConditions
 from counterspin.records.memory import MemoryTable
@@ -42,7 +42,7 @@ class _WatchedRun:
 
     run: Recorded
     columns: RecordColumns
-    table: FollowedTable | None
+    table: GrowingTable | None
     identity: tuple[FileIdentity, ...] | None = None
     record: Record | None = None
     observed: ObservedRun | None = None
@@ -203,7 +203,7 @@ def _look_at(watched: _WatchedRun) -> tuple[bool, str | None]:
         watched.stale, watched.waits = False, _NO_FILE
         watched.fault = watched.trouble = None
         if watched.table is not None:
-            watched.table = FollowedTable(path, watched.table.names, watched.table.dialect)
+            watched.table = GrowingTable(path, watched.table.names, watched.table.dialect)
         return gone, "has disappeared" if gone else None
     except (OSError, RecordError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
@@ -217,7 +217,7 @@ def _look_at(watched: _WatchedRun) -> tuple[bool, str | None]:
     return changed, event
 
 
-def _table_of(run: Recorded, columns: RecordColumns) -> FollowedTable | None:
+def _table_of(run: Recorded, columns: RecordColumns) -> GrowingTable | None:
     """Return the growing table that a run's record is; None if it has to be read whole.
 
     Time stamps, pulses and units that the file itself states are told from the file as a whole, and
@@ -228,7 +228,7 @@ def _table_of(run: Recorded, columns: RecordColumns) -> FollowedTable | None:
     plain = all(spec.kind in kinds and (spec.unit or not spec.wanted) for spec in specs)
     if run.record.suffix.lower() not in APPENDED or not plain or columns.more or columns.pulses:
         return None
-    return FollowedTable(run.record, columns.filed, columns.dialect)
+    return GrowingTable(run.record, columns.filed, columns.dialect)
 
 
 def record_name(path: Path, folder: Path) -> str:

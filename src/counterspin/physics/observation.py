@@ -251,7 +251,7 @@ def _integrands(
     effects: Sequence[Product | Turn], motion: Motion, axes: Mounting, attitude: Array
 ) -> Array:
     """Return what terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
-    sensed = _Sensed(motion, axes, attitude)
+    sensed = _SensorInputs(motion, axes, attitude)
     values = np.empty((len(effects), motion.t.size))
     for index, effect in enumerate(effects):
         values[index] = sensed.integrand(effect)
@@ -340,7 +340,7 @@ class _Shown:
         return doubled
 
 
-class _Sensed:
+class _SensorInputs:
     """What accelerometer and gyros sense during a motion; each part is worked out once."""
 
     def __init__(self, motion: Motion, axes: Mounting, attitude: Array) -> None:

@@ -93,7 +93,7 @@ class Limits:
 
     def time(self, design: Design) -> float:
         """Return what a campaign takes, s."""
-        attitudes = len({kind.attitude for kind in design.types})
+        attitudes = len({run_type.attitude for run_type in design.types})
         return (
             float(np.sum(design.duration + self.overhead(design.rate)))
             + max(0, attitudes - 1) * self.attitude_change
@@ -179,13 +179,13 @@ class Criterion:
     scales: tuple[float, ...]  #: The size of u that counts as 1, for each.
     #: ``sum``: the root mean square of u/scale (c-optimality for one unknown, else A);
     #: ``determinant``: the volume of the ellipsoid of uncertainty (D).
-    kind: Literal["sum", "determinant"] = "sum"
+    combination: Literal["sum", "determinant"] = "sum"
 
     def value(self, covariance: Array) -> Array:
         """Return the logarithm of u/scale (mean in the criterion's sense), shape (...,)."""
         inside = self._inside(covariance)
         count = len(self.places)
-        if self.kind == "sum":
+        if self.combination == "sum":
             trace = np.trace(inside, axis1=-2, axis2=-1)
             return np.asarray(0.5 * np.log(trace / count))
         return np.asarray(0.5 / count * np.linalg.slogdet(inside)[1])
@@ -194,7 +194,7 @@ class Criterion:
         """Return vectors c with d(value) = sum of c' d(covariance) c, shape (p, k)."""
         inside = self._inside(covariance)
         count = len(self.places)
-        if self.kind == "sum":
+        if self.combination == "sum":
             root = np.eye(count) / math.sqrt(2.0 * float(np.trace(inside)))
         else:
             root = np.linalg.cholesky(np.linalg.inv(inside)) / math.sqrt(2.0 * count)
@@ -216,9 +216,10 @@ def order_of(types: Sequence[RunType]) -> list[int]:
     with time is not taken for what changes with the sense.
     """
     order: list[int] = []
-    for attitude in dict.fromkeys(kind.attitude for kind in types):
+    for attitude in dict.fromkeys(run_type.attitude for run_type in types):
         by_sense = [
-            [i for i, kind in enumerate(types) if kind == (attitude, sense)] for sense in (1, -1)
+            [i for i, run_type in enumerate(types) if run_type == (attitude, sense)]
+            for sense in (1, -1)
         ]
         longer, shorter = sorted(by_sense, key=len, reverse=True)
         for i, index in enumerate(longer):
@@ -324,8 +325,8 @@ class Predictor:
         q = self.common.size
         columns = blocks[..., self.p :].copy()
         columns[..., :q] *= self.common
-        for index, kind in enumerate(types):
-            own = self.own[kind.attitude]
+        for index, run_type in enumerate(types):
+            own = self.own[run_type.attitude]
             columns[..., index, :, q : q + own.size] *= own
         return columns
 

@@ -96,15 +96,15 @@ def missed(prediction: Forecast, goal: Mapping[str, float], none: str, best: str
     )
 
 
-def _assessed(search: Search, predictor: Predictor, kinds: tuple[RunType, ...]) -> Assessment:
-    """Assess a campaign that has much of everything: all kinds, four rates, all the time each."""
+def _assessed(search: Search, predictor: Predictor, run_types: tuple[RunType, ...]) -> Assessment:
+    """Assess a campaign with much of everything: all types of run, four rates, all the time each."""
     limits = search.limits
     rates = np.array(limits.settings or np.geomspace(*limits.rate, 4))
     longest = np.minimum(limits.longest_run, limits.total_time - limits.overhead(rates))
     turns = np.maximum(limits.revolutions, longest * rates / (2.0 * math.pi))
-    types = tuple(kind for kind in kinds for _ in rates)
+    types = tuple(one for one in run_types for _ in rates)
     tell = predictor.information.blocks
-    blocks = tell(types, np.tile(rates, len(kinds)), np.tile(turns, len(kinds)))
+    blocks = tell(types, np.tile(rates, len(run_types)), np.tile(turns, len(run_types)))
     return assess_blocks(predictor, blocks)
 
 
@@ -150,9 +150,9 @@ def _helpful(search: Search, missing: list[str]) -> str | None:
                 (1, -1),
             )
         )
-        senses = {kind.sense for kind in limits.types}
-        kinds = (*limits.types, *(RunType(words, sense) for sense in sorted(senses)))
-        assessment = _assessed(search, predictor, kinds)
+        senses = {one.sense for one in limits.types}
+        run_types = (*limits.types, *(RunType(words, sense) for sense in sorted(senses)))
+        assessment = _assessed(search, predictor, run_types)
         if all(assessment.determined[name] for name in missing):
             return words
     return None
@@ -182,7 +182,7 @@ def unreachable(search: Search) -> CounterspinError:
         floor = math.exp(relaxed.value) * size
         if floor > size:
             text += f". With any amount of time it would be {format_apart(floor, size)} {unit}"
-    if all(kind.sense == 1 for kind in search.limits.types):
+    if all(one.sense == 1 for one in search.limits.types):
         both = search.smallest(both_senses(search.limits), best.design)
         there = search.predictor.u(both.design)[search.predictor.names.index(name)]
         text += f", with both senses of the spin {format_apart(there, size)} {unit}"

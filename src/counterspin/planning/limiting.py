@@ -45,7 +45,7 @@ def limits_of(search: Search, design: Design) -> list[LimitResult]:
 
 def both_senses(limits: Limits) -> Limits:
     """Return the limits with both senses of the spin allowed in every attitude."""
-    attitudes = dict.fromkeys(kind.attitude for kind in limits.types)
+    attitudes = dict.fromkeys(run_type.attitude for run_type in limits.types)
     types = tuple(RunType(attitude, sense) for attitude in attitudes for sense in (1, -1))
     return replace(limits, types=types)
 
@@ -81,7 +81,7 @@ def _limits(search: Search, design: Design) -> Iterator[_Limit]:
         "spin_up": "time of spin-up and spin-down",
         "attitude_change": f"changing the attitude, {limits.attitude_change:.4g} s",
     }
-    several = len({kind.attitude for kind in design.types}) > 1
+    several = len({run_type.attitude for run_type in design.types}) > 1
     for key, text in words.items():
         size = getattr(limits, key)
         touched = size > 0.0 and (several or key != "attitude_change")
@@ -99,7 +99,7 @@ def _limits(search: Search, design: Design) -> Iterator[_Limit]:
         {"longest_run": longest * more},
     )
     yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
-    one = all(kind.sense == 1 for kind in limits.types)
+    one = all(run_type.sense == 1 for run_type in limits.types)
     yield _Limit("senses", "one sense of the spin", one, {"types": both_senses(limits).types})
 
 
@@ -122,22 +122,22 @@ def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[De
     """Return designs that make use of a relaxed limit, where better lengths alone do not."""
     if key == "senses":
         turned = tuple(
-            kind._replace(sense=-kind.sense) if index % 2 else kind
-            for index, kind in enumerate(design.types)
+            run_type._replace(sense=-run_type.sense) if index % 2 else run_type
+            for index, run_type in enumerate(design.types)
         )
         return [design, replace(design, types=turned)]
     if key == "runs":
         more = limits.runs - len(design.types)
-        # More of each kind's shortest run: those are the ones there are many of.
+        # More of each type's shortest run: those are the ones there are many of.
         longest_first = np.argsort(-design.duration, kind="stable")
-        kinds = {design.types[index]: index for index in longest_first}
+        run_types = {design.types[index]: index for index in longest_first}
         others = [
             Design(
-                (kind,) * more,
+                (run_type,) * more,
                 np.repeat(design.rate[index], more),
                 np.repeat(design.revolutions[index], more),
             )
-            for kind, index in kinds.items()
+            for run_type, index in run_types.items()
         ]
         return [design, *(design.joined(other) for other in others)]
     if key == "fewest_rates" and len(design.types) > 1:

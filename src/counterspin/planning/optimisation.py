@@ -39,7 +39,7 @@ _EQUAL_RUNS: Final = 1e-3
 class Optimum:
     """A plan and how good it is."""
 
-    design: Design  #: The runs, longest last within each kind.
+    design: Design  #: The runs, longest last within each type.
     value: float  #: Its criterion, a logarithm.
     bound: float  #: What no plan within the limits can be below.
 
@@ -93,7 +93,7 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
 
     If a change costs nothing, all attitudes together hold every choice.
     """
-    attitudes = list(dict.fromkeys(kind.attitude for kind in limits.types))
+    attitudes = list(dict.fromkeys(run_type.attitude for run_type in limits.types))
     if limits.attitude_change == 0.0:
         yield limits
         return
@@ -104,7 +104,7 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
         for chosen in combinations(attitudes, count):
             yield replace(
                 limits,
-                types=tuple(kind for kind in limits.types if kind.attitude in chosen),
+                types=tuple(run_type for run_type in limits.types if run_type.attitude in chosen),
                 total_time=left,
                 attitude_change=0.0,
             )
@@ -114,11 +114,11 @@ def _whole(relaxed: RelaxedOptimum, limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights."""
     groups: dict[tuple[RunType, float], list[int]] = {}
     found = relaxed.support
-    for index, (kind, w) in enumerate(zip(found.types, found.rate, strict=True)):
+    for index, (run_type, w) in enumerate(zip(found.types, found.rate, strict=True)):
         near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
-        groups.setdefault((kind, near), []).append(index)
+        groups.setdefault((run_type, near), []).append(index)
     weight = np.array([relaxed.weight[index].sum() for index in groups.values()])
-    kinds = [kind for kind, _ in groups]
+    run_types = [run_type for run_type, _ in groups]
     rate = np.array([found.rate[i[np.argmax(relaxed.weight[i])]] for i in groups.values()])
     turns = np.array(
         [np.average(found.revolutions[i], weights=relaxed.weight[i]) for i in groups.values()]
@@ -132,7 +132,7 @@ def _whole(relaxed: RelaxedOptimum, limits: Limits) -> Iterator[Design]:
     for runs in shares:
         count = int(runs.sum())
         chosen = np.repeat(np.arange(weight.size), runs)
-        types = tuple(kinds[i] for i in chosen)
+        types = tuple(run_types[i] for i in chosen)
         # As much time in each group as the relaxation spends there.
         even = fitted_into(
             Design(types, rate[chosen], (turns * weight / np.maximum(runs, 1))[chosen]), limits
@@ -216,16 +216,18 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
     seen: list[tuple[RunType, float, float]] = []
     n = len(design.types)
     for index in range(n):
-        kind, rate = design.types[index], float(design.rate[index])
+        run_type, rate = design.types[index], float(design.rate[index])
         turns = float(design.revolutions[index])
         if any(
-            kind == k and abs(rate / w - 1.0) < _EQUAL_RUNS and abs(turns / t - 1.0) < _EQUAL_RUNS
+            run_type == k
+            and abs(rate / w - 1.0) < _EQUAL_RUNS
+            and abs(turns / t - 1.0) < _EQUAL_RUNS
             for k, w, t in seen
         ):
             continue
-        seen.append((kind, rate, turns))
+        seen.append((run_type, rate, turns))
         for other in limits.types:
-            if other != kind:
+            if other != run_type:
                 yield design.with_type(index, other)
         for setting in limits.settings:
             if setting != rate:
@@ -237,11 +239,11 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
         if n > 1:
             yield design.without(index)
     if n < limits.runs:
-        for kind in limits.types:
+        for run_type in limits.types:
             rates = np.array(limits.settings or limits.rate)
             for rate in rates:
                 turns = max(limits.revolutions, float(np.median(design.duration)) * rate / 6.3)
-                yield design.joined(Design((kind,), np.array([rate]), np.array([turns])))
+                yield design.joined(Design((run_type,), np.array([rate]), np.array([turns])))
 
 
 def _in_order(
@@ -261,12 +263,12 @@ def _in_order(
 
 
 def _ordered(design: Design) -> Design:
-    """Return the runs by kind as they were met, then by rate and length."""
-    kinds = list(dict.fromkeys(design.types))
+    """Return the runs by type as they were met, then by rate and length."""
+    run_types = list(dict.fromkeys(design.types))
     order = sorted(
         range(len(design.types)),
         key=lambda i: (
-            kinds.index(design.types[i]),
+            run_types.index(design.types[i]),
             round(float(design.rate[i]), 9),
             design.duration[i],
         ),
@@ -286,7 +288,7 @@ def least_time(
     Returns: none if no plan within the limits reaches the targets. The criterion's value and bound
         are logarithms of the time in s.
     """
-    targets = replace(criterion, kind="sum")
+    targets = replace(criterion, combination="sum")
     singles = [Criterion((i,), (s,)) for i, s in zip(targets.places, targets.scales, strict=True)]
 
     def misses(design: Design) -> float:
@@ -305,7 +307,7 @@ def least_time(
                 break
     if misses(design) > 1e-9:
         return None
-    bound = _relaxed_time(relaxing or predictor, limits, replace(criterion, kind="sum"))
+    bound = _relaxed_time(relaxing or predictor, limits, replace(criterion, combination="sum"))
     best = shortened(predictor, limits, singles, design)
     time = bound
     for _ in range(4):

@@ -15,7 +15,7 @@ from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
     PlanResult,
-    Predicted,
+    PredictedCoefficient,
     Requirement,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -415,21 +415,21 @@ def _in_field_unit(size: float, unit: str) -> str:
     return f"{format_number(size * factor, 2)} {shown}"
 
 
-def _u(predicted: Predicted) -> str:
+def _u(predicted: PredictedCoefficient) -> str:
     if predicted.u is None:
         return NOT_DETERMINED
     unit, factor = field_unit(predicted.unit)
     return f"{format_number(predicted.u * factor, 3)} {unit}"
 
 
-def _known(predicted: Predicted) -> str:
+def _known(predicted: PredictedCoefficient) -> str:
     if predicted.prior is None:
         return "-"
     unit, factor = field_unit(predicted.unit)
     return f"{format_number(predicted.prior * factor, 3)} {unit}"
 
 
-def _from(predicted: Predicted) -> str:
+def _from(predicted: PredictedCoefficient) -> str:
     parts = {
         "noise": predicted.u_noise,
         "stated": predicted.u_stated,

@@ -37,7 +37,7 @@ _MAX_CHANGES: Final = 5
 
 
 @frozen(eq=False)
-class Planned:
+class PlannedCampaign:
     """A plan and the campaign that it makes.
 
     Attributes
@@ -69,7 +69,7 @@ class Planned:
         named |= self.result.platform
         return {name: c.u for name, c in named.items() if c.u is not None}
 
-    def change(self, **changes: Any) -> Planned:
+    def change(self, **changes: Any) -> PlannedCampaign:
         """Return the plan that is found after named changes.
 
         Parameters
@@ -88,7 +88,7 @@ class Planned:
         """
         return plan(change_plan(self.source, changes))
 
-    def sweep(self, name: str, values: Iterable[Any]) -> list[Planned]:
+    def sweep(self, name: str, values: Iterable[Any]) -> list[PlannedCampaign]:
         """Return the plan for each value of a key, found one after the other.
 
         Parameters
@@ -107,7 +107,7 @@ def plan(
     *,
     curves: bool = False,
     progress: Callable[[int, int], None] | None = None,
-) -> Planned:
+) -> PlannedCampaign:
     """Find the best campaign for a plan's goal within its limits.
 
     Parameters
@@ -164,10 +164,10 @@ def plan(
         }
     )
     document = write_document(search.document(design), _COMMENTS)
-    return Planned(result, document, load_plan(where))
+    return PlannedCampaign(result, document, load_plan(where))
 
 
-def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Planned:
+def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
     described = read_reading_plan(where)
     if curves:
@@ -176,7 +176,7 @@ def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Pl
         )
     result, readings = ReadingSearch(described).best()
     document = write_document(described.campaign_document(readings), _COMMENTS)
-    return Planned(result, document, load_plan(where))
+    return PlannedCampaign(result, document, load_plan(where))
 
 
 def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
@@ -273,7 +273,7 @@ def refuse_other_campaign(folder: Path) -> Path:
     return target
 
 
-def write_campaign(planned: Planned, folder: Path) -> Path:
+def write_campaign(planned: PlannedCampaign, folder: Path) -> Path:
     """Write the campaign's description into a folder."""
     target = refuse_other_campaign(folder)
     make_folder(folder)
@@ -290,7 +290,7 @@ def write_example(file: Path) -> Path:
 
 
 def _attitudes(campaign: Campaign, design: Design) -> dict[str, str]:
-    return {run.name: kind.attitude for run, kind in zip(campaign.runs, design.types, strict=True)}
+    return {run.name: one.attitude for run, one in zip(campaign.runs, design.types, strict=True)}
 
 
 def _starts(campaign: Campaign, design: Design, limits: Limits) -> dict[str, float]:

@@ -17,7 +17,7 @@ def brought_within(design: Design, limits: Limits) -> Design | None:
     """Return a design that is within the limits as it is, or the like of it that is; or None.
 
     Its longest runs are kept, each at the nearest rate that there is, with the lengths scaled into
-    the time. None: there is no such design, or it has kinds of run that are not available.
+    the time. None: there is no such design, or it has types of run that are not available.
     """
     if limits.hold(design):
         return design
@@ -77,7 +77,7 @@ def _at_different_rates(design: Design, limits: Limits) -> Design | None:
 def polish(
     predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
 ) -> tuple[float, Design]:
-    """Improve rates and lengths, the kinds of run being given."""
+    """Improve rates and lengths, the types of run being given."""
     variables = _Variables(limits, design)
 
     def objective(x: Array) -> tuple[float, Array]:
@@ -184,7 +184,7 @@ def _shortened_to_fit(design: Design, limits: Limits) -> Design:
 def shortened(
     predictor: Predictor, limits: Limits, singles: Sequence[Criterion], design: Design
 ) -> Design:
-    """Return the shortest plan of the same kinds of run that still meets every target."""
+    """Return the shortest plan of the same types of run that still meets every target."""
     variables = _Variables(limits, design)
 
     def below(x: Array) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ from counterspin.planning.result import (
     PlannedReading,
     PlannedRun,
     PlanResult,
-    Predicted,
+    PredictedCoefficient,
 )
 from counterspin.planning.sensitivities import sensitivities
 
@@ -163,7 +163,7 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
     return share, sorted(effects, key=lambda effect: -effect.shift)
 
 
-def platform_of(prediction: Forecast) -> dict[str, Predicted]:
+def platform_of(prediction: Forecast) -> dict[str, PredictedCoefficient]:
     """Return the expected uncertainties of the platform's terms that all runs share."""
     return {
         unknown.symbol: _predicted(prediction, index)
@@ -172,11 +172,11 @@ def platform_of(prediction: Forecast) -> dict[str, Predicted]:
     }
 
 
-def _predicted(prediction: Forecast, index: int) -> Predicted:
+def _predicted(prediction: Forecast, index: int) -> PredictedCoefficient:
     """Return an unknown's uncertainty."""
     shown = coefficient(prediction.estimate, prediction.assessment, index)
     prior = prediction.fit.model.unknowns[index].prior[1]
-    return Predicted(
+    return PredictedCoefficient(
         u=shown.u if shown.estimated else None,
         u_noise=shown.u_noise,
         u_stated=shown.u_stated,

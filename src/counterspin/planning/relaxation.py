@@ -80,7 +80,7 @@ def _first_grid(limits: Limits) -> tuple[Design, Array]:
             revolutions.append(turns)
     w, turns = np.concatenate(rate), np.concatenate(revolutions)
     several = len(limits.types)
-    types = tuple(kind for kind in limits.types for _ in w)
+    types = tuple(one for one in limits.types for _ in w)
     ratio = math.log(rates[-1] / rates[0]) / max(1, len(rates) - 1)
     grid = Design(types, np.tile(w, several), np.tile(turns, several))
     return grid, np.array([0.0 if limits.settings else ratio, step])
@@ -108,4 +108,4 @@ def _finer(limits: Limits, grid: Design, used: Places, steps: Array) -> Design:
     known = set(zip(grid.types, grid.rate.tolist(), grid.revolutions.tolist(), strict=True))
     fresh = [key for key in nearby if key not in known]
     rate, turns_of = (np.array([key[i] for key in fresh]) for i in (1, 2))
-    return Design(tuple(kind for kind, _, _ in fresh), rate, turns_of)
+    return Design(tuple(one for one, _, _ in fresh), rate, turns_of)

@@ -44,7 +44,7 @@ class PlannedReading(ResultPart):
     time: float | None = None
 
 
-class Predicted(ResultPart):
+class PredictedCoefficient(ResultPart):
     """The uncertainty that a coefficient will have, and where from; None: not determined."""
 
     u: float | None
@@ -83,7 +83,7 @@ class PlannedAccelerometer(ResultPart):
     largest first; both only where K_II is estimated and determined.
     """
 
-    coefficients: dict[str, Predicted]
+    coefficients: dict[str, PredictedCoefficient]
     budget: dict[str, list[BudgetLine]]
     what_if: WhatIf | None = None
     confounded: list[ConfoundedTerms]
@@ -176,7 +176,7 @@ class PlanResult(ShownResult):
     readings: list[PlannedReading] = []
     order: str = ""
     accelerometers: dict[str, PlannedAccelerometer]
-    platform: dict[str, Predicted]
+    platform: dict[str, PredictedCoefficient]
     goal: GoalResult | None = None
     others: list[OtherPlan] = []
     limits: list[LimitResult] = []

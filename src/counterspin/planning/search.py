@@ -155,16 +155,16 @@ class Search:
         """Return the document of a campaign with these runs."""
         runs = []
         digits = len(str(len(design.types)))
-        for index, kind in enumerate(design.types):
+        for index, run_type in enumerate(design.types):
             name = f"run{index + 1:0{digits}d}"
-            rate = kind.sense * float(design.rate[index])
+            rate = run_type.sense * float(design.rate[index])
             run = {
                 "name": name,
                 "rate": f"{rate!r} rad/s",
                 "duration": f"{round(float(design.duration[index]), 9)!r} s",
                 "record": f"{name}.csv",
             }
-            written = self.plan.attitudes[kind.attitude]
+            written = self.plan.attitudes[run_type.attitude]
             runs.append(run if written == "level" else {**run, "attitude": written})
         return campaign_of(self.plan, runs, title)
 
@@ -181,14 +181,14 @@ class Search:
 
     def even_rates(self, design: Design, time: float) -> Design | None:
         """Return as many runs of equal length at equally spaced rates."""
-        attitudes = len(dict.fromkeys(kind.attitude for kind in design.types))
+        attitudes = len(dict.fromkeys(run_type.attitude for run_type in design.types))
         count = max(2, len(design.types) // attitudes)
         rates = np.linspace(*self.limits.rate, count)
         return self._alike(design, time, rates, by_turns=False)
 
     def _alike(self, design: Design, time: float, rates: Any, *, by_turns: bool) -> Design | None:
         """Return runs at given rates, in each attitude of the plan, that take a given time."""
-        attitudes = list(dict.fromkeys(kind.attitude for kind in design.types))
+        attitudes = list(dict.fromkeys(run_type.attitude for run_type in design.types))
         rate = np.tile(rates, len(attitudes))
         left = time - (len(attitudes) - 1) * self.limits.attitude_change
         left -= float(np.sum(self.limits.overhead(rate)))

@@ -71,7 +71,7 @@ class ClockFindings:
 
 
 @frozen
-class Accepted:
+class UsableRows:
     """The usable rows of a piece: `rows` are places in the piece, None when all are used.
 
     `piece` is the piece at those rows, with the angle unwrapped; `unevenness` is the largest
@@ -135,7 +135,7 @@ class Clock:
         turned = _wrap(advances - nominal * spans)
         self.rate = nominal + median(turned / spans)
 
-    def accept(self, first_row: int, piece: Piece) -> Accepted:
+    def accept(self, first_row: int, piece: Piece) -> UsableRows:
         """Check one piece."""
         accepted = self._accept_whole(piece) or self._accept_rows(first_row, piece)
         good = accepted.piece
@@ -152,7 +152,7 @@ class Clock:
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
         self, piece: Piece
-    ) -> Accepted | None:
+    ) -> UsableRows | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
         time, angle = piece.time, piece.angle
         if len(time) < 2:
@@ -166,7 +166,7 @@ class Clock:
         if not 0 < gone < _GAP_STEPS * self.step:
             return None
         if angle is None:
-            return Accepted(None, piece, unevenness)
+            return UsableRows(None, piece, unevenness)
         if self._lost is not None:
             return None
         advance = self._differences(angle)
@@ -195,7 +195,7 @@ class Clock:
             unwrapped = angle + np.repeat(_TURN * turns, lengths)
             self.findings.wrapped = True
             piece = Piece(time, unwrapped, piece.signals)
-        return Accepted(None, piece, unevenness)
+        return UsableRows(None, piece, unevenness)
 
     def _differences(self, column: np.ndarray) -> np.ndarray:
         """Return the steps of a column, in an array that the next call writes over."""
@@ -205,7 +205,7 @@ class Clock:
         np.subtract(column[1:], column[:-1], out=steps)
         return steps
 
-    def _accept_rows(self, first_row: int, piece: Piece) -> Accepted:
+    def _accept_rows(self, first_row: int, piece: Piece) -> UsableRows:
         """Judge a piece row by row."""
         time = piece.time
         for column, word in ((time, "time"), (piece.angle, "angle")):
@@ -237,7 +237,7 @@ class Clock:
         if piece.angle is not None:
             chosen = Piece(chosen.time, unwrapped[good], chosen.signals)
         unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
-        return Accepted(rows, chosen, unevenness)
+        return UsableRows(rows, chosen, unevenness)
 
     def _drop_repeats(self, piece: Piece, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)

@@ -85,7 +85,7 @@ def span_of_main_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float
 
 
 @frozen
-class Reduced:
+class ReducedPiece:
     """A piece, reduced."""
 
     blocks: Blocks  #: Its means.
@@ -110,7 +110,7 @@ class Reducer:
         # A product with a constant vector is the fastest sum along short rows.
         self._mean = np.full(block, 1 / block)
 
-    def reduce(self, piece: Piece, unevenness: float) -> Reduced:
+    def reduce(self, piece: Piece, unevenness: float) -> ReducedPiece:
         """Reduce one piece."""
         time, signals = piece.time, piece.signals
         outliers = [np.empty(0, dtype=int) for _ in signals]
@@ -118,16 +118,16 @@ class Reducer:
             outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
         by_rows = unevenness < _ROW_UNEVENNESS
         if self._block == 1:
-            return Reduced(_points(piece, outliers), outliers, False)
+            return ReducedPiece(_points(piece, outliers), outliers, False)
         if by_rows and not any(len(places) for places in outliers):
             blocks = self._even_means(piece, unevenness)
             # The mean over a sample that is no number is none either.
             if all(np.isfinite(x).all() for x in blocks.signals):
-                return Reduced(blocks, outliers, True)
+                return ReducedPiece(blocks, outliers, True)
         usable = [np.isfinite(x) for x in signals]
         for mask, places in zip(usable, outliers, strict=True):
             mask[places] = False
-        return Reduced(self._means(piece, usable, by_rows), outliers, False)
+        return ReducedPiece(self._means(piece, usable, by_rows), outliers, False)
 
     def _even_means(self, piece: Piece, unevenness: float) -> Blocks:
         size, time = self._block, piece.time

@@ -205,7 +205,7 @@ def _instantaneous(station: Station, group: Readings, effective: Array, angle: A
 
 
 @frozen
-class Exact:
+class NoiselessReadings:
     """What would be read without noise."""
 
     readings: tuple[Reading, ...]  #: At known attitudes, in the campaign's order.
@@ -213,7 +213,7 @@ class Exact:
 
 
 def filled_description(
-    campaign: Campaign, exact: Exact, generator: np.random.Generator
+    campaign: Campaign, exact: NoiselessReadings, generator: np.random.Generator
 ) -> str | None:
     """Return a campaign's description with values in place of those of its runs.
 
@@ -322,7 +322,7 @@ def _read(
 
 
 def filled_table(
-    campaign: Campaign, exact: Exact, generator: np.random.Generator
+    campaign: Campaign, exact: NoiselessReadings, generator: np.random.Generator
 ) -> tuple[Path, Any] | None:
     """Return the file that [readings] names, and the table, a polars frame, with values in it.
 

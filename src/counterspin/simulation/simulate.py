@@ -38,7 +38,7 @@ from counterspin.physics.path_errors import encoder_error, true_trajectory
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.simulation.pose_record import forces_in_record, indicated_forces
 from counterspin.simulation.readings import (
-    Exact,
+    NoiselessReadings,
     filled_description,
     filled_table,
     simulate_mean_record,
@@ -116,7 +116,7 @@ def simulate(
     folder = Path(folder)
     targets = _targets(campaign, folder)
     readings, head_errors = true_readings(campaign)
-    noise, exact = stream(campaign, 1), Exact(readings, true_poses(campaign))
+    noise, exact = stream(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
     read = bool(readings or exact.poses)
     text = filled_description(campaign, exact, noise) if read else None
     if (table := filled_table(campaign, exact, noise) if read else None) is not None:
@@ -192,7 +192,7 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
             str(campaign.path), ["readings: a table of readings is simulated into a folder only"]
         )
     readings, head_errors = true_readings(campaign)
-    noise, exact = stream(campaign, 1), Exact(readings, true_poses(campaign))
+    noise, exact = stream(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
     read = bool(readings or exact.poses)
     text = filled_description(campaign, exact, noise) if read else None
     if text is not None:

@@ -5,7 +5,7 @@ import pytest
 import triads
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.planning.plan import Planned, check, plan
+from counterspin.planning.plan import PlannedCampaign, check, plan
 
 NOISE = 3e-4
 MORE = """
@@ -29,7 +29,7 @@ def taken(folder, count, u=None):
 def test_a_forecast_of_poses_that_are_there_is_what_their_calibration_states(tmp_path):
     folder = taken(tmp_path, 80)
     stated = calibrate(folder)
-    expected = Planned(check(folder), "").u
+    expected = PlannedCampaign(check(folder), "").u
     for name in ("X.K_F", "Y.K_I", "Z.delta_O"):
         # Students' factor of the noise's 71 degrees of freedom is no part of a forecast.
         assert expected[name] == pytest.approx(stated[name].u, rel=0.03), name
@@ -42,7 +42,7 @@ def test_further_poses_are_chosen_for_what_those_that_are_there_leave_open(tmp_p
         file = folder / "campaign.toml"
         file.write_text(file.read_text(encoding="utf-8") + MORE, encoding="utf-8")
         found[name] = plan(file)
-    before = Planned(check(taken(tmp_path / "before", 24, NOISE)), "").u["X.K_F"]
+    before = PlannedCampaign(check(taken(tmp_path / "before", 24, NOISE)), "").u["X.K_F"]
     assert found["stated"].u["X.K_F"] < 0.95 * before
     # 24 poses beside 9 unknowns tell their noise to 18 %; three times that is not exceeded.
     assert found["shown"].u["X.K_F"] == pytest.approx(found["stated"].u["X.K_F"], rel=0.55)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _DISPLAYED_SHAPE: Final = (15, 6)
 
 
-class Labelled:
+class LabelledMatrix:
     """A square matrix with names.
 
     ``matrix["Qx.K_F", "Qx.K_II"]`` is one element, ``matrix[["Qx.K_F", "Qx.K_II"]]`` an array of
@@ -109,7 +109,7 @@ class Labelled:
 
 
 @frozen(eq=False)
-class Covariance(Labelled):
+class Covariance(LabelledMatrix):
     """Covariance matrix of the coefficients of a result."""
 
     terms: tuple[str, ...]  #: Names such as ``Qx.K_II``, p of them.
@@ -126,4 +126,4 @@ class Covariance(Labelled):
         """The covariances."""
         return self.matrix
 
-    __repr__ = Labelled.__repr__
+    __repr__ = LabelledMatrix.__repr__

@@ -142,16 +142,20 @@ def _unit(accelerometer: AccelerometerResult) -> tuple[str, float]:
     return _SMALL.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
 
 
-def _traces(accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]) -> list[_Drawn]:
+def _traces(
+    accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
+) -> list[_ResidualTrace]:
     places = {run: place for place, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))}
     return [
-        _Drawn(run, places[run], trace, runs[run].counts.get("block", 1) if run in runs else 1)
+        _ResidualTrace(
+            run, places[run], trace, runs[run].counts.get("block", 1) if run in runs else 1
+        )
         for run, trace in accelerometer.traces.items()
     ]
 
 
 @frozen
-class _Drawn:
+class _ResidualTrace:
     """The residuals of a run, its colour and the samples in each mean that was fitted."""
 
     run: str
@@ -160,7 +164,7 @@ class _Drawn:
     block: int
 
 
-def _over_time(name: str, drawn: _Drawn, unit: str, factor: float) -> Plot:
+def _over_time(name: str, drawn: _ResidualTrace, unit: str, factor: float) -> Plot:
     trace = drawn.trace
     time = tuple(trace.time)
     low, high = _scaled(trace.low, factor), _scaled(trace.high, factor)
@@ -189,7 +193,9 @@ def _over_time(name: str, drawn: _Drawn, unit: str, factor: float) -> Plot:
     )
 
 
-def _over_angle(name: str, traces: Sequence[_Drawn], unit: str, factor: float) -> Iterator[Plot]:
+def _over_angle(
+    name: str, traces: Sequence[_ResidualTrace], unit: str, factor: float
+) -> Iterator[Plot]:
     series = []
     for drawn in traces:
         if drawn.trace.by_angle is not None and drawn.trace.by_angle.mean:
@@ -208,7 +214,7 @@ def _over_angle(name: str, traces: Sequence[_Drawn], unit: str, factor: float) -
         )
 
 
-def _spectra(name: str, traces: Sequence[_Drawn]) -> Iterator[Plot]:
+def _spectra(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
     spectra = [
         (drawn, drawn.trace.spectrum)
         for drawn in traces
@@ -257,7 +263,7 @@ def _white_noise(lines: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, 
     return low, high
 
 
-def _quantiles(name: str, traces: Sequence[_Drawn]) -> Iterator[Plot]:
+def _quantiles(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
     kept = [(drawn, drawn.trace.quantiles) for drawn in traces if drawn.trace.quantiles is not None]
     if not kept:
         return

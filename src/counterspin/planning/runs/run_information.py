@@ -54,9 +54,9 @@ class RunInformation:
         # A single rate is a range too, or there would be nothing to interpolate.
         self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rates
         self._revolutions = revolutions
-        kinds = [(name, sense) for name in setup.attitudes for sense in senses]
-        self._kinds = {kind: index for index, kind in enumerate(kinds)}
-        self._terms = TermWeights(setup, self._rates, kinds)
+        run_types = [(name, sense) for name in setup.attitudes for sense in senses]
+        self._run_types = {run_type: index for index, run_type in enumerate(run_types)}
+        self._terms = TermWeights(setup, self._rates, run_types)
         self._tables = self._made_tables()
         self._arrange()
 
@@ -91,7 +91,7 @@ class RunInformation:
             np.array(
                 [
                     chosen(terms, columns[name])
-                    for terms, (name, _) in zip(own, self._kinds, strict=True)
+                    for terms, (name, _) in zip(own, self._run_types, strict=True)
                 ]
             )
             for own in self._terms.terms
@@ -101,11 +101,11 @@ class RunInformation:
             np.array([chosen(terms, late) for terms in own]) if late else None
             for own in self._terms.terms
         ]
-        self._priors = np.ones((len(self._kinds), self._owns))
-        for kind, (name, _) in enumerate(self._kinds):
+        self._priors = np.ones((len(self._run_types), self._owns))
+        for run_type, (name, _) in enumerate(self._run_types):
             own = [model.unknowns[i] for i in owns[name][0]]
             # Of nothing known, the solver's regularisation.
-            self._priors[kind, : len(own)] = [1.0 / unknown.spread for unknown in own]
+            self._priors[run_type, : len(own)] = [1.0 / unknown.spread for unknown in own]
 
     def of_model(self, setup: Setup) -> RunInformation:
         """Return the same for a set-up whose model has some of these terms, in other parts."""
@@ -126,12 +126,12 @@ class RunInformation:
             if instrument.order == 0:  # a random walk of the velocity is white in specific force
                 walk = noise.random_walk**2 * self.setup.sampling_rate
                 noise = Noise(math.sqrt(noise.sample_variance + walk))
-            of_kinds: list[InformationTable | None] = []
-            for kind in self._kinds:
+            by_run_type: list[InformationTable | None] = []
+            for run_type in self._run_types:
                 if noise.random_walk == 0.0 and instrument.timing == 0.0:
-                    of_kinds.append(None)
+                    by_run_type.append(None)
                     continue
-                key: tuple[PlannedInstrument, object] = (instrument, kind)
+                key: tuple[PlannedInstrument, object] = (instrument, run_type)
                 if instrument.timing == 0.0:
                     first = self.setup.instruments[0].mounting
                     key = (replace(instrument, name="", mounting=first), None)
@@ -139,7 +139,7 @@ class RunInformation:
                     tables[key] = InformationTable(
                         instrument.order,
                         noise,
-                        partial(self._of_time_stamps, instrument, *kind)
+                        partial(self._of_time_stamps, instrument, *run_type)
                         if instrument.timing > 0.0
                         else None,
                         self.setup.sampling_rate,
@@ -147,8 +147,8 @@ class RunInformation:
                         self._revolutions,
                         self._terms.harmonics,
                     )
-                of_kinds.append(tables[key])
-            chosen.append(of_kinds)
+                by_run_type.append(tables[key])
+            chosen.append(by_run_type)
         return chosen
 
     def _of_time_stamps(
@@ -190,8 +190,8 @@ class RunInformation:
             errors included, are projected out.
         """
         shape = rate.shape
-        of_run = np.array([self._kinds[kind] for kind in types], dtype=np.intp)
-        kinds = np.broadcast_to(of_run, shape).ravel()
+        of_run = np.array([self._run_types[run_type] for run_type in types], dtype=np.intp)
+        run_types = np.broadcast_to(of_run, shape).ravel()
         rate, revolutions = rate.ravel(), revolutions.ravel()
         samples = revolutions * (2.0 * math.pi * self.setup.sampling_rate) / rate
         samples = np.floor(samples * (1.0 + 1e-12)) + 1.0 if whole_samples else samples + 1.0
@@ -203,20 +203,20 @@ class RunInformation:
         for instrument, tables, weight, late in zip(
             self.setup.instruments, self._tables, self._weights, self._late, strict=True
         ):
-            weights = self._terms.at(weight, kinds, rate, instrument.order)
+            weights = self._terms.at(weight, run_types, rate, instrument.order)
             weights[..., [self._owns + place for place in self._by_warmth]] *= warmth
             if late is not None:
-                since = start * self._terms.at(late, kinds, rate, instrument.order)
+                since = start * self._terms.at(late, run_types, rate, instrument.order)
                 weights[..., [self._owns + place for place in self._by_time]] += since
             part = np.empty((rate.size, weights.shape[1] - instrument.order, weights.shape[2]))
-            for table in dict.fromkeys(tables[kind] for kind in np.unique(kinds)):
-                here = np.array([tables[kind] is table for kind in kinds])
+            for table in dict.fromkeys(tables[run_type] for run_type in np.unique(run_types)):
+                here = np.array([tables[run_type] is table for run_type in run_types])
                 part[here] = self._root(
                     instrument, table, weights[here], rate[here], samples[here], whole_samples
                 )
             parts.append(part)
         rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        for prior in self._priors[kinds].T:
+        for prior in self._priors[run_types].T:
             rows = _without_first(rows, prior[:, None, None])
         return rows.reshape(*shape, *rows.shape[1:])
 

@@ -49,15 +49,15 @@ class TermWeights:
     """The weights of every term in the functions of the angle, over the rate.
 
     rates: Smallest and largest size of the rate, rad/s.
-    kinds: Attitude and sense of each kind of run.
+    run_types: Attitude and sense of each type of run.
     """
 
     def __init__(
-        self, setup: Setup, rates: tuple[float, float], kinds: Sequence[tuple[str, int]]
+        self, setup: Setup, rates: tuple[float, float], run_types: Sequence[tuple[str, int]]
     ) -> None:
         self.setup = setup
         self.rates = rates
-        forces = [[self._forces(i, *kind) for kind in kinds] for i in setup.instruments]
+        forces = [[self._forces(i, *run_type) for run_type in run_types] for i in setup.instruments]
         #: Highest harmonic of the functions.
         self.harmonics = next(
             (
@@ -65,8 +65,8 @@ class TermWeights:
                 for harmonics in _HARMONICS
                 if all(
                     self._suffice(harmonics, instrument, *shown)
-                    for instrument, of_kinds in zip(setup.instruments, forces, strict=True)
-                    for shown in of_kinds
+                    for instrument, by_run_type in zip(setup.instruments, forces, strict=True)
+                    for shown in by_run_type
                 )
             ),
             _HARMONICS[-1],
@@ -74,8 +74,8 @@ class TermWeights:
         #: Of each instrument and kind of run, the Chebyshev coefficients of each term's weights
         #: over the rate, shape (nodes, b).
         self.terms = [
-            [self._weights_of(instrument, *shown) for shown in of_kinds]
-            for instrument, of_kinds in zip(setup.instruments, forces, strict=True)
+            [self._weights_of(instrument, *shown) for shown in by_run_type]
+            for instrument, by_run_type in zip(setup.instruments, forces, strict=True)
         ]
 
     @property
@@ -83,15 +83,15 @@ class TermWeights:
         """The shape of each term's weights."""
         return _RATE_NODES, 4 + 4 * self.harmonics
 
-    def at(self, weights: Array, kinds: npt.NDArray[np.intp], rate: Array, order: int) -> Array:
+    def at(self, weights: Array, run_types: npt.NDArray[np.intp], rate: Array, order: int) -> Array:
         """Return the weights at rates, shape (n, b, columns), integrated over time."""
         low, high = self.rates
         place = (2.0 * rate - low - high) / (high - low)
         vander = chebyshev.chebvander(place, _RATE_NODES - 1) / rate[:, None] ** (1 + order)
         result = np.empty((len(rate), *weights.shape[2:]))
-        for kind in np.unique(kinds):
-            which = kinds == kind
-            result[which] = np.tensordot(vander[which], weights[kind], axes=1)
+        for run_type in np.unique(run_types):
+            which = run_types == run_type
+            result[which] = np.tensordot(vander[which], weights[run_type], axes=1)
         return result
 
     @property
