@@ -97,7 +97,7 @@ def missed(prediction: Forecast, goal: Mapping[str, float], none: str, best: str
 
 
 def _assessed(search: Search, predictor: Predictor, run_types: tuple[RunType, ...]) -> Assessment:
-    """Assess a campaign with much of everything: all types of run, four rates, all the time each."""
+    """Assess a campaign with much of everything: all run types, four rates, all the time each."""
     limits = search.limits
     rates = np.array(limits.settings or np.geomspace(*limits.rate, 4))
     longest = np.minimum(limits.longest_run, limits.total_time - limits.overhead(rates))
