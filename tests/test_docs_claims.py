@@ -88,7 +88,11 @@ NUMBERS = [
     ),
     ("study", "With fewer than {} trials it says that they are too few", [FEWEST_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
-    ("methods", "is known to ±1.96/(4 trials)^½: ±{} with 200 trials", [1.96 / math.sqrt(800)]),
+    (
+        "methods",
+        "is known to ±1.96/(4 trials)^½, which is ±{} with 200 trials",
+        [1.96 / math.sqrt(800)],
+    ),
     ("methods", "ripple's harmonics {} to {}, whether", [1, angle_error.HARMONICS]),
     ("methods", "| above {} | an unknown", [encoder._ESTIMATED_NORM_SQUARED]),
     (
