@@ -145,6 +145,27 @@ def test_weights_use_the_better_samples():
     assert scaled.u_rate == pytest.approx(weighed.u_rate, rel=1e-9)
 
 
+@BOTH
+@pytest.mark.parametrize("samples", [2, 5, 16])
+def test_means_over_blocks_lead_to_the_spindle_of_their_samples(spindle, samples):
+    times = np.arange(512 * samples) * (20.0 / 512 / samples)
+    blocks, angles = times.reshape(-1, samples), spindle.angle(times).reshape(-1, samples)
+    spread = np.std(blocks, axis=1)
+    given = (blocks.mean(axis=1), angles.mean(axis=1), spindle.rate)
+    blind = fit_spindle(*given).spindle
+    found = fit_spindle(*given, spread=spread).spindle
+    phases = np.angle(np.exp(1j * spindle.rate * spread[0] * np.arange(1, 4)))
+    for ripple, without, with_spread in zip(
+        spindle.ripples, blind.ripples, found.ripples, strict=True
+    ):
+        # The two-point rule is exact for two samples; for more it leaves (n w0 s)^4 (1/24 - 3/40).
+        left = phases[ripple.harmonic - 1] ** 4 / 24 if samples > 2 else 0.0
+        assert with_spread.harmonic == ripple.harmonic
+        assert with_spread.amplitude == pytest.approx(ripple.amplitude, rel=left + 1e-9)
+        lost = 1.0 - without.amplitude / ripple.amplitude
+        assert lost == pytest.approx(phases[ripple.harmonic - 1] ** 2 / 2, rel=0.1)
+
+
 def test_residuals_are_recorded_minus_modelled_angle():
     weights = np.linspace(1.0, 2.0, TIMES.size)
     angle = recorded(DRIFTING, 1e-3, seed=5)

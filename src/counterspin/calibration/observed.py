@@ -201,7 +201,13 @@ def observe_run(
     if record.angle is not None:
         late = campaign.timing_offset.value if campaign.timing_offset else 0.0
         # The angle of a row was sampled `timing_offset` after its displacement.
-        rotation = fit_spindle(record.time + late, record.angle, run.rate, weights=record.count)
+        rotation = fit_spindle(
+            record.time + late,
+            record.angle,
+            run.rate,
+            weights=record.count,
+            spread=record.time_sd,
+        )
     spindle = rotation.spindle if rotation else Spindle(run.rate)
     trajectory = Trajectory(spindle, campaign.radius.value, campaign.site, conditions=conditions)
     signals = {}

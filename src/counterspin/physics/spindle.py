@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -163,6 +163,7 @@ def fit_spindle(
     *,
     harmonics: int | None = None,
     weights: Array | None = None,
+    spread: Array | None = None,
 ) -> SpindleFit:
     """Identify w0, C and the ripples from a recorded angle (Eq. 2).
 
@@ -181,6 +182,9 @@ def fit_spindle(
         Harmonics 1 to this number; None chooses them by the criterion.
     weights
         Shape (n,), relative weights (1/variance), such as the samples in each block mean.
+    spread
+        Shape (n,), s: where times and angles are means over blocks of samples, the standard
+        deviation of the times inside each block. A mean has less of a harmonic than its samples.
 
     Returns
     -------
@@ -198,16 +202,17 @@ def fit_spindle(
     wrapped = angle.size == 0 or np.ptp(angle) <= TURN * (1.0 + 1e-9)
     theta = np.unwrap(angle) if wrapped else angle
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
+    samples = _Samples(time, theta, root_weight, spread if np.any(spread) else None)
     if harmonics is not None:
-        return _fit(time, theta, root_weight, nominal_rate, range(1, harmonics + 1))[0]
+        return _fit(samples, nominal_rate, range(1, harmonics + 1))[0]
     highest = _resolvable(time, nominal_rate)
-    everything, whole = _fit(time, theta, root_weight, nominal_rate, range(1, highest + 1))
+    everything, whole = _fit(samples, nominal_rate, range(1, highest + 1))
     kept = [
         ripple.harmonic
         for ripple, u_ripple in zip(everything.spindle.ripples, everything.u_ripples, strict=True)
         if _supported(ripple, u_ripple, time.size)
     ]
-    fit, part = _fit(time, theta, root_weight, everything.spindle.rate, kept)
+    fit, part = _fit(samples, everything.spindle.rate, kept)
     # What the criterion has left out may be there all the same, as far as its noise allows.
     open_ = sorted({*kept, *range(1, min(HARMONICS, highest) + 1)})
     return replace(fit, error=_angle_error(time, open_, whole, part))
@@ -249,6 +254,15 @@ def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> b
     return ripple.amplitude**2 > 2.0 * math.log(samples * MAX_HARMONICS) * u_ripple[0] ** 2
 
 
+class _Samples(NamedTuple):
+    """What a fit is given, each of shape (n,): s, rad, root of the weight, s."""
+
+    time: Array
+    angle: Array
+    root_weight: Array
+    spread: Array | None
+
+
 @frozen
 class _Coefficients:
     """What a fit found of 1, t/span, (t/span)^2 and cos, sin of each harmonic; rad."""
@@ -286,8 +300,9 @@ def _angle_error(
 
 
 def _fit(
-    time: Array, theta: Array, root_weight: Array, start_rate: float, harmonics: Sequence[int]
+    samples: _Samples, start_rate: float, harmonics: Sequence[int]
 ) -> tuple[SpindleFit, _Coefficients]:
+    time, theta, root_weight, spread = samples
     count = len(harmonics)
     n, unknowns = time.size, 3 + 2 * count
     if n <= unknowns:
@@ -303,9 +318,15 @@ def _fit(
     # One row for each unknown's column of the design, and the target's; all of them weighted.
     columns = np.empty((unknowns + 1, n))
     columns[:3] = root_weight, root_weight * scaled, root_weight * scaled**2
+    if spread is not None:
+        columns[2] += root_weight * (spread / span) ** 2
     columns[-1] = root_weight * target
     for _ in range(20):
         _waves(w0 * time, harmonics, root_weight, columns[3:-1])
+        if spread is not None:
+            # As `observation.over_blocks`: the mean of the waves at both ends of the spread.
+            for place, harmonic in enumerate(harmonics):
+                columns[3 + 2 * place : 5 + 2 * place] *= np.cos(harmonic * w0 * spread)
         triangle = triangle_of(in_parts(columns.T))
         r = triangle[:unknowns, :unknowns]
         # R's columns are as long as the design's.
