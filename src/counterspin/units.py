@@ -17,6 +17,12 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final
 
+#: Kelvin at 0 degC.
+ZERO_CELSIUS: Final = 273.15
+
+#: Temperature scales that may be written -> what is added to their numbers for K.
+TEMPERATURE_SCALES: Final = {"degC": ZERO_CELSIUS, "°C": ZERO_CELSIUS, "K": 0.0}
+
 #: The dimensions.
 BASES: Final = (
     "[length]",

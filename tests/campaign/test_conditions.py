@@ -147,6 +147,51 @@ def test_slips(line, message, tmp_path):
     assert any(message in problem for problem in problems(tmp_path, text))
 
 
+def with_courses(*courses):
+    """Return `SMALL` with several temperatures in each run, degC."""
+    text = SMALL
+    for name, course in zip(STATED, courses, strict=True):
+        listed = ", ".join(f'"{one} degC"' for one in course)
+        line = f'record = "{name}.csv"\n'
+        text = changed(text, (line, f"{line}temperature = [{listed}]\n"))
+    return text
+
+
+def test_several_temperatures_are_spread_over_their_run(tmp_path):
+    campaign = campaign_of(tmp_path, with_courses([20, 24, 22], [23], [26, 27]))
+    lengths = {"slow": 80.0, "middle": 40.0, "fast": 20.0}
+    slow, middle, fast = conditions_of(campaign, lengths).values()
+    # The ends count half: (20/2 + 24 + 22/2)/2; the reference is the mean of the three runs'.
+    mean = (22.5 + 23.0 + 26.5) / 3.0
+    assert [slow.warmth, middle.warmth, fast.warmth] == pytest.approx([22.5 - mean, 23 - mean, 2.5])
+    assert slow.warmth_at(np.array([0.0, 20.0, 40.0, 60.0, 99.0])) + mean == pytest.approx(
+        [20.0, 22.0, 24.0, 23.0, 22.0]
+    )
+    assert not middle.course
+    assert middle.warmth_at(np.array([3.0])) == pytest.approx([23.0 - mean])
+
+
+def test_a_run_may_turn_back_within(tmp_path):
+    """Up to 24 degC in the middle of the first run, down until the second ends, up from there."""
+    text = with_courses([20, 22, 24, 23, 22, 21], [21, 19, 18], [19, 25])
+    campaign = campaign_of(tmp_path, text)
+    lengths = {"slow": 50.0, "middle": 40.0, "fast": 20.0}
+    slow, middle, fast = conditions_of(campaign, lengths).values()
+    assert [slow.direction, middle.direction, fast.direction] == [0.5, -0.5, 0.5]
+    # The lines 20 + 2 x and 24 - (x - 2) meet at 2.
+    assert slow.turns == pytest.approx([20.0])
+    assert middle.turns == fast.turns == ()
+    assert slow.direction_at(np.array([0.0, 19.9, 20.1, 50.0])).tolist() == [0.5, 0.5, -0.5, -0.5]
+
+
+def test_a_turn_between_two_temperatures_is_where_their_lines_meet(tmp_path):
+    """Four kelvin a step until 2.5 steps, three back from there: none of them is the highest."""
+    course = [20, 24, 28, 28.5, 25.5, 22.5]
+    campaign = campaign_of(tmp_path, with_courses(course, [21], [20]))
+    slow = conditions_of(campaign, {"slow": 50.0})["slow"]
+    assert slow.turns == pytest.approx([25.0])
+
+
 @pytest.mark.parametrize(
     ("temperatures", "ways"),
     [
@@ -179,13 +224,13 @@ def test_the_way_of_the_temperature_is_told_by_its_turning_points(temperatures, 
         ],
     }
     found = directions_of(make_campaign(described))
-    assert [2 * found.get(str(place), 0) for place in range(len(ways))] == ways
+    assert [2 * found.get(str(place), (0,))[0] for place in range(len(ways))] == ways
     # In the order of their times, where all state them.
     for place, run in enumerate(described["runs"]):
         run["time"] = f"{-place} min"
     back = directions_of(make_campaign(described))
     mirrored = _mirrored(temperatures)
-    assert [2 * back.get(str(place), 0) for place in range(len(ways))] == mirrored
+    assert [2 * back.get(str(place), (0,))[0] for place in range(len(ways))] == mirrored
     del described["runs"][0]["time"]
     assert directions_of(make_campaign(described)) == found
 

@@ -90,7 +90,7 @@ def test_a_run_on_the_arm(tmp_path):
     reading = read(tmp_path, HEAD + ARM + RUN + ON_ARM).readings[1]
     assert (reading.motion, reading.rate, reading.mounting) == ("arm", 9.9, "in")
     assert reading.axes.axes[:2] == ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    assert reading.temperature == pytest.approx(296.55)
+    assert reading.temperature == pytest.approx((296.55,))
 
 
 def test_a_reading_without_its_uncertainty_has_none(tmp_path):

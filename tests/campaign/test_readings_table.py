@@ -262,7 +262,7 @@ def test_words_are_what_they_are_in_every_encoding(tmp_path, encoding):
     found = read(tmp_path, f'[readings]\nfile = "r.csv"\n{keys}').readings
     assert [reading.name for reading in found] == ["außen", "über Kopf"]
     # The row of units is one, temperatures among them, and no reading.
-    assert [reading.temperature for reading in found] == [294.65, 295.15]  # K
+    assert [reading.temperature for reading in found] == [(294.65,), (295.15,)]  # K
 
 
 def test_a_row_of_units_is_compared_with_what_is_said(tmp_path):

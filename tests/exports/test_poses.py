@@ -7,13 +7,14 @@ from posed_records import posed
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, RecordError
 from counterspin.exports.description import drafted, guessed_test, write_description
 from counterspin.exports.looking import look_at
 from counterspin.exports.poses import poses_draft
 from counterspin.toml_text import write_document
 
-ANSWERS = {"gravity": "9.81 m/s^2", "latitude": "45 deg", "sampling_rate": "100 Hz"}
+PLACE = {"gravity": "9.81 m/s^2", "latitude": "45 deg"}
+ANSWERS = {**PLACE, "sampling_rate": "100 Hz"}
 BIAS = np.array([0.1, -0.2, 0.3])
 
 
@@ -58,6 +59,38 @@ def test_a_log_without_names_and_times(tmp_path, values):
     ]
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert campaign.triad is not None
+
+
+def test_a_thermometer_beside_the_axes_tells_their_slopes(tmp_path):
+    """The sensor warms by 8 K over 40 poses; its X axis reads 2 mm/s^2 more for each."""
+    truth = posed(3.0, 1.0, 40, noise=0.005, seed=3)
+    warm = 22.0 + 8.0 * (1.0 - np.exp(-truth.time / 60.0))
+    values = truth.values + BIAS
+    values[:, 0] += 0.002 * (warm - 25.0)
+    rows = np.column_stack([truth.time, values, np.round(warm, 1)])
+    names = "t_s,ax,ay,az,Temp (°C)"
+    np.savetxt(tmp_path / "imu.csv", rows, "%.5f", ",", header=names, comments="", encoding="utf-8")
+    found = drafted(look_at([tmp_path / "imu.csv"]), PLACE, "poses")
+    assert "temperature: column 'Temp (°C)', in degC" in found.statements
+    document = found.document(tmp_path)
+    assert document["records"]["temperature"] == {"column": "Temp (°C)", "unit": "degC"}
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    slopes = campaign.change(terms=["K_F", "K_I", "delta_O", "delta_P", "K_F.temperature"])
+    result = calibrate(slopes)
+    for name, true in (("X", 0.002 / 9.81), ("Y", 0.0), ("Z", 0.0)):
+        one = result.accelerometers[name].coefficients["K_F.temperature"]
+        assert one.u < 2e-5
+        assert abs(one.value - true) < 4.0 * one.u
+    assert result.inputs.temperatures == pytest.approx([295.15, 273.15 + warm.max()], abs=0.1)
+
+
+def test_counts_of_a_thermometer_are_not_guessed_to_be_degrees(tmp_path, values):
+    time = 0.01 * np.arange(len(values))
+    counts = np.full(len(values), 3120.0)
+    rows = np.column_stack([time, values, counts])
+    np.savetxt(tmp_path / "i.csv", rows, "%.5f", ",", header="t_s,ax,ay,az,temp", comments="")
+    document = drafted(look_at([tmp_path / "i.csv"]), PLACE, "poses").document(tmp_path)
+    assert set(document["records"]) == {"time"}
 
 
 def test_what_is_guessed_can_be_overruled(tmp_path, values):
@@ -230,3 +263,122 @@ def test_other_records_are_not_taken_for_poses(tmp_path, values):
         columns = {f"a{n}": these[:, n] for n in range(3)}
         pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
         assert guessed_test(look_at([tmp_path / f"{name}.csv"])) == "double-turntable"
+
+
+# As loggers write them
+
+
+def layouts(time, values):
+    """Yield name, lines before the rows, rows and the columns of the axes, of several makes."""
+    ns = 1617181920123456789 + np.round(time * 1e9).astype(np.int64)
+    cells = [",".join(f"{one:.6f}" for one in row) for row in values]
+    yield (
+        "a robot's bag",
+        ["%time,field.header.seq,field.header.stamp,w.x,w.y,w.z,a.x,a.y,a.z"],
+        [
+            f"{t},{n},{t},0.0,0.0,0.0,{row}"
+            for n, (t, row) in enumerate(zip(ns, cells, strict=True))
+        ],
+        ("a.x", "a.y", "a.z"),
+    )
+    yield (
+        "a drone's inertial unit",
+        ["#timestamp [ns],w_x [rad s^-1],a_x [m s^-2],a_y [m s^-2],a_z [m s^-2]"],
+        [f"{t},0.001,{row}" for t, row in zip(ns, cells, strict=True)],
+        ("a_x [m s^-2]", "a_y [m s^-2]", "a_z [m s^-2]"),
+    )
+    yield (
+        "a wearable with a row of units",
+        ['"sep=,"', "Unix_CAL,Accel_X_CAL,Accel_Y_CAL,Accel_Z_CAL,", "ms,m/(s^2),m/(s^2),m/(s^2),"],
+        [f"{t / 1e6:.3f},{row}," for t, row in zip(ns, cells, strict=True)],
+        ("Accel_X_CAL", "Accel_Y_CAL", "Accel_Z_CAL"),
+    )
+    yield (
+        "an autopilot's arrays",
+        ["timestamp,accel_m_s2[0],accel_m_s2[1],accel_m_s2[2]"],
+        [f"{int(t * 1e6) + 99000123},{row}" for t, row in zip(time, cells, strict=True)],
+        ("accel_m_s2[0]", "accel_m_s2[1]", "accel_m_s2[2]"),
+    )
+    yield (
+        "dates without names",
+        [],
+        [
+            f"2024-01-01 14:{int(t) // 60:02d}:{t % 60:06.3f},{row}"
+            for t, row in zip(time, cells, strict=True)
+        ],
+        ("column 2", "column 3", "column 4"),
+    )
+
+
+NAMES_OF_LAYOUTS = [name for name, *_ in layouts(np.zeros(1), np.zeros((1, 3)))]
+
+
+@pytest.mark.parametrize("name", NAMES_OF_LAYOUTS)
+def test_layouts_of_loggers(tmp_path, name):
+    truth = posed(2.6, 0.8, 12)
+    values = truth.values + BIAS
+    _, head, rows, axes = next(one for one in layouts(truth.time, values) if one[0] == name)
+    (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    looks = look_at([tmp_path / "log.csv"])
+    assert guessed_test(looks) == "poses"
+    found = drafted(looks, PLACE, "poses")
+    assert found.triad == axes
+    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    assert len(calibrate(campaign).triad.poses) == 12
+
+
+def write_rows(folder, time, values, head="t,ax,ay,az"):
+    rows = np.column_stack([time, values])
+    np.savetxt(folder / "log.csv", rows, "%.6g", ",", header=head, comments="")
+    return look_at([folder / "log.csv"])
+
+
+def test_a_counter_of_packets_is_no_time(tmp_path, values):
+    looks = write_rows(tmp_path, 12000 + np.arange(len(values)), values, "PacketCounter,x,y,z")
+    assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
+
+
+def test_rests_of_a_second_are_found(tmp_path):
+    truth = posed(1.0, 0.6, 20)
+    found = drafted(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
+    assert any(
+        one.startswith("20 poses in log.csv: rests of at least 0.5 s") for one in found.statements
+    )
+    assert found.document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
+
+
+def test_volts_without_a_unit_are_poses_whose_unit_is_asked(tmp_path, values):
+    looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), 1.65 + values / 9.81 / 3.0)
+    assert guessed_test(looks) == "poses"
+    assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["unit"]
+    told = poses_draft(looks, PLACE | {"unit": "V"}).document(tmp_path)
+    size, unit = told["accelerometers"]["X"]["output"]["sensitivity"].split(" ")
+    assert (float(size), unit) == (pytest.approx(1.0 / 3.0, rel=0.01), "V/g")
+
+
+def test_numbers_that_lost_their_sign_are_refused(tmp_path, values):
+    counts = np.mod(np.round(values / 9.81 * 16384.0), 65536.0)
+    looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), counts)
+    with pytest.raises(
+        RecordError, match=r"16 bits with a sign .* subtract 65536 from each of 32768"
+    ):
+        guessed_test(looks)
+
+
+def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
+    both = np.column_stack([values, 1.02 * values + 0.05])
+    looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, "t,a1,a2,a3,b1,b2,b3")
+    found = drafted(looks, PLACE, "poses")
+    assert found.triad == ("a1", "a2", "a3")
+    assert (
+        "three more axes rest alike, as of a second sensor; if it is meant, answer X=b1, Y=b2, Z=b3"
+        in (found.statements)
+    )
+    other = drafted(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
+    assert other.triad == ("b1", "b2", "b3")
+
+
+def test_words_between_numbers_have_to_go(tmp_path):
+    (tmp_path / "log.txt").write_text("AcX = -8272 | AcY = -14018 | AcZ = -2056\n" * 40)
+    with pytest.raises(RecordError, match="Where words stand between numbers in its rows, take"):
+        look_at([tmp_path / "log.txt"])

@@ -21,18 +21,25 @@ TRAJECTORY = Trajectory(SPINDLE, 2.5, SITE, conditions=CONDITIONS)
 TIMES = np.linspace(0.0, 9.0, 181)
 
 
+#: Warmer, then colder than at its start; known to be on its way up first.
+WITHIN = replace(
+    CONDITIONS, direction=0.5, course=(-2.0, 1.0, -0.5, -3.0), length=8.0, turns=(8.0 / 3.0,)
+)
+
+
+@pytest.mark.parametrize("conditions", [CONDITIONS, WITHIN], ids=["one temperature", "a course"])
 @pytest.mark.parametrize("mounting", [QX, QZ], ids=["level", "vertical"])
 @pytest.mark.parametrize("observable", ORDERS)
 @pytest.mark.parametrize("symbol", CONDITION_TERMS)
-def test_column_is_what_the_simulation_adds(symbol, observable, mounting):
+def test_column_is_what_the_simulation_adds(symbol, observable, mounting, conditions):
     others = {"K_F": 3e-3, "K_I": 1.002, "K_II": 2e-5}
-    slope = 1e-5
+    slope, trajectory = 1e-5, replace(TRAJECTORY, conditions=conditions)
 
     def at(size):
         truth = {**others, symbol: size}
-        return recorded(TRAJECTORY, mounting, truth, {}, TIMES, observable)
+        return recorded(trajectory, mounting, truth, {}, TIMES, observable)
 
-    (shown,) = columns(TRAJECTORY, mounting, [symbol], TIMES, observable, scale_factor=1.3).T
+    (shown,) = columns(trajectory, mounting, [symbol], TIMES, observable, scale_factor=1.3).T
     got = (at(slope) - at(-slope)) / (2 * slope)
     np.testing.assert_allclose(got, shown, rtol=0, atol=1e-9 * np.abs(shown).max())
 
@@ -47,6 +54,58 @@ def test_a_trend_goes_on_within_the_run():
     for observable, expected in by_hand.items():
         (shown,) = columns(TRAJECTORY, QX, ["K_F.trend"], TIMES, observable).T
         np.testing.assert_allclose(shown, expected, rtol=1e-14)
+
+
+#: A ramp of the temperature, from `BEGIN` by `RISE` K a second, over the times.
+BEGIN, RISE = -3.0, 0.75
+RAMP = RunConditions(
+    warmth=BEGIN + 0.5 * RISE * TIMES[-1],
+    course=(BEGIN, BEGIN + RISE * TIMES[-1]),
+    length=TIMES[-1],
+)
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_what_a_ramp_of_the_temperature_adds_to_the_bias(power):
+    """Of (T0 + b t)^p the integrals are (T0 + b t)^(p+1)/(b (p+1)), and so on."""
+    g, warm = SITE.gravity, BEGIN + RISE * TIMES
+    once = (warm ** (power + 1) - BEGIN ** (power + 1)) / (RISE * (power + 1))
+    twice = (warm ** (power + 2) - BEGIN ** (power + 2)) / (RISE**2 * (power + 1) * (power + 2))
+    twice -= BEGIN ** (power + 1) / (RISE * (power + 1)) * TIMES
+    by_hand = {"specific_force": warm**power, "velocity": once, "displacement": twice}
+    symbol = "K_F.temperature" + (f".{power}" if power > 1 else "")
+    ramped = replace(TRAJECTORY, conditions=RAMP)
+    for observable, expected in by_hand.items():
+        (shown,) = columns(ramped, QX, [symbol], TIMES, observable).T
+        np.testing.assert_allclose(
+            shown, g * expected, rtol=0, atol=1e-12 * g * abs(expected).max()
+        )
+
+
+def test_what_a_ramp_of_the_temperature_adds_to_the_scale_on_a_turning_spindle():
+    """S'' = -R w^2 (T0 + b t) cos wt, without the Earth's rotation: integrated by parts."""
+    rate, radius = 2.4, 2.5
+    turning = Trajectory(Spindle(rate), radius, replace(SITE, earth_rate=0.0), conditions=RAMP)
+    t, warm = TIMES, BEGIN + RISE * TIMES
+    wave, crossed = np.cos(rate * t), np.sin(rate * t)
+    by_hand = {
+        "specific_force": -radius * rate**2 * warm * wave,
+        "velocity": -radius * rate * (warm * crossed + RISE * (wave - 1.0) / rate),
+        "displacement": radius * (warm * wave - BEGIN - 2.0 * RISE / rate * crossed + RISE * t),
+    }
+    for observable, expected in by_hand.items():
+        (shown,) = columns(turning, QX, ["K_I.temperature"], t, observable).T
+        np.testing.assert_allclose(shown, expected, rtol=0, atol=2e-12 * abs(expected).max())
+
+
+def test_a_turn_of_the_temperature_turns_the_hysteresis():
+    """Up until t1 and down from there: half of it more, then half of it less."""
+    turned = 3.3
+    up = replace(TRAJECTORY, conditions=RunConditions(direction=0.5, turns=(turned,)))
+    (shown,) = columns(up, QX, ["K_F.hysteresis"], TIMES).T
+    since = np.maximum(TIMES - turned, 0.0)
+    by_hand = SITE.gravity * (0.25 * TIMES**2 - 0.5 * since**2)
+    np.testing.assert_allclose(shown, by_hand, rtol=0, atol=1e-12 * abs(by_hand).max())
 
 
 def test_on_the_way_down_hysteresis_is_half_of_it_less():

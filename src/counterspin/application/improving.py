@@ -163,11 +163,12 @@ def search_into(there: Connection, campaign: Path) -> None:
     """Look for runs that would help; `there` is told as of `processes.report_progress`."""
 
     def work(progress: Progress) -> dict[str, FurtherRuns | None]:
+        from counterspin.calibration.observed import with_recorded_temperatures
         from counterspin.campaign.description import read_campaign
         from counterspin.planning.recorded.from_records import observed_with_noise
         from counterspin.planning.recorded.further_runs import further_runs
 
-        read = read_campaign(campaign)
+        read = with_recorded_temperatures(read_campaign(campaign))
         observed, noise = observed_with_noise(read)
         found = {}
         for place, owner in enumerate(read.accelerometers):

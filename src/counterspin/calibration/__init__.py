@@ -2,7 +2,8 @@
 
 - `calibrate`: the whole way, from a folder to a `Result`; `batch`: many campaigns
 - `options`: how a calibration is made
-- `observed`: records brought together with the rotation they were taken on; sensors at rest
+- `observed`: records brought together with the rotation they were taken on, and with how warm it
+  was; sensors at rest
 - `assembly`: from observed runs to a `Result`, by either method
 - `outcome`: what a method has found, as the result states it
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect

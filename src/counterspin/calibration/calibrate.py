@@ -75,6 +75,7 @@ def calibrate(
         raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
     with checksums_of(where) as checksums, ThreadPoolExecutor(1) as beside:
         # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
+        from counterspin.calibration.observed import with_recorded_temperatures
         from counterspin.campaign.description import Campaign, read_campaign
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
@@ -83,6 +84,7 @@ def calibrate(
         beside.submit(_load, campaign)
         averaged = _averaged_files(campaign)
         with one_blas_thread():
+            campaign = with_recorded_temperatures(campaign)
             observed = _observed(campaign, progress)
             checksums.hurry()
             from counterspin.calibration.assembly import calibration

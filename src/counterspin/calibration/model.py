@@ -187,7 +187,7 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     if row.effect.condition == "direction":
         return bool(directions_of(campaign))
     warm = set(temperatures_of(campaign))
-    recorded = any(run.temperature is not None for run in campaign.runs)
+    recorded = any(run.temperature for run in campaign.runs)
     # Where nobody took temperatures, what a change of 1 K may have done is a slope.
     assumed_warm = recorded or row.effect.power == 1
     of_runs = (run.warmth for run in conditions_of(campaign).values() if assumed_warm)

@@ -12,11 +12,14 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.memory.source import keep
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Accelerometer, Run
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics import observation
@@ -25,16 +28,24 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.amplitude import Swing
+from counterspin.records.course import read_course
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
 from counterspin.records.removed import WORDS as REMOVED
 from counterspin.records.removed import removed
+from counterspin.units import ZERO_CELSIUS
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
 _HORIZONTAL_PART: Final = 0.05
 
 #: How many of 1, t and t^2 a line is.
 _LINE: Final = 2
+
+#: A stated temperature may be off the recorded ones by so much, K: chamber and instrument differ.
+_APART: Final = 5.0
+
+#: Record and the part of it -> its course.
+_Known = dict[tuple[Path, tuple[float, float]], tuple[float, ...]]
 
 #: rad, over which a change with the latitude is taken.
 _LATITUDE_STEP: Final = 1e-5
@@ -243,3 +254,76 @@ def _of_platform_velocity(
         name: Signal(signal.accelerometer, signal.error + part, (moved - part) / _LATITUDE_STEP)
         for (name, signal), part, moved in zip(signals.items(), back, there, strict=True)
     }
+
+
+# The temperatures that are in records, in the place of those that a description states
+
+
+def with_recorded_temperatures(campaign: Campaign) -> Campaign:
+    """Return a campaign whose runs have the temperatures that are in their records.
+
+    RecordError where a column cannot be used, or contradicts what a run states.
+    """
+    known: _Known = {}
+    runs = tuple(
+        replace(run, temperature=temperatures_of(campaign, run, known)) for run in campaign.runs
+    )
+    readings = tuple(
+        replace(one, temperature=temperatures_of(campaign, one, known)) for one in campaign.readings
+    )
+    triad = campaign.triad
+    if triad is not None:
+        records = tuple(
+            replace(one, temperature=temperatures_of(campaign, one, known)) for one in triad.records
+        )
+        triad = replace(triad, records=records)
+    if not known:
+        return campaign
+    changed = replace(campaign, runs=runs, readings=readings, triad=triad)
+    return changed if campaign.source is None else keep(changed, campaign.source)
+
+
+def temperatures_of(
+    campaign: Campaign, one: Run | Reading | PoseRecord, known: _Known
+) -> tuple[float, ...] | None:
+    """Return the temperatures of a run, reading or record of poses, K: what its own record says.
+
+    known: Courses that were read, to which its own is added.
+    """
+    columns = columns_of_temperature(campaign, one)
+    if columns is None or one.record is None:
+        return one.temperature
+    source, key = campaign.record_at(one.record), (one.record, columns.part)
+    if isinstance(source, Path) and not source.exists():
+        return one.temperature  # whoever reads the rest of it says so
+    if key not in known:
+        known[key] = read_course(source, columns)
+    course = known[key]
+    apart = max(
+        (max(min(course) - stated, stated - max(course)) for stated in one.temperature or ()),
+        default=0.0,
+    )
+    if apart > _APART:
+        low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(course), max(course)))
+        (column,) = columns.signals.values()
+        raise RecordError(
+            f"{source}: column '{column.name}' has temperatures from {low} to {high} degC; the run "
+            f'"{one.name}" states one that is {apart:.3g} K off. Correct the unit of the column or '
+            "the temperature of the run, or leave that out."
+        )
+    return course
+
+
+def columns_of_temperature(
+    campaign: Campaign, one: Run | Reading | PoseRecord
+) -> RecordColumns | None:
+    """Return the columns of time and temperature of a record; None where it has no temperature."""
+    recording = Recording(campaign.time, None, campaign.dialect, campaign.temperature)
+    columns = RecordColumns(campaign.time, None, {})
+    if isinstance(one, Run):
+        recording = campaign.recording_of(one)
+        columns = replace(columns, part=one.part, more=one.continued_in)
+    if recording.temperature is None:
+        return None
+    signals = {"temperature": recording.temperature}
+    return replace(columns, time=recording.time, signals=signals, dialect=recording.dialect)

@@ -203,7 +203,11 @@ class AccelerometersReader:
     ) -> None:
         """Note columns that are used twice."""
         seen = {records.time.column or "": "records.time"}
-        others = {"records.angle": records.angle.column} if records.angle else {}
+        others = {
+            f"records.{key}": channel.column
+            for key, channel in (("angle", records.angle), ("temperature", records.temperature))
+            if channel
+        }
         others |= {
             f"accelerometers.{a.name}.{a.observable}": a.channel.name
             for a in accelerometers.values()

@@ -27,6 +27,7 @@ from counterspin.campaign.kinds import (
     known,
     positive,
     read_exactly,
+    temperature_scale,
     time_unit,
     unit_of,
 )
@@ -44,6 +45,7 @@ class Recording:
     time: ColumnSpec
     angle: ColumnSpec | None
     dialect: Dialect = TO_BE_FOUND
+    temperature: ColumnSpec | None = None  #: Of the accelerometers; None: not recorded.
     recorder: str = ""  #: Whose clock it has; empty: that of all runs that name no other.
     clock: Quantity | None = None  #: By how much of itself that is fast; None: not stated.
 
@@ -148,6 +150,19 @@ class AngleChannel(_Channel):
         return replace(counts, factor=factor, offset=self.zero, wanted="")
 
 
+class TemperatureChannel(_Channel):
+    """The column that holds the temperature of the accelerometers."""
+
+    unit: Annotated[str, AfterValidator(temperature_scale)] | None = described(
+        "of its numbers", "degC", None, absent="the file's", kind="`degC`, `K`"
+    )
+
+    @property
+    def spec(self) -> ColumnSpec:
+        """The column, K."""
+        return ColumnSpec(self.column, unit=self.unit, wanted="K", kind="temperature")
+
+
 class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
@@ -186,6 +201,13 @@ class _TimeAndAngle(SettingsSection):
         {"column": "angle_rad", "unit": "rad"},
         None,
         absent="nominal rate",
+    )
+    temperature: TemperatureChannel | None = described(
+        "temperature of the accelerometers, for slopes with it; rows may lack it, for a quarter of "
+        "a record at most",
+        {"column": "T", "unit": "degC"},
+        None,
+        absent="that of each run",
     )
 
 
@@ -229,7 +251,8 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         if angle is not None and angle.kind == "pulses":
             angle = replace(angle, factor=angle.factor / fast)
         time = replace(time, factor=time.factor / fast)
-        return Recording(time, angle, self.dialect, self.recorder or "", self.clock)
+        warm = None if self.temperature is None else self.temperature.spec
+        return Recording(time, angle, self.dialect, warm, self.recorder or "", self.clock)
 
 
 class DisplacementChannel(_Channel):

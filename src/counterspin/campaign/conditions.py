@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, islice
 from typing import Final
 
 import numpy as np
@@ -40,14 +41,21 @@ def dated_of(campaign: Campaign) -> list[Run | Reading | PoseRecord]:
 
 
 def temperatures_of(campaign: Campaign) -> list[float]:
-    """Return the temperatures that are stated, K."""
-    return [one.temperature for one in dated_of(campaign) if one.temperature is not None]
+    """Return all temperatures that were taken, K."""
+    return [temperature for one in dated_of(campaign) for temperature in one.temperature or ()]
+
+
+def mean_of(course: Sequence[float]) -> float:
+    """Return the mean of a course over its length: the ends count half."""
+    if len(course) == 1:
+        return course[0]
+    return (sum(course) - 0.5 * (course[0] + course[-1])) / (len(course) - 1)
 
 
 def origin_of(campaign: Campaign) -> Origin:
     """Return the reference temperature, or the mean of all; and the time of what came first."""
     dated = dated_of(campaign)
-    warmths = temperatures_of(campaign)
+    warmths = [mean_of(one.temperature) for one in dated if one.temperature]
     temperature = campaign.reference_temperature
     if temperature is None:
         temperature = sum(warmths) / len(warmths) if warmths else 0.0
@@ -55,19 +63,33 @@ def origin_of(campaign: Campaign) -> Origin:
     return Origin(temperature, time)
 
 
-def directions_of(campaign: Campaign) -> dict[str, float]:
-    """Return 1/2 for runs and readings on the way up in temperature, -1/2 on the way down.
+def directions_of(
+    campaign: Campaign, found: Sequence[Reading] = ()
+) -> dict[str, tuple[float, ...]]:
+    """Return 1/2 for temperatures that were reached on the way up, -1/2 on the way down.
 
-    They are in the order of their times where all state theirs, else in that of the description.
-    Where the temperature never came back by `REVERSAL`, there is nothing to tell: none is returned.
+    They are in the order of the times of runs and readings where all state theirs, else in that of
+    the description. Where the temperature never came back by `REVERSAL`, there is nothing to tell:
+    none is returned.
+
+    found: In the place of the records in which they were found.
+    Returns: By the name of a run, reading or record, for each of its temperatures.
     """
-    warm = [one for one in dated_of(campaign) if one.temperature is not None]
+    dated = dated_of(campaign)
+    if found:
+        known = {one.name for one in dated}
+        dated = [one for one in dated if not isinstance(one, PoseRecord)]
+        dated += [one for one in found if one.name not in known]
+    warm = [one for one in dated if one.temperature]
     if all(one.time is not None for one in warm):
         warm.sort(key=lambda one: one.time or 0.0)
-    ways = _ways([one.temperature or 0.0 for one in warm])
+    courses = [one.temperature or () for one in warm]
+    ways = _ways(list(chain.from_iterable(courses)))
     if len({way for way in ways if way}) < 2:
         return {}
-    return {one.name: 0.5 * way for one, way in zip(warm, ways, strict=True)}
+    halves = (0.5 * way for way in ways)
+    every = zip(warm, courses, strict=True)
+    return {one.name: tuple(islice(halves, len(course))) for one, course in every}
 
 
 def _ways(temperatures: Sequence[float]) -> list[int]:
@@ -104,12 +126,35 @@ def conditions_of(
     conditions, elapsed = {}, 0.0
     for run in campaign.runs:
         start = elapsed if run.time is None else run.time - origin.time
-        warmth = 0.0 if run.temperature is None else run.temperature - origin.temperature
-        conditions[run.name] = RunConditions(start, warmth, ways.get(run.name, 0.0))
-        elapsed += (lengths or {}).get(run.name, run.duration or 0.0)
+        length = (lengths or {}).get(run.name, run.duration or 0.0)
+        warmths = [temperature - origin.temperature for temperature in run.temperature or ()]
+        way = ways.get(run.name, (0.0,))
+        one = RunConditions(start, mean_of(warmths) if warmths else 0.0, way[0])
+        if len(warmths) > 1 and length:
+            one = replace(one, course=tuple(warmths), length=length)
+            turned = (_turn(warmths, int(place)) for place in np.flatnonzero(np.diff(way)))
+            step = length / (len(warmths) - 1)
+            one = replace(one, turns=tuple(step * place for place in turned))
+        conditions[run.name] = one
+        elapsed += length
     if all(run.temperature is None for run in campaign.runs):
         return _warming(conditions)
     return conditions
+
+
+def _turn(course: Sequence[float], place: int) -> float:
+    """Return where a course turns back whose extreme is at a place, in steps.
+
+    That is where the lines meet on which it comes and goes, or the place itself near its ends.
+    """
+    if not 2 <= place < len(course) - 2:
+        return float(place)
+    come, before, _, after, gone = course[place - 2 : place + 3]
+    up, down = before - come, gone - after
+    if up == down:
+        return float(place)
+    beside = (after - before - up - down) / (up - down)
+    return place + min(max(beside, -1.0), 1.0)
 
 
 def _warming(conditions: Mapping[str, RunConditions]) -> dict[str, RunConditions]:
@@ -158,10 +203,10 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         value=np.array([r.value for r in readings]),
         u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
         temperature=np.array(
-            [(reference if r.temperature is None else r.temperature) - reference for r in readings]
+            [mean_of(r.temperature) - reference if r.temperature else 0.0 for r in readings]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in readings]),
-        direction=np.array([ways.get(r.name, 0.0) for r in readings]),
+        direction=np.array([ways.get(r.name, (0.0,))[0] for r in readings]),
         repeats=np.array([float(r.repeats) for r in readings]),
         scatter=np.array([r.scatter for r in readings]),
         resolution=min(r.resolution for r in readings),

@@ -102,6 +102,8 @@ class Campaign:
         Files of readings, and SHA-256 of those that were read with the description.
     frames
         Records that are in memory, by the files in whose place they are.
+    temperature
+        Column of the accelerometers' temperature in records; None without.
     dialect
         How record files are written, as far as that is said.
     skipped
@@ -137,6 +139,7 @@ class Campaign:
     clock: Quantity | None = None
     own_velocity: bool = False
     dialect: Dialect = TO_BE_FOUND
+    temperature: ColumnSpec | None = None
     skipped: tuple[str, ...] = ()
     triad: Triad | None = None
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
@@ -168,7 +171,9 @@ class Campaign:
 
     def recording_of(self, run: Run) -> Recording:
         """Return how the record of a run is read."""
-        return run.recording or Recording(self.time, self.angle, self.dialect, "", self.clock)
+        return run.recording or Recording(
+            self.time, self.angle, self.dialect, self.temperature, clock=self.clock
+        )
 
     def record_at(self, file: Path) -> Path | MemoryTable:
         """Return the record in memory that stands in the place of a file, or else the file."""
@@ -420,7 +425,9 @@ class _DescriptionReader:
             model, priors = resolve_model(settings, given, apparatus, problems, gravity)
             if records is not None and records.angle is None:
                 refuse_encoder(model, problems)
-            check_conditions(model, self._placed(runs), reference, problems)
+            common = records.recording if records else NOT_RECORDED
+            recorded = {run.name for run in runs if (run.recording or common).temperature}
+            check_conditions(model, self._placed(runs), recorded, reference, problems)
         simulation = None
         if self.truth is not None:
             recorders = recorders_of(table_of(self.raw, "records"), runs)
@@ -453,6 +460,7 @@ class _DescriptionReader:
             time=recording.time,
             angle=recording.angle,
             dialect=recording.dialect,
+            temperature=recording.temperature,
             skipped=skipped_runs(self.all_runs),
             timing_offset=records.timing_offset if records else None,
             clock=records.clock if records else None,

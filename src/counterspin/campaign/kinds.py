@@ -31,7 +31,7 @@ from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, Quantity, parse
 from counterspin.campaign.toml_file import BACKSLASH_ADVICE
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.formats import RECORD_FORMATS
-from counterspin.units import unit_factor
+from counterspin.units import TEMPERATURE_SCALES, unit_factor
 
 #: Written as the unit of time stamps in ISO 8601.
 STAMPS: Final = "iso"
@@ -43,9 +43,6 @@ COMPASS: Final = {
 
 #: Written in [noise] where a component is to be estimated from the residuals.
 ESTIMATE: Final = "estimate"
-
-#: Kelvin at 0 degC; only differences of temperature count.
-ZERO_CELSIUS: Final = 273.15
 
 _UNCERTAIN_TEMPERATURE: Final = re.compile(r"\s*(.*?)\s*(degC|°C|K)\s*")
 _TEMPERATURE: Final = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
@@ -251,7 +248,23 @@ def a_temperature(value: object) -> float:
     match = _TEMPERATURE.fullmatch(value)
     if match is None:
         raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')
-    return float(match[1]) + (0.0 if match[2] == "K" else ZERO_CELSIUS)
+    return float(match[1]) + TEMPERATURE_SCALES[match[2]]
+
+
+def temperatures(value: object) -> tuple[float, ...]:
+    """Return one temperature or several in turn, K."""
+    if not isinstance(value, list):
+        return (a_temperature(value),)
+    if not value:
+        raise ValueError("must have at least one temperature")
+    return tuple(a_temperature(one) for one in value)
+
+
+def temperature_scale(unit: str) -> str:
+    """Return the scale of a column of temperatures."""
+    if unit not in TEMPERATURE_SCALES:
+        raise ValueError(f"'{unit}' is not a scale of temperature; use degC or K")
+    return "K" if unit == "K" else "degC"
 
 
 def temperature_known(text: str) -> Quantity:
@@ -260,7 +273,7 @@ def temperature_known(text: str) -> Quantity:
     if match is None:
         raise ValueError(f'{text!r} is not a temperature; write "23.4 ± 0.5 degC" or "296.5 K"')
     number = parse(f"{match[1]} 1", "1")
-    return Quantity(number.value + (0.0 if match[2] == "K" else ZERO_CELSIUS), number.u, "K")
+    return Quantity(number.value + TEMPERATURE_SCALES[match[2]], number.u, "K")
 
 
 def date_or_text(value: object) -> str:
@@ -346,6 +359,7 @@ ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, Literal[tuple
 Several = Annotated[list[Text], BeforeValidator(several, Text | list[Text])]
 PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
 Temperature = Annotated[float, PlainValidator(a_temperature, Text)]
+Temperatures = Annotated[tuple[float, ...], PlainValidator(temperatures, Text | list[Text])]
 Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 
 

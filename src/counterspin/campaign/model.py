@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final
 
@@ -347,18 +347,21 @@ def _resolve_sizes(
 def check_conditions(
     model: ErrorModel,
     runs: Sequence[tuple[int, Run]],
+    recorded: Collection[str],
     reference: float | None,
     problems: Problems,
 ) -> None:
     """Note what is missing for the slopes of a model, and slopes that nothing determines.
 
+    recorded: Names of the runs whose record has the temperature.
     reference: The reference temperature, K, if there is one.
     """
     used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
     for key in ("temperature", "time"):
         conditions = (key, "direction") if key == "temperature" else (key,)
         asking = next((row.symbol for row in used if row.effect.condition in conditions), None)
-        stated = [getattr(run, key) is not None for _, run in runs]
+        own = recorded if key == "temperature" else ()
+        stated = [getattr(run, key) is not None or run.name in own for _, run in runs]
         if asking is None and (key == "temperature" or not any(stated)):
             continue
         why = f"{asking} is in the model" if asking else "other runs state theirs"
@@ -368,8 +371,10 @@ def check_conditions(
                 problems.add(
                     ("runs", place, key), f"is missing: {why}; write for example {key} = {example}"
                 )
-        if asking and key == "temperature" and reference is None and runs and all(stated):
-            temperatures = {run.temperature for _, run in runs}
+        if own or reference is not None or not runs or not all(stated):
+            continue
+        if asking and key == "temperature":
+            temperatures = {temperature for _, run in runs for temperature in run.temperature or ()}
             if len(temperatures) == 1:
                 problems.add(
                     ("centrifuge", "reference_temperature"),

@@ -25,7 +25,7 @@ from counterspin.campaign.kinds import (
     PositiveRatio,
     Seconds,
     SettingsSection,
-    Temperature,
+    Temperatures,
     Text,
     described,
     positive,
@@ -116,7 +116,12 @@ class ReadingRunSettings(SettingsSection):
         absent="rests of 1.5 s",
     )
     mounting: str = described("name of the position on the fixture", "in", "")
-    temperature: Temperature | None = described("in this run", "23.4 degC", None, kind="text")
+    temperature: Temperatures | None = described(
+        "in this run; of a `record` several count as taken at even times from its start to its end",
+        "23.4 degC",
+        None,
+        kind="text, list of text",
+    )
     time: Annotated[float, read_exactly("s")] | None = described(
         "when it was read, by any clock", "12 min", None
     )
@@ -152,8 +157,8 @@ class Reading:
     #: Axis about which the dividing head turned, zero without one, shape (3,).
     head: tuple[float, float, float]
     u_head: float  #: Random standard uncertainty of the head's angle, rad.
-    #: K and s; None where they were not recorded.
-    temperature: float | None
+    #: K, of a record several evenly spread over it, and s; None where they were not recorded.
+    temperature: tuple[float, ...] | None
     time: float | None
     record: Path | None = None  #: The file whose mean is the reading; None: the value is given.
     duration: float | None = None  #: Length of the record that is simulated, s; None: not stated.
@@ -242,6 +247,10 @@ def resolve_reading(
     if (settings.reading is None) == (settings.record is None):
         problems.add(path, "give one of reading and record")
         return []
+    if settings.record is None and len(settings.temperature or ()) > 1:
+        problems.add(
+            (*path, "temperature"), "a reading has one temperature; several belong to a record"
+        )
     if settings.poses is not None:
         problems.add((*path, "poses"), 'are searched for only with attitude = "unknown"')
     values = settings.reading

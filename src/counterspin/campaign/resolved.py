@@ -92,9 +92,9 @@ class Run:
     #: Truth of a simulated run; None where nothing is to be simulated. A calibration does not read
     #: it.
     truth: RunTruth | None = None
-    #: K, and s of its beginning by any clock; None where they were not recorded.
-    temperature: float | None = None
-    time: float | None = None
+    #: K, several of them evenly spread over the run; None where none was taken.
+    temperature: tuple[float, ...] | None = None
+    time: float | None = None  #: s of its beginning by any clock; None where it was not recorded.
     recording: Recording | None = None  #: How its record is read; None: as the campaign's others.
     #: From where to where the record is used, s in its own time.
     part: tuple[float, float] = (-math.inf, math.inf)

@@ -22,7 +22,7 @@ from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
 
 #: Keys of [records] that a run has of its own.
-_OWN: Final = ("time", "angle", "recorder", "clock", *Dialect.__dataclass_fields__)
+_OWN: Final = ("time", "angle", "temperature", "recorder", "clock", *Dialect.__dataclass_fields__)
 
 
 @frozen

@@ -33,6 +33,7 @@ from counterspin.campaign.kinds import (
     SettingsSection,
     Several,
     Temperature,
+    Temperatures,
     Text,
     a_latitude,
     an_error,
@@ -491,8 +492,13 @@ class RunSettings(SettingsSection):
     revolutions: PositiveRatio | None = described(
         "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
     )
-    temperature: Temperature | None = described(
-        "in this run, for slopes with temperature; or in K", "23.4 degC", None, kind="text"
+    temperature: Temperatures | None = described(
+        "in this run, for slopes with temperature; or in K. Several count as taken at even times "
+        "from its start to its end",
+        "23.4 degC",
+        None,
+        absent="that of its record",
+        kind="text, list of text",
     )
     time: Annotated[float, read_exactly("s")] | None = described(
         "when the run began, by any clock, for `K_F.trend`",
@@ -513,7 +519,8 @@ class RunSettings(SettingsSection):
         absent="in the record",
     )
     records: dict[str, Any] | None = described(
-        "keys of `[records]` that differ in this run: `time`, `angle`, `recorder`, `clock` and "
+        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
+        "`clock` and "
         "how the file is written",
         {"decimal": "."},
         None,

@@ -14,7 +14,6 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.result import Result
-from counterspin.campaign.kinds import ZERO_CELSIUS
 from counterspin.correction.apply import ApplyOptions, Correction, apply
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
@@ -22,7 +21,7 @@ from counterspin.output import FileType, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.dialect import TEMPERATURES
 from counterspin.records.tables import locate, read_numbers, read_table
-from counterspin.units import same_unit, unit_factor
+from counterspin.units import ZERO_CELSIUS, same_unit, unit_factor
 
 #: What a constant in the place of a column may be.
 _EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}

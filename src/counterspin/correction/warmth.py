@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.calibration.result import Result
-from counterspin.campaign.kinds import ZERO_CELSIUS, temperature_known
+from counterspin.campaign.kinds import temperature_known
 from counterspin.errors import CampaignError
 from counterspin.physics.correction import CalibratedAccelerometer, Warmth
+from counterspin.units import ZERO_CELSIUS
 
 #: Temperatures in degC as `ApplyOptions` has them, or text.
 Temperature = npt.ArrayLike | str | None

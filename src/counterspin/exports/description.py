@@ -200,6 +200,7 @@ def _statements(
         yield f"angle: column '{angle.column}', in {unit}{counts} ({by})"
     if sense is not None and angle is not None:
         yield f"sense: {sense}, from the phase of the waves along two axes"
+    yield from common.temperature_words
     for signal in common.signals:
         what = (signal.observable or "a signal").replace("_", " ")
         axis = f"along {signal.axis}" if signal.axis else "of an unknown axis"
@@ -235,6 +236,7 @@ def _records(common: FileGuess, answers: Mapping[str, str], sense: str) -> dict[
         records["time"] = {"sampling_rate": stated}
     else:
         records["time"] = {"column": common.time.column, "unit": common.time.unit}
+    records |= common.temperature_table
     angle = common.angle
     if angle is None:
         return records

@@ -7,6 +7,7 @@ above both.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -33,6 +34,10 @@ _AXES: Final = {
     "north": re.compile(r"(?i)(.*[^a-z])?(north|nord)([^a-z]|$)"),
     "up": re.compile(r"(?i)(.*[^a-z])?(up|height)([^a-z]|$)"),
 }
+#: A thermometer's column.
+_TEMPERATURE: Final = re.compile(r"(?i)(.*[^a-z])?temp(erature?|eratur)?([^a-z].*|$)")
+#: Scale of temperature -> what a thermometer beside an accelerometer shows in it.
+_THERMOMETER: Final = {"degC": (-60.0, 150.0), "K": (210.0, 425.0)}
 #: Names of single numbers: rows a second, s between rows, revolutions a minute.
 _SAMPLING: Final = re.compile(r"(?i)(.*[._])?(fs|f_s|sampl(e|ing)_?(rate|frequency))(_?hz)?")
 _STEP: Final = re.compile(r"(?i)(.*[._])?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval))(_?s)?")
@@ -105,6 +110,24 @@ class FileGuess:
     rate: float | None
     rising: bool  #: Whether the encoder counts up.
     unused: tuple[str, ...]  #: Names of columns that seem to be none of these.
+    #: The accelerometers' temperature, column and scale; None: there seems to be none.
+    temperature: tuple[str, str] | None = None
+
+    @property
+    def temperature_table(self) -> dict[str, dict[str, str]]:
+        """What [records] says of the temperature; empty without one."""
+        if self.temperature is None:
+            return {}
+        column, scale = self.temperature
+        return {"temperature": {"column": column, "unit": scale}}
+
+    @property
+    def temperature_words(self) -> list[str]:
+        """What a person is told of it."""
+        if self.temperature is None:
+            return []
+        column, scale = self.temperature
+        return [f"temperature: column '{column}', in {scale}"]
 
 
 @np.errstate(all="ignore")  # no number of a file is too odd to be looked at
@@ -161,9 +184,11 @@ def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> Fi
     signals = tuple(_signal(column, seconds, theta, rate, told) for column in swinging)
     taken = {signal.column for signal in signals}
     taken |= {part.column for part in (time, angle) if part}
+    warm = _temperature([column for column in columns if column.name not in taken])
+    taken |= {warm[0]} if warm else set()
     unused = tuple(column.name for column in columns if column.name not in taken)
     unused = (*unused, *look.others, *look.numbers)
-    return FileGuess(look, time, angle, sampling, signals, rate, rising, unused)
+    return FileGuess(look, time, angle, sampling, signals, rate, rising, unused, warm)
 
 
 def _chosen(
@@ -174,6 +199,20 @@ def _chosen(
     """Return the column that is told, or else the one that is guessed."""
     named = next((column for column in columns if column.name == told), None)
     return named if told == NONE or named is not None else guess(columns)
+
+
+def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
+    """Return the column of a temperature by its unit or its name, and its scale; None: none.
+
+    Counts of a thermometer are none: its scale would be a guess.
+    """
+    for column in columns:
+        scale = column.unit or ("degC" if _TEMPERATURE.fullmatch(column.name) else "")
+        low, high = _THERMOMETER.get(scale, (math.inf, -math.inf))
+        there = column.values[np.isfinite(column.values)]
+        if there.size and low < there.min() and there.max() < high:
+            return column.name, scale
+    return None
 
 
 def _sampling(look: Look, told: Mapping[str, str]) -> float | None:

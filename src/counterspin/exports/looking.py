@@ -101,7 +101,8 @@ def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
         if not columns:
             seen = file.seen()
             lines = f" Its first lines:\n{seen}" if seen else ""
-            raise RecordError(f"{path}: no column of the file holds numbers.{lines}")
+            advice = "Where words stand between numbers in its rows, take them out."
+            raise RecordError(f"{path}: no column of the file holds numbers. {advice}{lines}")
         return Look(
             path,
             tuple(columns),

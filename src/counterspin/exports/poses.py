@@ -35,7 +35,7 @@ from counterspin.exports.triads import (
 from counterspin.frozen import frozen
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
-from counterspin.records.poses import SHORTEST_REST
+from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST
 
 
 @frozen
@@ -103,8 +103,10 @@ class PosesDraft(AnsweredExport):
         readings: dict[str, Any] = {"file": relative_name(look.path, place)}
         readings |= {"sheet": look.sheet} if look.sheet else {}
         readings |= {"decimal": ","} if look.decimal == "," else {}
-        read = dict(zip(AXES, columns, strict=True))
-        return {"readings": readings | {"attitude": "unknown", "columns": {"reading": read}}}
+        read: dict[str, Any] = {"reading": dict(zip(AXES, columns, strict=True))}
+        warm = self.guesses[0].temperature
+        read |= {"temperature": warm[0]} if warm else {}
+        return {"readings": readings | {"attitude": "unknown", "columns": read}}
 
     def _records(self, said: Mapping[str, str], place: Path) -> dict[str, Any]:
         """Return how the time is in records of poses, and a run for each."""
@@ -125,7 +127,7 @@ class PosesDraft(AnsweredExport):
                     "poses": {"rest": said["rest"]},
                 }
             )
-        return {"records": {"time": rows}, "runs": runs}
+        return {"records": {"time": rows} | self.guesses[0].temperature_table, "runs": runs}
 
 
 def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> PosesDraft:
@@ -154,7 +156,10 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
 def shows_poses(looks: Sequence[Look]) -> bool:
     """Return whether files seem to be records of a sensor that was set down in many poses."""
     found = find_triad([guessed_poses(look, {}) for look in looks], {})
-    return found is not None and found.unit is not None
+    if found is None or found.unit is not None:
+        return found is not None
+    # Whatever its unit may be, what rests on a sphere and moves clearly between is a sensor's.
+    return found.poses is not None and any(found.zero) and found.poses.contrast > CLEAR_RATIO
 
 
 # What is asked, and said
@@ -190,7 +195,7 @@ def _questions(
             yield ExportQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
     if not in_table:
         text = "How long must a rest last at least to count as a pose?"
-        usual = f"{SHORTEST_REST:g} s"
+        usual = f"{found.rest if found else SHORTEST_REST:g} s"
         yield ExportQuestion("rest", text, usual, guess=usual, quantity="s")
     text = "Of which grade is the sensor? It sets the typical size of all that is not stated."
     grade = grade_of(found, guess) if found else None
@@ -212,6 +217,7 @@ def _statements(
         yield f"time: column '{time.column}', in {time.unit or 'an unknown unit'}"
     elif sampling is not None:
         yield f"time: no column; {sampling:.8g} rows a second"
+    yield from guesses[0].temperature_words
     if found is None:
         return
     unit = f" in {found.unit}" if found.unit else ""
@@ -226,11 +232,14 @@ def _statements(
     level = f"{poses.threshold:.3g} {found.unit or ''}".strip()
     yield (
         f"{len(poses.start)} poses in {where}{usual}: rests of at least "
-        f"{told.get('rest', f'{SHORTEST_REST:g} s')} in which the axes together scatter by less "
+        f"{told.get('rest', f'{found.rest:g} s')} in which the axes together scatter by less "
         f"than {level}; their attitudes are unknown"
     )
     yield from poses.doubts
     yield from poses.left_out
+    for other in found.others:
+        named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, other, strict=True))
+        yield f"three more axes rest alike, as of a second sensor; if it is meant, answer {named}"
     yield from _not_used(guesses[0], found)
 
 
@@ -240,6 +249,7 @@ def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
     unit = f" in {found.unit}" if found.unit else ""
     yield f"a sensor with three axes: columns {quoted(found.columns)}{unit}"
     yield f"{len(found.means)} poses, one in each row; their attitudes are unknown"
+    yield from guess.temperature_words
     yield from _not_used(guess, found)
 
 

@@ -36,6 +36,8 @@ AXES: Final = {"X": ("east", "north"), "Y": ("north", "up"), "Z": ("up", "east")
 UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
 #: Time from one file to the next where rests are looked for in all, s: none goes on.
 _BETWEEN_FILES: Final = 100.0
+#: Rests that are looked for, one length after the other, where nobody says how long they are, s.
+RESTS: Final = (SHORTEST_REST, 0.5)
 #: Rows a second that are taken to look for rests where nobody has said how many there are.
 USUAL_RATE: Final = 100.0
 #: Rows, and columns one after the other, in which rests are looked for at most; rows of a table in
@@ -52,11 +54,14 @@ _FEWEST_ABOUT_MIDDLE: Final = 9
 _GRAVITY_PART: Final = 0.15
 #: About the middle of their sphere they are as large within this one: axes are not equally good.
 _SPHERE_PART: Final = 0.05
-#: Steps of a time without a unit, from which it is in ms, and in us: sensors give 2 rows a second
+#: Steps of a time without a unit, from which it is in ms, us and ns: sensors give 2 rows a second
 #: to some thousands.
-_STEPS_IN: Final = {"us": 500.0, "ms": 0.5, "s": 0.0}
+_STEPS_IN: Final = {"ns": 500_000.0, "us": 500.0, "ms": 0.5, "s": 0.0}
 #: Noise density from which a sensor is guessed to be of a worse grade, g/Hz^0.5.
 _NOISY: Final = {"consumer": 5e-5, "tactical": 2e-6}
+#: Bits of a converter's numbers, and jumps from one end of them to the other that tell.
+_WORD_BITS: Final = (12, 14, 16, 24)
+_FEWEST_JUMPS: Final = 4
 #: Part by which poses of such a sensor differ in size, of a table that says no noise.
 _UNLIKE: Final = 1e-3
 
@@ -72,6 +77,9 @@ class TriadColumns:
     #: What the columns read where nothing is felt, shape (3,): zero, or the middle of the sphere on
     #: which the poses lie.
     zero: Array = field(default_factory=lambda: np.zeros(3))
+    rest: float = SHORTEST_REST  #: The shortest rest that counted, s.
+    #: Further columns of three axes that rest alike, as of a second sensor.
+    others: tuple[tuple[str, ...], ...] = ()
 
     @property
     def gravity(self) -> float:
@@ -102,9 +110,8 @@ def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
 
 
 def _counts_rows(column: FileColumn) -> bool:
-    """Return whether a column numbers the rows, which is no time."""
-    start = column.values[0]
-    return bool(start in (0.0, 1.0) and np.all(np.diff(column.values) == 1.0))
+    """Return whether a column numbers the rows, perhaps from anywhere, which is no time."""
+    return bool(not column.unit and np.all(np.diff(column.values) == 1.0))
 
 
 def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadColumns | None:
@@ -114,8 +121,22 @@ def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadCo
     """
     guess = guesses[0]
     columns, seconds = _together(guesses)
+    if "rest" in told:
+        return _found_triad(columns, seconds, guess, told, parse(told["rest"], "s").value)
+    every = (_found_triad(columns, seconds, guess, told, rest) for rest in RESTS)
+    found = [one for one in every if one is not None]
+    return next((one for one in found if one.means is not None), next(iter(found), None))
+
+
+def _found_triad(
+    columns: Mapping[str, FileColumn],
+    seconds: Array,
+    guess: FileGuess,
+    told: Mapping[str, str],
+    rest: float,
+) -> TriadColumns | None:
+    """Return the columns of a triad with rests of so many seconds, as `find_triad`."""
     named = [columns[told[axis]] for axis in AXES if told.get(axis) in columns]
-    rest = parse(told["rest"], "s").value if "rest" in told else SHORTEST_REST
     if len(named) == len(AXES):
         return _looked_at(named, seconds, rest, told.get("unit"))
     time = guess.time.column if guess.time else None
@@ -127,10 +148,17 @@ def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadCo
         if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
             found = _looked_at(three, seconds, rest, told.get("unit"))
             if found.means is not None and _turns(found.means - found.zero):
-                if found.unit is not None:
-                    return found
                 like.append(found)
-    return next(iter(like), None)
+    known = [found for found in like if found.unit is not None] or like
+    others = (found.columns for found in known[1:] if _felt_alike(found, known[0]))
+    apart = (named for named in others if not set(named) & set(known[0].columns))
+    return replace(known[0], others=tuple(apart)) if known else None
+
+
+def _felt_alike(one: TriadColumns, other: TriadColumns) -> bool:
+    """Return whether two triads felt the same force: a magnetometer's rests turn otherwise."""
+    known = one.unit == other.unit and one.means is not None and other.means is not None
+    return known and bool(abs(one.gravity / other.gravity - 1.0) < _GRAVITY_PART)
 
 
 def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
@@ -171,12 +199,13 @@ def _looked_at(
     first, second, third = (column.name for column in columns)
     named = (first, second, third)
     values = np.column_stack([column.values[:MOST_ROWS] for column in columns])
+    _refuse_unsigned(columns, values)
     poses, means = None, _rows_of(values)
     if means is None:
         try:
             poses = find_poses(seconds[:MOST_ROWS], values, rest)
         except RecordError:
-            return TriadColumns(named, unit or columns[0].unit or None, None)
+            return TriadColumns(named, unit or columns[0].unit or None, None, rest=rest)
         means = poses.mean
     if unit is None and not (unit := columns[0].unit):
         felt = _norms(means)
@@ -190,7 +219,24 @@ def _looked_at(
     # Counts and volts may be any number where nothing is felt, a specific force is none there.
     zero = np.zeros(3) if converts(unit or "", "m/s^2") else _middle(means)
     unit = unit or ("count" if _whole(values) else "")
-    return TriadColumns(named, unit or None, poses, means, zero)
+    return TriadColumns(named, unit or None, poses, means, zero, rest)
+
+
+def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
+    """Refuse counts below zero that were written as if they had no sign: -1 as 65535."""
+    there = values[np.isfinite(values).all(axis=1)]
+    if not len(there) or not _whole(there) or there.min() < 0.0:
+        return
+    for bits in _WORD_BITS:
+        most = 2.0**bits
+        jumps = (np.abs(np.diff(there, axis=0)) > 0.9 * most).sum(axis=0)
+        if 0.9 * most < there.max() < most and (jumps >= _FEWEST_JUMPS).any():
+            names = ", ".join(f"'{column.name}'" for column in columns)
+            raise RecordError(
+                f"the columns {names} jump between 0 and {most - 1:.0f}: they are numbers of "
+                f"{bits} bits with a sign (two's complement) that were written without it. Export "
+                f"them with their sign, or subtract {most:.0f} from each of {most / 2:.0f} or more."
+            )
 
 
 def _rows_of(values: Array) -> Array | None:
@@ -241,6 +287,8 @@ def _is_gravity(felt: Array) -> bool:
 def _turns(means: Array) -> bool:
     """Return whether poses, (n, 3), are many, alike in size and unlike in direction."""
     felt = _norms(means)
+    if not felt.all():
+        return False
     spread = np.linalg.svd(means / felt[:, None], compute_uv=False)
     many = len(felt) >= _FEWEST_POSES
     # In at least three directions, none of them rare.

@@ -7,7 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from counterspin.calibration.observed import ObservedRun, observe_run, read_run, record_columns
+from counterspin.calibration.observed import (
+    ObservedRun,
+    columns_of_temperature,
+    observe_run,
+    read_run,
+    record_columns,
+    temperatures_of,
+)
 from counterspin.calibration.posed.found_poses import FoundPose, columns_of_poses, found_in
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
@@ -47,6 +54,7 @@ class _WatchedRun:
     record: Record | None = None
     observed: ObservedRun | None = None
     found: tuple[FoundPose, ...] = ()
+    temperature: tuple[float, ...] | None = None
     conditions: RunConditions | None = None
     stale: bool = True
     fault: str | None = None  # of the file
@@ -77,7 +85,8 @@ class Observer:
                 if isinstance(run, Run)
                 else columns_of_poses(campaign)
             )
-            table = _table_of(run, columns) if grow else None
+            warm = columns_of_temperature(campaign, run)
+            table = _table_of(run, columns, warm) if grow else None
             self._watched.append(_WatchedRun(run, columns, table))
 
     def look(self) -> tuple[bool, list[str]]:
@@ -102,10 +111,17 @@ class Observer:
                 lengths[watched.run.name] = float(watched.record.time[-1])
             if watched.found and watched.table is not None:
                 frames[watched.run.record] = watched.table.table
-        runs = tuple(r for r in self._campaign.runs if r.name in lengths)
+        warm = {watched.run.name: watched.temperature for watched in self._watched}
+        runs = tuple(
+            replace(r, temperature=warm[r.name]) for r in self._campaign.runs if r.name in lengths
+        )
         part = replace(self._campaign, runs=runs, frames=frames)
         if part.triad is not None:
-            usable = tuple(one for one in part.triad.records if self.poses_of(one.name))
+            usable = tuple(
+                replace(one, temperature=warm[one.name])
+                for one in part.triad.records
+                if self.poses_of(one.name)
+            )
             part = replace(part, triad=replace(part.triad, records=usable))
         conditions = conditions_of(part, lengths) if runs else {}
         observed = []
@@ -165,10 +181,12 @@ class Observer:
             frames = {**source.frames, watched.run.record: watched.table.table}
             source = replace(source, frames=frames)
         try:
-            if isinstance(watched.run, Run):
-                watched.record = read_run(source, watched.run)
+            watched.temperature = temperatures_of(source, watched.run, {})
+            run = replace(watched.run, temperature=watched.temperature)
+            if isinstance(run, Run):
+                watched.record = read_run(source, run)
             else:
-                watched.found = tuple(found_in(source, watched.run))
+                watched.found = tuple(found_in(source, run))
         except RecordError as error:
             watched.trouble = str(error)
 
@@ -217,18 +235,25 @@ def _look_at(watched: _WatchedRun) -> tuple[bool, str | None]:
     return changed, event
 
 
-def _table_of(run: Recorded, columns: RecordColumns) -> GrowingTable | None:
+def _table_of(
+    run: Recorded, columns: RecordColumns, warm: RecordColumns | None
+) -> GrowingTable | None:
     """Return the growing table that a run's record is; None if it has to be read whole.
 
     Time stamps, pulses and units that the file itself states are told from the file as a whole, and
     so is where a run begins whose rows are counted.
+
+    warm: Its time and temperature, if it has that.
     """
+    more = list(warm.signals.values()) if warm else []
     specs = [columns.time, *([columns.angle] if columns.angle else []), *columns.signals.values()]
-    kinds = ("numbers",) if isinstance(run, Run) else ("numbers", "rows")
+    specs += more
+    kinds = ("numbers", "temperature", *(() if isinstance(run, Run) else ("rows",)))
     plain = all(spec.kind in kinds and (spec.unit or not spec.wanted) for spec in specs)
     if run.record.suffix.lower() not in APPENDED or not plain or columns.more or columns.pulses:
         return None
-    return GrowingTable(run.record, columns.filed, columns.dialect)
+    names = [*columns.filed, *(spec.name for spec in more)]
+    return GrowingTable(run.record, names, columns.dialect)
 
 
 def record_name(path: Path, folder: Path) -> str:

@@ -16,9 +16,35 @@ class RunConditions:
     """What is known of a run beside its motion."""
 
     start: float = 0.0  #: When it began, s from the beginning of the campaign.
-    warmth: float = 0.0  #: Its temperature less the reference temperature, K.
-    #: 1/2 where that was reached on the way up, -1/2 on the way down, 0 where neither is known.
+    warmth: float = 0.0  #: Its mean temperature less the reference temperature, K.
+    #: 1/2 where it was on the way up at its start, -1/2 on the way down, 0 where neither is known.
     direction: float = 0.0
+    #: Its temperatures less the reference temperature, K, evenly spread over its length and
+    #: straight between; empty where it had one.
+    course: tuple[float, ...] = ()
+    length: float = 0.0  #: Over which they are spread, s.
+    turns: tuple[float, ...] = ()  #: When its temperature turned back, s from its start.
+
+    @property
+    def knots(self) -> Array:
+        """When its temperatures were as in the course, s from its start, shape (k,)."""
+        return np.linspace(0.0, self.length, len(self.course))
+
+    @property
+    def breaks(self) -> Array:
+        """When something in it bends or jumps, s from its start, shape (m,)."""
+        return np.append(self.knots, self.turns)
+
+    def warmth_at(self, times: Array) -> Array:
+        """Return its temperature as in the course at times from its start, s, shape (n,)."""
+        if not self.course:
+            return np.full(times.shape, self.warmth)
+        return np.interp(times, self.knots, self.course)
+
+    def direction_at(self, times: Array) -> Array:
+        """Return the direction at times from its start, s, shape (n,)."""
+        turned = np.searchsorted(np.sort(self.turns), times)
+        return np.asarray(self.direction * (1.0 - 2.0 * (turned % 2)))
 
 
 #: At the beginning of a campaign, at the reference temperature.
@@ -98,8 +124,22 @@ class Slope:
     condition: str
     power: int = 1  #: With which power of the condition it grows.
 
+    def varies_within(self, conditions: RunConditions) -> bool:
+        """Return whether the temperature, or its way, changed within a run; of time it is known."""
+        within = {"temperature": conditions.course, "direction": conditions.turns}
+        return bool(within.get(self.condition))
+
+    def along(self, conditions: RunConditions, force: float, times: Array) -> Array:
+        """Return what the slope is multiplied with at times (n,) from a run's start, s.
+
+        A change with time is taken at the start. force: Centripetal force at the run's rate, g.
+        """
+        warmth, direction = conditions.warmth_at(times), conditions.direction_at(times)
+        start, forces = np.full_like(warmth, conditions.start), np.full_like(warmth, force)
+        return self.levers(start, warmth, direction, forces)
+
     def lever(self, conditions: RunConditions, force: float) -> float:
-        """Return what the slope is multiplied with at the start of a run.
+        """Return what the slope is multiplied with at the start of a run, in its mean temperature.
 
         force: Centripetal force at the run's rate, g.
         """

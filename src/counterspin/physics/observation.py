@@ -21,10 +21,13 @@ from counterspin.physics.effects import AT_REFERENCE, Effect, PathError, Product
 from counterspin.physics.motion import Motion, Site, Trajectory, motion_at
 from counterspin.physics.path_errors import path_change
 from counterspin.physics.quadrature import Panels
-from counterspin.physics.terms import term
+from counterspin.physics.terms import TERMS, term
 
 #: Nodes up to which integrals along a trajectory are kept: of some hundred revolutions.
 _MOST_NODES: Final = 16384
+
+#: What is integrated along a trajectory.
+Integrated = Product | Turn | Slope
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -137,10 +140,14 @@ def columns(
     bias = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
     kinked = {i: one for i, one in enumerate(does) if isinstance(one, Product) and one.has_kink}
     path = [i for i, one in enumerate(does) if isinstance(one, PathError)]
-    slopes = {i: one for i, one in enumerate(does) if isinstance(one, Slope)}
+    slopes = {
+        i: one
+        for i, one in enumerate(does)
+        if isinstance(one, Slope) and not one.varies_within(trajectory.conditions)
+    }
     apart = {*linear, *bias, *kinked, *path, *slopes}
     smooth = {
-        i: one for i, one in enumerate(does) if i not in apart and isinstance(one, Product | Turn)
+        i: one for i, one in enumerate(does) if i not in apart and isinstance(one, Integrated)
     }
     if unseen := set(range(len(does))) - apart - set(smooth):
         raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unseen))}")
@@ -200,7 +207,7 @@ class _Integrals:
     def at(
         self,
         times: Array,
-        effects: Sequence[Product | Turn],
+        effects: Sequence[Integrated],
         axes: Mounting,
         attitude: Array,
         order: int,
@@ -216,7 +223,7 @@ class _Integrals:
         return self._panels.at(times, series)
 
     def _of(
-        self, effects: Sequence[Product | Turn], axes: Mounting, attitude: Array, order: int
+        self, effects: Sequence[Integrated], axes: Mounting, attitude: Array, order: int
     ) -> Array:
         if self._panels.nodes.size > _MOST_NODES:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
@@ -240,7 +247,8 @@ def _along(trajectory: Trajectory, duration: float) -> _Integrals:
 
 
 def _made(trajectory: Trajectory, duration: float) -> _Integrals:
-    edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
+    breaks = trajectory.conditions.breaks
+    edges = quadrature.panel_edges(trajectory.spindle, duration, breaks, coarse=trajectory.coarse)
     return _Integrals(trajectory, Panels(edges))
 
 
@@ -248,7 +256,7 @@ _along_short, _along_long = lru_cache(maxsize=48)(_made), lru_cache(maxsize=8)(_
 
 
 def _integrands(
-    effects: Sequence[Product | Turn], motion: Motion, axes: Mounting, attitude: Array
+    effects: Sequence[Integrated], motion: Motion, axes: Mounting, attitude: Array
 ) -> Array:
     """Return what terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
     sensed = _SensorInputs(motion, axes, attitude)
@@ -292,7 +300,7 @@ class _Shown:
                 return np.cross(np.eye(3)[about], self._axes.input_axis)
         return None
 
-    def smooth(self, effects: Sequence[Product | Turn], with_force: bool) -> tuple[Array, Array]:
+    def smooth(self, effects: Sequence[Integrated], with_force: bool) -> tuple[Array, Array]:
         """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
         if self._order == 0:
             return self._seen(effects), self.motion.specific_force.T
@@ -305,7 +313,7 @@ class _Shown:
             return integrals, np.empty((0, self._times.size))
         return integrals[2:], self._double_integral_of_force(integrals[:2])
 
-    def kinked(self, effects: Sequence[Product | Turn]) -> Array:
+    def kinked(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
@@ -317,7 +325,7 @@ class _Shown:
         kinked = _Integrals(motion, Panels(of_panels(breaks)))
         return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
 
-    def _seen(self, effects: Sequence[Product | Turn]) -> Array:
+    def _seen(self, effects: Sequence[Integrated]) -> Array:
         """Return what terms add to the specific force, m/s^2, (k, n)."""
         return _integrands(effects, self.motion, self._axes, self._attitude)
 
@@ -350,10 +358,14 @@ class _SensorInputs:
         self._attitude = attitude
         self._gravity = motion.trajectory.site.gravity
 
-    def integrand(self, effect: Product | Turn) -> Array:
+    def integrand(self, effect: Integrated) -> Array:
         """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
         if isinstance(effect, Product):
             return self._gravity * effect.evaluate(self._a_ipo)
+        if isinstance(effect, Slope):
+            path = self._motion.trajectory
+            lever = effect.along(path.conditions, path.centripetal, self._motion.t)
+            return lever * self.integrand(TERMS[effect.coefficient].effect)
         integrand: Array = self._attitude_error(effect) * self._turned[effect.axis]
         return integrand
 

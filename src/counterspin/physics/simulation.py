@@ -92,14 +92,16 @@ def recorded(
         for symbol, slope in coefficients.items()
         if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].effect.condition == "time"
     )
-    coefficients = changed(coefficients, trajectory.conditions, trajectory.centripetal)
+    conditions, every = trajectory.conditions, coefficients
+    coefficients = changed(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
 
     def residual(t: Array) -> Array:
         """Return the indicated force's error less that of the scale factor, m/s^2."""
         force = trajectory.specific_force(t)
         psi = attitude_error(trajectory, platform, t, attitude)
-        sensed = indicated(axes, coefficients, _turned(force, psi) / g)
+        felt = _turned(force, psi) / g
+        sensed = indicated(axes, coefficients, felt) + _since(every, conditions, axes, felt, t)
         return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
 
     # The scale factor's own part has an exact integral, which a quadrature would spoil.
@@ -110,20 +112,50 @@ def recorded(
     if order == 0:
         return base + scale_error * exact + residual(times)
     duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
-    edges = quadrature.panel_edges(trajectory.spindle, duration)
+    breaks = conditions.breaks
+    edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
     if coefficients.get("K_OQ", 0.0) != 0.0:
-        breaks = quadrature.sign_changes(
+        kinks = quadrature.sign_changes(
             lambda t: trajectory.specific_force(t) @ axes.input_axis, edges
         )
-        edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
+        edges = quadrature.panel_edges(trajectory.spindle, duration, np.append(breaks, kinks))
     error = quadrature.integrate(lambda t: residual(t)[None], edges, times, order)[:, 0]
     return base + scale_error * exact + error
+
+
+def _since(
+    coefficients: Mapping[str, float],
+    conditions: RunConditions,
+    axes: Mounting,
+    force: Array,
+    times: Array,
+) -> Array | float:
+    """Return what an accelerometer indicates more, as its temperature is not that of `changed`.
+
+    force: Sensed at the times, g, shape (n, 3).
+    times: s from the run's start, shape (n,).
+    Returns: g, shape (n,), or 0.
+    """
+    more: Array | float = 0.0
+    for symbol, slope in coefficients.items():
+        row = CONDITION_TERMS.get(symbol)
+        if row is None or slope == 0.0 or not row.effect.varies_within(conditions):
+            continue
+        if row.effect.condition == "direction":
+            grown = conditions.direction_at(times) - conditions.direction
+        else:
+            power = row.effect.power
+            grown = conditions.warmth_at(times) ** power - conditions.warmth**power
+        more = more + slope * grown * TERMS[row.effect.coefficient].effect.evaluate(
+            axes.matrix @ force.T
+        )
+    return more
 
 
 def changed(
     coefficients: Mapping[str, float], conditions: RunConditions, force: float
 ) -> dict[str, float]:
-    """Return an accelerometer's coefficients as they are at the start of a run."""
+    """Return an accelerometer's coefficients at the start of a run, in its mean temperature."""
     at_start = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)

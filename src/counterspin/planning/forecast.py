@@ -296,7 +296,7 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
         priors, and nothing changes from run to run, which is a bound for any estimator.
     """
     reference = campaign.reference_temperature or 0.0
-    warm = tuple(replace(run, temperature=reference + 1.0) for run in campaign.runs)
+    warm = tuple(replace(run, temperature=(reference + 1.0,)) for run in campaign.runs)
     model = model_of(replace(campaign, reference_temperature=reference, runs=warm))
     # By how much it becomes warmer is assumed, as where nobody takes it: a slope is all it has.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])

@@ -10,8 +10,8 @@
   which a record passes them
 - `removed`: whether a recorder took a mean, a line or a parabola off
 - `memory`: columns that a program holds, in the place of a file
-- `mean`: the mean of a record over whole revolutions; `mean_scatter`: how uncertain its noise
-  leaves it
+- `mean`: the mean of a record over whole revolutions, and how uncertain its noise leaves it
+- `course`: a temperature in a record, as a few values at even times
 - `poses`: where a sensor with three axes lay still, in one long record
 - `report`: what was found on the way
 - `tables`: a file as a table, for those who add columns to it

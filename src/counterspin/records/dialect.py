@@ -78,6 +78,8 @@ _WORDS: Final = {
     "min⁻¹": "1/min",
     "m/s²": "m/s^2",
     "m/s2": "m/s^2",
+    "m/(s^2)": "m/s^2",
+    "m s-2": "m/s^2",
 }
 #: There is no factor from a temperature in these to one in another unit.
 TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
@@ -198,6 +200,8 @@ def find_rows(
     begin, end = _longest(table, decimal, after=skipped or 0)
     if end - begin < min(_FEWEST_ROWS, max(1, len(table) - 2)):
         return None
+    while begin < end - 1 and table[begin][1][0].startswith("#"):
+        begin += 1
     width = len(table[begin][1])
     above = [
         (number, cells)
@@ -209,7 +213,7 @@ def find_rows(
     if any(len(cells) == width and _is_row(cells, decimal) for _, cells in above):
         return None  # a row like any other stands above: what parts the two is no row of names
     rows = [cells for _, cells in table[begin:end]]
-    head = _head(above, dialect, width, decimal)
+    head = _head(above, dialect, width, decimal) or _marked(table[:begin], width, decimal)
     if head is not None:
         (header, names), below = head
         if len(names) == width - 1 and _is_counted(rows, decimal):
@@ -226,7 +230,9 @@ def find_rows(
         return None  # a number that no name stands above is the rest of one: 1,25 has no two cells
     # A delimiter at the end of every row makes an empty cell that has no name.
     names += [
-        f"column {place + 1}" if any(_is_number(row[place], decimal) for row in rows) else ""
+        f"column {place + 1}"
+        if any(_is_number(row[place], decimal) or STAMP.fullmatch(row[place]) for row in rows)
+        else ""
         for place in range(len(names), width)
     ]
     units = [file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
@@ -282,6 +288,16 @@ def _head(
     return (number, names[:width]), above[1][1] if units_row else []
 
 
+def _marked(
+    above: Sequence[tuple[int, list[str]]], width: int, decimal: str
+) -> tuple[tuple[int, list[str]], list[str]] | None:
+    """Return the names in a comment that stands right above rows without others, as of `_head`."""
+    number, cells = above[-1] if above else (0, [])
+    names = [cell.lstrip("#% ") for cell in cells]
+    named = [name for name in names if name and not _is_number(name, decimal)]
+    return ((number, names), []) if len(named) == width > 1 and cells != names else None
+
+
 def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -> tuple[int, int]:
     """Return from where to where the longest stretch of rows of one width goes."""
     best, begin = (0, 0), 0
@@ -323,14 +339,17 @@ def described_lines(lines: Sequence[Line], shown: int = 6) -> str:
 
 def file_unit(text: str) -> str | None:
     """Return a unit as a file writes it, perhaps in brackets, in plain signs; None if none."""
-    bare = text.strip().strip("[]()<>").strip()
+    bare = text.strip()
+    while bare and bare[0] + bare[-1] in ("[]", "()", "<>"):
+        bare = bare[1:-1].strip()
     return _known_unit(bare) if 0 < len(bare) <= 20 else None
 
 
 def bracketed_unit(name: str) -> str:
     """Return the unit in brackets at the end of a column's name; empty text if there is none."""
     match = _IN_BRACKETS.fullmatch(name)
-    return (file_unit(match[1]) or "") if match else ""
+    # A number in brackets counts the elements of an array.
+    return (file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
 
 
 @lru_cache(maxsize=256)

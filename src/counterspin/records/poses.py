@@ -35,7 +35,7 @@ _FEWEST_ROWS: Final = 8
 _THRESHOLD_RATIO: Final = 2.0
 
 #: Levels in motion over those at rest, in the median, below which the threshold is in doubt.
-_CLEAR_RATIO: Final = 5.0
+CLEAR_RATIO: Final = 5.0
 
 #: Scatter within a pose over the threshold beyond which it is hardly at rest.
 _WANDER_RATIO: Final = 3.0
@@ -87,7 +87,7 @@ class Poses:
         found = []
         if math.isinf(self.contrast):
             found.append("Nothing moves in the record: all of it counts as rest.")
-        elif self.contrast < _CLEAR_RATIO:
+        elif self.contrast < CLEAR_RATIO:
             found.append(
                 f"Rest and motion are not clearly apart: motion has {self.contrast:.2g} times the "
                 f"level of rest. Compare the plot of the level with the threshold "

@@ -7,7 +7,8 @@ the rest is averaged (`reduction`). At the end the amplitudes are checked (`ampl
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -91,27 +92,42 @@ def _read(
     block: Literal["auto"] | None,
     pulses: tuple[np.ndarray, FileIdentity | None] | None,
 ) -> Record:
-    with ExitStack() as stack:
-        files = [stack.enter_context(open_columns(path, columns.dialect))]
-        files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
-        for opened in files:
-            opened.stamps = columns.stamps
-            opened.require(columns.filed)
-        columns = columns.resolved(files[0])
-        file: ColumnFile | RunFile = files[0]
-        if len(files) > 1 or is_derived(columns):
-            columns = columns.made()
-            file = RunFile(files, columns, motion.rate, pulses and pulses[0])
+    with opened(path, columns, motion.rate, pulses and pulses[0]) as (file, found, files):
         try:
-            record = _judged(file, columns, motion, block)
+            record = _judged(file, found, motion, block)
         except RecordError:
             if not file.look_closely():
                 raise
-            record = _judged(file, columns, motion, block)
-        others = {opened.path: opened.identity for opened in files[1:] if opened.identity}
+            record = _judged(file, found, motion, block)
+        others = {one.path: one.identity for one in files[1:] if one.identity}
         if columns.pulses and pulses and pulses[1]:
             others[columns.pulses] = pulses[1]
         return replace(record, others=others) if others else record
+
+
+@contextmanager
+def opened(
+    path: Path | MemoryTable,
+    columns: RecordColumns,
+    rate: float,
+    pulses: np.ndarray | None = None,
+) -> Iterator[tuple[ColumnFile | RunFile, RecordColumns, list[ColumnFile]]]:
+    """Open a record: what it is read from, its columns as that yields them, and its files.
+
+    rate, pulses: As of `RunFile`.
+    """
+    with ExitStack() as stack:
+        files = [stack.enter_context(open_columns(path, columns.dialect))]
+        files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
+        for one in files:
+            one.stamps = columns.stamps
+            one.require(columns.filed)
+        columns = columns.resolved(files[0])
+        if len(files) == 1 and not is_derived(columns):
+            yield files[0], columns, files
+            return
+        columns = columns.made()
+        yield RunFile(files, columns, rate, pulses), columns, files
 
 
 def _pulse_times(

@@ -17,14 +17,14 @@ from counterspin.input import FileIdentity
 from counterspin.records.amplitude import Swing
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.report import RecordReport
-from counterspin.units import base_unit, same_unit, unit_factor
+from counterspin.units import TEMPERATURE_SCALES, base_unit, same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.column_file import ColumnFile
 
 
 #: What a column holds; see `ColumnSpec`.
-ColumnKind = Literal["numbers", "stamps", "rows", "pulses"]
+ColumnKind = Literal["numbers", "stamps", "rows", "pulses", "temperature"]
 
 
 @frozen
@@ -43,7 +43,8 @@ class ColumnSpec:
     gravity: float | None = None  #: m/s^2, where g and m/s^2 are to be converted.
     #: ``numbers``; ``stamps`` in ISO 8601; ``rows``, which are counted where there is no such
     #: column, `factor` being the time from one to the next; or ``pulses``: times at which the
-    #: spindle passed `offset`, `per_revolution` of them a revolution.
+    #: spindle passed `offset`, `per_revolution` of them a revolution; or ``temperature``, whose
+    #: unit adds to the numbers.
     kind: ColumnKind = "numbers"
     #: Of pulses; negative where they are counted against the run's sense.
     per_revolution: float = 1.0
@@ -74,17 +75,22 @@ class ColumnSpec:
         if self.unit is None:
             if not own:
                 raise RecordError(f"{where} has no unit in the file; state it in the campaign.")
+            if self.kind == "temperature" and own in TEMPERATURE_SCALES:
+                return replace(self, unit=own).resolved(file)
             try:
                 factor = unit_factor(own, self.wanted, gravity=self.gravity)
             except ValueError as error:
                 raise RecordError(f"{where} is in '{own}' by the file: {error}.") from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
             return replace(self, factor=factor * self.factor, unit=own)
-        if own and file.units_row and not same_unit(own, self.unit, gravity=self.gravity):
+        same = own == self.unit or same_unit(own, self.unit, gravity=self.gravity)
+        if own and file.units_row and not same:
             raise RecordError(
                 f"{where} is in '{own}' by the file's row of units, but in '{self.unit}' by "
                 "the campaign."
             )
+        if self.kind == "temperature":
+            return replace(self, offset=TEMPERATURE_SCALES[self.unit])
         return self
 
 

@@ -95,7 +95,8 @@ def indicated_forces(
     coefficients = [truth.get(name, {}) for name in names]
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
     origin = origin_of(campaign)
-    warmer = 0.0 if record.temperature is None else record.temperature - origin.temperature
+    course = np.array(record.temperature or (origin.temperature,)) - origin.temperature
+    knots = np.linspace(time[0], time[-1], len(course))
     begun = 0.0 if record.time is None else record.time - origin.time
     values = []
     for first in range(0, len(time), _ROWS):
@@ -108,7 +109,7 @@ def indicated_forces(
             gravity=campaign.site.gravity,
             value=np.zeros((n, 3)),
             u=None,
-            temperature=np.full(n, warmer),
+            temperature=np.interp(own, knots, course),
             time=begun + own,
             repeats=np.ones(n),
             scatter=np.zeros(n),

@@ -125,7 +125,7 @@ def _is_still(noise: StatedNoise) -> bool:
 def refuse_unsupported(campaign: Campaign) -> None:
     """Raise CampaignError if records are read in a way in which none are simulated."""
     problems = []
-    common = Recording(campaign.time, campaign.angle, campaign.dialect)
+    common = Recording(campaign.time, campaign.angle, campaign.dialect, campaign.temperature)
     own = {f'run "{r.name}", records': r.recording for r in campaign.runs if r.recording}
     for where, one in ({"records": common} | own).items():
         said = [key for key, value in vars(one.dialect).items() if value is not None]
@@ -142,6 +142,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
             problems.append(f"{key}: is missing, to simulate records")
     problems += _unfit_clock(campaign)
+    problems += _untold_temperatures(campaign)
     records = [run.record for run in campaign.runs]
     for run in campaign.runs:
         if records.count(run.record) > 1:
@@ -150,6 +151,19 @@ def refuse_unsupported(campaign: Campaign) -> None:
             problems.append(f'run "{run.name}": a simulated record is one file')
     if problems:
         raise CampaignError(str(campaign.path), problems)
+
+
+def _untold_temperatures(campaign: Campaign) -> Iterator[str]:
+    """Yield the runs whose record has a column of a temperature that nothing states."""
+    runs = [run for run in campaign.runs if campaign.recording_of(run).temperature]
+    read = [one for one in campaign.readings if one.record is not None and campaign.temperature]
+    posed = campaign.triad.records if campaign.triad and campaign.temperature else ()
+    stated = {one.name: one.temperature for some in (runs, read, posed) for one in some}
+    for name in (name for name, temperature in stated.items() if not temperature):
+        yield (
+            f'run "{name}": temperature is missing; its record has a column of it, so that the '
+            "true one is needed"
+        )
 
 
 def _unfit_clock(campaign: Campaign) -> Iterator[str]:

@@ -36,6 +36,7 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
 from counterspin.physics.path_errors import encoder_error, true_trajectory
 from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import forces_in_record, indicated_forces
 from counterspin.simulation.readings import (
     NoiselessReadings,
@@ -57,6 +58,7 @@ from counterspin.simulation.true_inputs import (
     stated_over_true,
     with_true_inputs,
 )
+from counterspin.units import TEMPERATURE_SCALES
 
 
 @overload
@@ -246,6 +248,7 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
                 if campaign.angle is not None:
                     angle = _noisy(generator, angle, noise.angle)
                     columns[campaign.angle.name] = campaign.angle.filed(angle)
+                columns |= _warm(campaign.temperature, reading.temperature, time)
             signal = _measured(generator, time, signal, accelerometer, noise)
             channel = accelerometer.channel
             columns[channel.name] = channel.filed(signal * stated_over_true(campaign, channel))
@@ -263,6 +266,7 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
         if campaign.time.kind != "rows":
             stamps = _noisy(generator, time, noise.timing)
             columns[campaign.time.name] = stamps / campaign.time.factor
+        columns |= _warm(campaign.temperature, record.temperature, time)
         indicated = indicated_forces(with_true_inputs(campaign), record, time, force)
         for name, signal in indicated.items():
             accelerometer = campaign.accelerometers[name]
@@ -272,6 +276,17 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             noisy = _measured(generator, time, signal, felt, noise)
             columns[channel.name] = channel.filed(noisy * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)
+
+
+def _warm(
+    column: ColumnSpec | None, course: Sequence[float] | None, times: Array
+) -> dict[str, Array]:
+    """Return the column of a temperature that went as was stated, in K; empty without."""
+    if column is None or not course:
+        return {}
+    scale = replace(column, offset=TEMPERATURE_SCALES[column.unit or "degC"])
+    knots = np.linspace(times[0], times[-1], len(course))
+    return {column.name: scale.filed(np.interp(times, knots, course))}
 
 
 def _is_simulated(description: Path) -> bool:
@@ -350,6 +365,7 @@ def simulate_run(
         angle = run.truth.spindle.angle(times + late)
         angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
         columns[recording.angle.name] = recording.angle.filed(angle)
+    columns |= _warm(recording.temperature, run.temperature, times)
     indicated = _indicated(true, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
         signal = indicated[name]

@@ -80,7 +80,10 @@ def found_in(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
     in_si = {name: not channel.in_g for name, channel in _channels(campaign).items()}
     found, read = read_poses(source, columns_of_poses(campaign), record.rest, record.threshold)
     whole = RecordOfPoses(record.name, found, read.report)
-    for place, (start, mean) in enumerate(zip(found.start, found.mean / g, strict=True)):
+    warm, middles = record.temperature, 0.5 * (found.start + found.end)
+    knots = np.linspace(found.time[0], found.time[-1], len(warm or ()))
+    every = zip(found.start, middles, found.mean / g, strict=True)
+    for place, (start, middle, mean) in enumerate(every):
         pose = tuple(
             Reading(
                 name=f"{record.name} {start:.6g} s",
@@ -93,7 +96,7 @@ def found_in(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
                 u=None,
                 head=(0.0, 0.0, 0.0),
                 u_head=0.0,
-                temperature=record.temperature,
+                temperature=warm and (float(np.interp(middle, knots, warm)),),
                 time=begun + float(start - found.time[0]),
                 in_si=si,
             )

@@ -50,8 +50,8 @@ class PoseRecord:
     record: Path  #: Absolute path.
     rest: float  #: Shortest rest that is a pose, s.
     threshold: float | None  #: Below which the sensor rests, m/s^2; None: found.
-    #: K and s; None where they were not recorded.
-    temperature: float | None
+    #: K, several of them evenly spread over the record, and s; None where they were not recorded.
+    temperature: tuple[float, ...] | None
     time: float | None
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from counterspin.campaign.conditions import directions_of, groups_of, origin_of
+from counterspin.campaign.conditions import directions_of, groups_of, mean_of, origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
 from counterspin.inference.linear_readings import Readings
@@ -32,17 +32,25 @@ def poses_together(
         for known in (True, False)
     }
     return [
-        one_group(campaign, own, 0.0 if known else within) for known, own in kinds.items() if own
+        one_group(campaign, own, 0.0 if known else within, [pose[0] for pose in poses])
+        for known, own in kinds.items()
+        if own
     ]
 
 
 def one_group(
-    campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float = 0.0
+    campaign: Campaign,
+    poses: Sequence[Sequence[Reading]],
+    within: float = 0.0,
+    found: Sequence[Reading] = (),
 ) -> TriadPoses:
-    """Return poses as one group, whose noise is stated if that of all is."""
-    origin, ways = origin_of(campaign), directions_of(campaign)
-    warmth, start = origin.temperature, origin.time
+    """Return poses as one group, whose noise is stated if that of all is.
+
+    found: One reading of every pose that there is, if these are not all.
+    """
     firsts = [pose[0] for pose in poses]
+    origin, ways = origin_of(campaign), directions_of(campaign, found or firsts)
+    warmth, start = origin.temperature, origin.time
     stated = all(reading.u is not None for pose in poses for reading in pose)
     return TriadPoses(
         accelerometers=tuple(reading.accelerometer for reading in poses[0]),
@@ -52,10 +60,10 @@ def one_group(
         value=np.array([[reading.value for reading in pose] for pose in poses]),
         u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if stated else None,
         temperature=np.array(
-            [(warmth if r.temperature is None else r.temperature) - warmth for r in firsts]
+            [mean_of(r.temperature) - warmth if r.temperature else 0.0 for r in firsts]
         ),
         time=np.array([(start if r.time is None else r.time) - start for r in firsts]),
-        direction=np.array([ways.get(first.name, 0.0) for first in firsts]),
+        direction=np.array([ways.get(first.name, (0.0,))[0] for first in firsts]),
         repeats=np.array([float(min(reading.repeats for reading in pose)) for pose in poses]),
         scatter=np.array([sum(reading.scatter for reading in pose) for pose in poses]),
         in_si=np.array([[float(reading.in_si) for reading in pose] for pose in poses]),

@@ -128,7 +128,7 @@ def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLik
     """
     slope = np.asarray(gradient, float)
     spread = np.einsum("pi,ij,pj->p", slope, np.asarray(covariance, float), slope)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         dof = 2 * np.square(np.asarray(variance, float)) / spread
     return np.where(spread > 0, dof, np.inf)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.model import model_of
-from counterspin.calibration.observed import ObservedRun, observe
+from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
@@ -30,6 +30,7 @@ def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
 
 def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
     """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
+    campaign = with_recorded_temperatures(campaign)
     observed, noise = observed_with_noise(campaign)
     return as_recorded(campaign, observed, noise), rates_of(observed)
 
