@@ -65,7 +65,8 @@ def test_pulses_are_times_once_a_revolution():
     guess = guess_file(seen(t=TIME, index=pulses, temperature=20 + 0 * TIME, east_m=signal()))
     assert (guess.angle.column, guess.angle.pulses, guess.angle.unit) == ("index", True, "s")
     assert guess.signals[0].phase == pytest.approx(0.0, abs=0.01)
-    assert guess.unused == ("temperature",)
+    assert guess.unused == ()
+    assert guess.temperature == ("temperature", "degC")
 
 
 def test_without_a_time_rows_are_counted():

@@ -20,6 +20,7 @@ from counterspin.campaign.kinds import (
     a_temperature,
     angle_unit,
     force_or_output,
+    temperatures,
     time_unit,
 )
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
@@ -224,7 +225,7 @@ def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
         if isinstance(read, partial):
             units = advice(read.args[0])[1].split(", ")
             asked = {"kind": "quantity", "unit": read.args[0], "units": units}
-        elif read is a_temperature:
+        elif read in (a_temperature, temperatures):
             asked = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
         named = [choice for part in _parts(written) for choice in _choices(part)]
         return asked | ({"suggestions": named} if named else {})
