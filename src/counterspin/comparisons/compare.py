@@ -44,7 +44,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
 
     Returns
     -------
-    Compared
+    ResultComparison
         In g-units of the first result's gravity.
 
     Raises

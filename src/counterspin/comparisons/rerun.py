@@ -49,7 +49,7 @@ def rerun(
 
     Returns
     -------
-    Repeated
+    RepeatedCalibration
         Each number before and now, and what else is not the same.
 
     Raises

@@ -122,7 +122,7 @@ def plan(
 
     Returns
     -------
-    Planned
+    PlannedCampaign
 
     Raises
     ------

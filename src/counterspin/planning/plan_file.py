@@ -99,7 +99,7 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
 
 
 def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a plan's document with named changes; see `counterspin.Planned.change`."""
+    """Return a plan's document with named changes; see `counterspin.PlannedCampaign.change`."""
     made = dict(document)
     for name, value in changes.items():
         if name in LimitsSettings.model_fields:
