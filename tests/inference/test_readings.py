@@ -19,7 +19,7 @@ from reading_campaigns import (
 from scipy import stats
 from scipy.special import stdtrit
 
-from counterspin.errors import NotIdentifiableError
+from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.readings import solve_readings
 from counterspin.physics.accelerometer import Mounting
@@ -364,3 +364,13 @@ def effective_dof(fit):
         )
         dof.append(total[k] ** 2 / short if short > 0.0 else np.inf)
     return dof
+
+
+def test_a_reading_of_the_wrong_sign_that_keeps_a_fit_from_settling_is_named():
+    """It drives turns that are known to arcseconds so far that nothing is linear: NaN, before."""
+    machine = (*(term for side in SIDES for term in turned(side)), *map(radius, SIDES))
+    test = arm()
+    values = simulated(test, np.random.default_rng(3), SIGMA)
+    values[7] = -values[7]
+    with pytest.raises(ConvergenceError, match='check "position 7", which is furthest off'):
+        solve_readings([readings(test, values, SIGMA)], model(others=machine))

@@ -2,8 +2,8 @@
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
 the dividing head's angle, its error where it has been mounted on in several ways, a term of the
-accelerometer, a drift of bias or scale, a warm-up, a step, the side of approach, the sense of
-rotation. Where the noise is estimated from the same residuals it is an F test of the column (Draper
+accelerometer, a drift of bias, scale or angle, a swing of the room's temperature, a warm-up, a step,
+an output that is another on either side of zero, the side of approach, the sense of rotation. Where the noise is estimated from the same residuals it is an F test of the column (Draper
 and Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
 """
 
@@ -28,7 +28,21 @@ from counterspin.inference.poses import TriadPoses
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
-WAVE, HEAD, TERM, DRIFT, WARM_UP, BEND, SCALE, HYSTERESIS, SENSE, STEP = KINDS = (
+(
+    WAVE,
+    HEAD,
+    TERM,
+    DRIFT,
+    WARM_UP,
+    BEND,
+    SCALE,
+    TURN,
+    SWING,
+    ASYMMETRY,
+    HYSTERESIS,
+    SENSE,
+    STEP,
+) = KINDS = (
     "wave",
     "head",
     "term",
@@ -36,6 +50,9 @@ WAVE, HEAD, TERM, DRIFT, WARM_UP, BEND, SCALE, HYSTERESIS, SENSE, STEP = KINDS =
     "warm-up",
     "bend",
     "scale",
+    "turn",
+    "swing",
+    "asymmetry",
     "hysteresis",
     "sense",
     "step",
@@ -60,6 +77,14 @@ _FEWEST_BESIDE: Final = 2
 
 #: Time constants of a warm-up, in parts of the whole series.
 _WARM_UPS: Final = (0.1, 0.3)
+
+#: Swings over the whole series that are tried, and how many readings each takes at least.
+_SWINGS: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
+_FEWEST_A_SWING: Final = 4
+
+#: What is another where the force along the input axis is negative (IEEE Std 1293, K0' and K1').
+BIAS: Final = "bias"
+SCALE_FACTOR: Final = "scale factor"
 
 #: Columns are alike where what the fit leaves of them has a correlation above this.
 _ALIKE: Final = 0.999
@@ -133,11 +158,14 @@ def candidates(
     place: Of the readings among the observations of the fit.
     unknown: Symbols of the accelerometer's terms, and the machine's, that the fit may choose.
     """
+    forces = readings.products({})[:, [*TERMS].index("K_I")]
     for kind, symbol, column in (
         *_waves(readings),
         *_errors_of_the_head(readings, unknown),
         *_terms(readings, unknown, followed),
-        *in_order(readings, readings.products({})[:, [*TERMS].index("K_I")]),
+        *in_order(readings, forces),
+        *_of_the_turning(readings),
+        *_of_asymmetry(forces),
         *_of_approach(readings),
         *_of_sense(readings),
     ):
@@ -165,13 +193,19 @@ def _errors_of_the_head(readings: Readings, unknown: Collection[str]) -> Iterato
     apart = np.exp(1j * (angle - shown))[there]
     if not apart.size or np.abs(apart - apart[0]).max() < _TURN:
         return
-    place = [*TERMS].index("K_I")
-    more, less = (readings.products({"head.zero": by})[:, place] for by in (_TURN, -_TURN))
-    slope = there * (more - less) / (2.0 * _TURN)
+    slope = _slope(readings, there)
     for n, times in _TIMES.items():
         for name, wave in (("cos", np.cos(n * shown)), ("sin", np.sin(n * shown))):
             if f"head.harmonic.{n}.{name}" not in unknown:
                 yield HEAD, f"{name} {times}", slope * wave
+
+
+def _slope(readings: Readings, there: npt.NDArray[np.bool_]) -> Array:
+    """Return what a turn of the head by 1 rad makes of what is felt along the input axis, (n,)."""
+    place = [*TERMS].index("K_I")
+    more, less = (readings.products({"head.zero": by})[:, place] for by in (_TURN, -_TURN))
+    slope: Array = there * (more - less) / (2.0 * _TURN)
+    return slope
 
 
 def _terms(
@@ -193,15 +227,17 @@ def in_order(readings: Readings | TriadPoses, forces: Array) -> Iterator[_Column
 
     forces: Along the input axis, g, shape (n,).
     """
-    by_time = np.ptp(readings.time) > 0.0
-    x = readings.time if by_time else np.arange(float(readings.size))
-    x = (x - x.min()) / np.ptp(x)
-    yield DRIFT, "time" if by_time else "order", x - 0.5
+    x, when = _course(readings)
+    yield DRIFT, when, x - 0.5
     for part in _WARM_UPS:
-        yield WARM_UP, "time" if by_time else "order", np.exp(-x / part)
+        yield WARM_UP, when, np.exp(-x / part)
     # A mirrored order cancels a line, and no parabola.
-    yield BEND, "time" if by_time else "order", (x - 0.5) ** 2
-    yield SCALE, "time" if by_time else "order", (x - 0.5) * forces
+    yield BEND, when, (x - 0.5) ** 2
+    yield SCALE, when, (x - 0.5) * forces
+    for times in _SWINGS:
+        if readings.size >= _FEWEST_A_SWING * times:
+            yield SWING, f"cos {times:g} {when}", np.cos(2.0 * math.pi * times * x)
+            yield SWING, f"sin {times:g} {when}", np.sin(2.0 * math.pi * times * x)
     order = np.argsort(x, kind="stable")
     last = readings.size - _FEWEST_BESIDE
     places = np.linspace(_FEWEST_BESIDE, last, min(max(last - 1, 0), _STEPS)).round().astype(int)
@@ -209,6 +245,31 @@ def in_order(readings: Readings | TriadPoses, forces: Array) -> Iterator[_Column
         later = x >= x[order[k]]
         if np.sum(~later) >= _FEWEST_BESIDE:
             yield STEP, readings.names[order[k]], later.astype(float)
+
+
+def _course(readings: Readings | TriadPoses) -> tuple[Array, str]:
+    """Return how far the series had come, from 0 to 1, shape (n,), and by what: time or order."""
+    by_time = np.ptp(readings.time) > 0.0
+    x = readings.time if by_time else np.arange(float(readings.size))
+    return (x - x.min()) / np.ptp(x), "time" if by_time else "order"
+
+
+def _of_the_turning(readings: Readings) -> Iterator[_Column]:
+    """Yield that the positions themselves drift: a floor that tilts, a scale of the head."""
+    angle, there = head_angle(readings)
+    if there.any():
+        x, when = _course(readings)
+        slope = _slope(readings, there)
+        yield TURN, when, (x - 0.5) * slope
+        yield TURN, "angle", np.mod(angle - angle[there][0], 2.0 * math.pi) * slope
+
+
+def _of_asymmetry(forces: Array) -> Iterator[_Column]:
+    """Yield that bias or scale factor is another where the force is negative; forces in g, (n,)."""
+    sense = np.where(np.abs(forces) > 1e-9, np.sign(forces), 0.0)
+    if (sense > 0.0).any() and (sense < 0.0).any():
+        yield ASYMMETRY, BIAS, sense
+        yield ASYMMETRY, SCALE_FACTOR, np.abs(forces)
 
 
 def _of_approach(readings: Readings) -> Iterator[_Column]:
@@ -320,7 +381,7 @@ def _waves_at_any_phase(columns: Sequence[Alternative]) -> Iterator[tuple[int, .
 
     Those of the first two together as well: a head that errs once and twice a turn makes both.
     """
-    for kind in (WAVE, HEAD):
+    for kind in (WAVE, HEAD, SWING):
         waves: dict[str, tuple[int, ...]] = {}
         for k, column in enumerate(columns):
             if column.kind == kind:
@@ -328,7 +389,7 @@ def _waves_at_any_phase(columns: Sequence[Alternative]) -> Iterator[tuple[int, .
                 waves[turns] = (*waves.get(turns, ()), k)
         whole = [places for places in waves.values() if len(places) > 1]
         yield from whole
-        if len(whole) > 1:
+        if len(whole) > 1 and kind != SWING:
             yield whole[0] + whole[1]
 
 
@@ -340,7 +401,8 @@ def _wave(columns: Sequence[Alternative], places: tuple[int, ...]) -> Alternativ
     """Return what cosine and sine of one wave, or of two, are together."""
     first = columns[places[0]]
     turns = " and ".join(dict.fromkeys(_turns(columns[k]) for k in places))
-    return replace(first, symbol=f"waves of {turns}" if first.kind == WAVE else f"error {turns}")
+    words = {WAVE: "waves of", HEAD: "error", SWING: "wave"}[first.kind]
+    return replace(first, symbol=f"{words} {turns}")
 
 
 def _own_gain(basis: Array, residual: Array, rows: slice) -> float:

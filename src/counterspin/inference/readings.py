@@ -17,6 +17,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
 from counterspin.inference.distributions import tail_beside
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_relaxed
@@ -49,6 +50,9 @@ FEWEST_FREEDOM: Final = 4.5
 
 #: Part of a standard uncertainty that is as good as none.
 _HELD: Final = 1e-6
+
+#: How many times its largest credible size an unknown may have where derivatives are taken.
+_FARTHEST: Final = 10.0
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
 _LARGEST_MOVE: Final = 1e-5
@@ -173,6 +177,8 @@ def _place(
 ) -> Array:
     """Return where to take derivatives: what is not determined may be anything, and is no place.
 
+    Nor is what is far beyond credible; the estimate may be, and is then found to be.
+
     Of a triad that is often a combination, such as a turn about the vertical: to leave out unknown
     by unknown would leave out the angles between its axes too. What is left of theirs is what the
     estimates are beside what is known, give or take the limits.
@@ -180,7 +186,9 @@ def _place(
     turned: Places of a triad's unknowns.
     """
     u = found.u[: known.size]
-    place = np.where(u < limits, estimate, known)
+    # One reading with the wrong sign drives what is known beforehand so far that nothing is linear.
+    farthest = _FARTHEST * limits
+    place = known + np.clip(np.where(u < limits, estimate - known, 0.0), -farthest, farthest)
     own = [at for at in turned if np.isfinite(u[at])]
     if (u < limits)[own].all():
         return place
@@ -264,9 +272,13 @@ def _solved(
         for group in readings:
             if isinstance(group, TriadPoses):
                 raise ConvergenceError(_do_not_settle(group))
+        parts = [group.linearised(model, known, None) for group in readings]
+        name = _furthest_off([part.with_noise(1.0) for part in parts], beside, model)
         raise ConvergenceError(
-            f"the fit of the readings did not converge in {_ROUNDS} rounds; give the terms of the "
-            "machine priors, or state the standard uncertainties of the readings"
+            f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
+            f'"{name}", which is furthest off the others: its sign, digits and unit, and whether it '
+            "was exchanged with another. Else give the terms of the machine priors, or state the "
+            "standard uncertainties of the readings"
         )
     dof = [
         part.freedom_of_noise(found) + group.freedom_of_repeats if group.u is None else math.inf
@@ -293,6 +305,19 @@ def _solved(
         for group, part, size, freedom in zip(readings, weighted, noise, dof, strict=True)
     )
     return ReadingsFit(fit, tuple(groups))
+
+
+def _furthest_off(
+    parts: Sequence[LinearReadings], beside: Sequence[Block], model: Unknowns
+) -> str:
+    """Return the name of the reading that is furthest off a fit with all that is known as it is."""
+    solution = solve_blocks([*beside, *(part.weighed() for part in parts)], model)
+    off = {}
+    for part in parts:
+        for place, name in enumerate(part.group.names):
+            z = _position(part, (place,), solution, model, None).standardised
+            off[name] = abs(z) if math.isfinite(z) else 0.0
+    return max(off, key=lambda name: off[name])
 
 
 def _position(

@@ -170,6 +170,36 @@ def test_a_drift_of_the_scale_is_named(tmp_path, u, assume):
     assert "have a scale that drifts with the order" in misfits(result)[0].text
 
 
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+def test_a_swing_of_the_room_s_temperature_is_named(tmp_path, u):
+    """2.4 swings of 12 times the noise: K_I was 8 u off and good where the noise was estimated."""
+    test, angles = there_and_back()
+    values = simulated(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
+    values += 12.0 * SIGMA * np.sin(2.0 * math.pi * 2.4 * np.linspace(0.0, 1.0, 24) + 0.5)
+    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    assert "swing 2.5 times with the order in which they were taken" in found.text
+
+
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+def test_positions_that_turn_away_are_named(tmp_path, u):
+    """The floor tilts by 8 arcsec during two turns."""
+    test, angles = there_and_back()
+    values = simulated(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
+    values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
+    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    assert "look like positions that turn away with the order" in found.text
+
+
+@pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
+def test_a_bias_that_is_another_for_negative_forces_is_named(tmp_path, u):
+    """By 40 ug (K0' of IEEE Std 1293): K_I takes most of a square wave, and not all."""
+    angles = even(24)
+    values = simulated(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
+    values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
+    (found,) = misfits(calibrated(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II")))
+    assert "look like a bias that is another for negative forces" in found.text
+
+
 def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
     values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
     three = calibrated(tmp_path, even(4)[:3], values[:3], u=SIGMA)

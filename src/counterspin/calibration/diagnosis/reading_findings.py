@@ -26,6 +26,7 @@ from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.reading_tests import (
     APPROACH,
+    ASYMMETRY,
     BEND,
     DRIFT,
     FORCE,
@@ -34,7 +35,9 @@ from counterspin.inference.reading_tests import (
     SCALE,
     SENSE,
     STEP,
+    SWING,
     TERM,
+    TURN,
     WARM_UP,
     WAVE,
     Followed,
@@ -71,9 +74,10 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
     parts = view.readings
     level = 0.5 * SIGNIFICANCE
     followed = {place: one for place, one in _followed(view) if one.p * one.tests < level}
-    findings = _none_left(view) or _few_left(view)
+    unjudged_anyway = _none_left(view) or _few_left(view)
+    findings = [*unjudged_anyway]
     for place, part in enumerate(parts):
-        if part.dof < FEWEST_FREEDOM and not findings:
+        if part.dof < FEWEST_FREEDOM and not unjudged_anyway:
             findings.append(unjudged(view.name, part))
         residual = residual_of([part])
         stated = math.isinf(part.dof)
@@ -248,9 +252,10 @@ def _explained(
 
 def clause_of(other: Alternative) -> str:
     """Return what residuals do that follow a column, as the rest of a sentence."""
-    when = (
-        "the order in which they were taken" if other.symbol == "order" else "the time of reading"
-    )
+    when = {
+        "order": "the order in which they were taken",
+        "angle": "the angle of the head",
+    }.get(other.symbol.rpartition(" ")[2], "the time of reading")
     return {
         WAVE: f"follow {other.symbol}, phi being the angle of the head from input axis up",
         HEAD: f"look like an error of the head {other.symbol.partition(' ')[2]} a turn",
@@ -259,6 +264,9 @@ def clause_of(other: Alternative) -> str:
         WARM_UP: f"settle with {when}, as after a warm-up",
         BEND: f"drift and reverse with {when}",
         SCALE: f"have a scale that drifts with {when}",
+        TURN: f"look like positions that turn away with {when}",
+        SWING: f"swing {other.symbol.partition(' ')[2].partition(' ')[0]} times with {when}",
+        ASYMMETRY: f"look like a {other.symbol} that is another for negative forces",
         STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
         HYSTERESIS: f"depend on {_CAME.get(other.symbol)} (hysteresis)",
