@@ -63,6 +63,12 @@ from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
 
 
+def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
+    """Return an estimate as far as it is from what is stated of it: a shorter arm is no mistake."""
+    stated = unknown.prior_mean
+    return c if c.value is None else c.model_copy(update={"value": c.value - stated})
+
+
 def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
     """Fit all records of a campaign together."""
     model = model_of(campaign)
@@ -82,7 +88,9 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
         for index, unknown in enumerate(model.asked)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
-    each = ((unknown.symbol, unknown.name, c) for unknown, c in shared.items())
+    each = (
+        (unknown.symbol, unknown.name, _beside_stated(unknown, c)) for unknown, c in shared.items()
+    )
     beyond = list(incredible_shared(campaign.limit_of, each))
     shared |= radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}

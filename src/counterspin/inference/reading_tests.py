@@ -2,9 +2,10 @@
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
 the dividing head's angle, its error where it has been mounted on in several ways, a term of the
-accelerometer, a drift of bias, scale or angle, a swing of the room's temperature, a warm-up, a step,
-an output that is another on either side of zero, the side of approach, the sense of rotation. Where the noise is estimated from the same residuals it is an F test of the column (Draper
-and Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
+accelerometer, a drift of bias, scale or angle, a swing of the room's temperature, a warm-up, a
+step, an output that is another on either side of zero, the side of approach, the sense of rotation.
+Where the noise is estimated from the same residuals it is an F test of the column (Draper and
+Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
 """
 
 from __future__ import annotations

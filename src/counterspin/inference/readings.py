@@ -276,8 +276,8 @@ def _solved(
         name = _furthest_off([part.with_noise(1.0) for part in parts], beside, model)
         raise ConvergenceError(
             f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
-            f'"{name}", which is furthest off the others: its sign, digits and unit, and whether it '
-            "was exchanged with another. Else give the terms of the machine priors, or state the "
+            f'"{name}", which is furthest off the others: its sign, digits and unit, and whether '
+            "it was exchanged with another. Else give the machine's terms priors, or state the "
             "standard uncertainties of the readings"
         )
     dof = [
@@ -307,9 +307,7 @@ def _solved(
     return ReadingsFit(fit, tuple(groups))
 
 
-def _furthest_off(
-    parts: Sequence[LinearReadings], beside: Sequence[Block], model: Unknowns
-) -> str:
+def _furthest_off(parts: Sequence[LinearReadings], beside: Sequence[Block], model: Unknowns) -> str:
     """Return the name of the reading that is furthest off a fit with all that is known as it is."""
     solution = solve_blocks([*beside, *(part.weighed() for part in parts)], model)
     off = {}

@@ -1,11 +1,14 @@
 """Estimates that no instrument has, in campaigns whose records fit."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from campaigns import SMALL, changed, write
 from reading_campaigns import simulated, tumble
 from reading_descriptions import ACCELEROMETER, at_rest, place
 
+from counterspin import validation
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.result_parts import Coefficient
@@ -146,3 +149,10 @@ def test_no_history_has_such_a_value(tmp_path):
     assert [round(point.value, 4) for point in instrument.points] == [1.0005]
     (left_out,) = found.left_out
     assert "K_I = -1.0005 g/g is not credible" in left_out.reason
+
+
+def test_a_mounting_on_another_arm_is_as_credible_as_its_stated_radius():
+    """2.3995 m, stated as 2.4 m ± 1 mm, beside a double turntable of 2.5 m."""
+    result = calibrate(Path(validation.__file__).parent / "data" / "fits" / "mixed")
+    assert result.platform["centrifuge.radius.out"].value == pytest.approx(2.3995, abs=1e-4)
+    assert [finding.code for finding in result.findings] == ["gravity-latitude"]

@@ -22,11 +22,16 @@ _RATIO_MISTAKES: Final = (
     (1e3, "as between a unit and a thousandth of it"),
     (1e6, "as between a unit and a millionth of it"),
     (9.80665, "as between g and m/s^2"),
-    (3600.0, "as between degrees, or hours, and seconds"),
+)
+
+#: The same of what is measured in angles, or in times.
+_OF_ANGLES: Final = (
+    (3600.0, "as between degrees and arcsec, or hours and seconds"),
     (60.0, "as between minutes and seconds"),
     (206264.806, "as between rad and arcsec"),
     (57.29578, "as between rad and deg"),
 )
+_WITH_ANGLES: Final = ("rad", "s")  # begin or end the units of these
 
 #: Relative distance up to which a ratio is one of these.
 _RATIO_TOLERANCE: Final = 0.02
@@ -249,7 +254,7 @@ def conflict(
         f"{_shown(*found, unit)}, which differs by {size:.1f} standard uncertainties of the "
         f"difference"
     )
-    if hint := _mistaken(found[0], stated[0]):
+    if hint := _mistaken(found[0], stated[0], unit):
         text += f" ({hint})"
     return f"{text}. Check it."
 
@@ -263,11 +268,12 @@ def _in_degrees(value: float, u: float) -> str:
     return format_estimate(math.degrees(value), math.degrees(u), "deg")
 
 
-def _mistaken(found: float, stated: float) -> str:
+def _mistaken(found: float, stated: float, unit: str) -> str:
     """Name the usual mistake that would make a number this far off; empty if there is none."""
     if found == 0.0 or stated == 0.0:
         return ""
-    for factor, words in _RATIO_MISTAKES:
+    angles = unit.startswith(_WITH_ANGLES) or unit.endswith("/s")
+    for factor, words in (*_RATIO_MISTAKES, *(_OF_ANGLES if angles else ())):
         for ratio in (factor, 1.0 / factor):
             if abs(stated / found / ratio - 1.0) < _RATIO_TOLERANCE:
                 return words
