@@ -173,7 +173,12 @@ def solve_readings(
 
 
 def _place(
-    estimate: Array, found: Solution, known: Array, limits: Array, turned: Sequence[int]
+    estimate: Array,
+    found: Solution,
+    known: Array,
+    limits: Array,
+    farthest: Array,
+    turned: Sequence[int],
 ) -> Array:
     """Return where to take derivatives: what is not determined may be anything, and is no place.
 
@@ -183,11 +188,10 @@ def _place(
     by unknown would leave out the angles between its axes too. What is left of theirs is what the
     estimates are beside what is known, give or take the limits.
 
+    farthest: From what is known.
     turned: Places of a triad's unknowns.
     """
     u = found.u[: known.size]
-    # One reading with the wrong sign drives what is known beforehand so far that nothing is linear.
-    farthest = _FARTHEST * limits
     place = known + np.clip(np.where(u < limits, estimate - known, 0.0), -farthest, farthest)
     own = [at for at in turned if np.isfinite(u[at])]
     if (u < limits)[own].all():
@@ -229,6 +233,9 @@ def _solved(
     for group in readings:
         point = group.start(everything, point) if isinstance(group, TriadPoses) else point
     limits = np.array([unknown.limit for unknown in everything])
+    # One reading with the wrong sign drives what is known beforehand so far that nothing is linear.
+    stated = np.array([math.isfinite(unknown.prior[1]) for unknown in everything])
+    farthest = np.where(stated, _FARTHEST * limits, np.inf)
     noise = (
         [_first_noise(group) for group in readings]
         if together is None
@@ -263,7 +270,7 @@ def _solved(
             if max(changes) < _TOLERANCE:
                 break
         estimate, u = found.estimate[: known.size], found.u[: known.size]
-        place = _place(estimate, found, known, limits, turned)
+        place = _place(estimate, found, known, limits, farthest, turned)
         variance = u**2
         moves, point = np.abs(place - point) / np.where(u > 0, u, 1.0), place
         if moves.max(initial=0.0) < _LARGEST_MOVE:
