@@ -192,7 +192,7 @@ def _place(
     turned: Places of a triad's unknowns.
     """
     u = found.u[: known.size]
-    place = known + np.clip(np.where(u < limits, estimate - known, 0.0), -farthest, farthest)
+    place: Array = known + np.clip(np.where(u < limits, estimate - known, 0.0), -farthest, farthest)
     own = [at for at in turned if np.isfinite(u[at])]
     if (u < limits)[own].all():
         return place
@@ -279,8 +279,7 @@ def _solved(
         for group in readings:
             if isinstance(group, TriadPoses):
                 raise ConvergenceError(_do_not_settle(group))
-        parts = [group.linearised(model, known, None) for group in readings]
-        name = _furthest_off([part.with_noise(1.0) for part in parts], beside, model)
+        name = _furthest_off(readings, beside, model)
         raise ConvergenceError(
             f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
             f'"{name}", which is furthest off the others: its sign, digits and unit, and whether '
@@ -314,15 +313,20 @@ def _solved(
     return ReadingsFit(fit, tuple(groups))
 
 
-def _furthest_off(parts: Sequence[LinearReadings], beside: Sequence[Block], model: Unknowns) -> str:
+def _furthest_off(
+    readings: Sequence[Readings | TriadPoses], beside: Sequence[Block], model: Unknowns
+) -> str:
     """Return the name of the reading that is furthest off a fit with all that is known as it is."""
+    known = np.array([other.prior_mean for other in (*model.unknowns, *model.considered)])
+    parts = [group.linearised(model, known, None).with_noise(1.0) for group in readings]
     solution = solve_blocks([*beside, *(part.weighed() for part in parts)], model)
-    off = {}
-    for part in parts:
-        for place, name in enumerate(part.group.names):
-            z = _position(part, (place,), solution, model, None).standardised
-            off[name] = abs(z) if math.isfinite(z) else 0.0
-    return max(off, key=lambda name: off[name])
+    worst, furthest = "", 0.0
+    for group, part in zip(readings, parts, strict=True):
+        for place, name in enumerate(group.names):
+            off = abs(_position(part, (place,), solution, model, None).standardised)
+            if off > furthest:
+                worst, furthest = name, off
+    return worst
 
 
 def _position(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from counterspin.calibration.model import inputs_of
@@ -17,7 +18,7 @@ from counterspin.physics.terms import INPUTS, term
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: What a quantity is off by where its unit was mistaken, and the words.
-_RATIO_MISTAKES: Final = (
+_RATIO_MISTAKES: Final[Sequence[tuple[float, str]]] = (
     (-1.0, "its sign is reversed"),
     (1e3, "as between a unit and a thousandth of it"),
     (1e6, "as between a unit and a millionth of it"),
@@ -25,7 +26,7 @@ _RATIO_MISTAKES: Final = (
 )
 
 #: The same of what is measured in angles, or in times.
-_OF_ANGLES: Final = (
+_OF_ANGLES: Final[Sequence[tuple[float, str]]] = (
     (3600.0, "as between degrees and arcsec, or hours and seconds"),
     (60.0, "as between minutes and seconds"),
     (206264.806, "as between rad and arcsec"),
