@@ -382,3 +382,39 @@ def test_words_between_numbers_have_to_go(tmp_path):
     (tmp_path / "log.txt").write_text("AcX = -8272 | AcY = -14018 | AcZ = -2056\n" * 40)
     with pytest.raises(RecordError, match="Where words stand between numbers in its rows, take"):
         look_at([tmp_path / "log.txt"])
+
+
+@pytest.mark.parametrize("count", [9, 10])
+def test_nine_poses_are_asked_for_biases_and_scale_factors_alone(tmp_path, count):
+    truth = posed(4.0, 1.0, count, noise=0.01, seed=4)
+    looks = write_rows(tmp_path, truth.time, truth.values + BIAS)
+    found = drafted(looks, PLACE | {"grade": "consumer"}, "poses")
+    few = count == 9
+    assert found.document(tmp_path).get("model") == ({"terms": ["K_F", "K_I"]} if few else None)
+    assert any("nine poses or fewer" in one for one in found.statements) is few
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    for name, bias in zip("XYZ", BIAS, strict=True):
+        one = result.accelerometers[name].coefficients["K_F"]
+        assert abs(one.value - bias / 9.81) < 4.0 * one.u
+
+
+def test_poses_of_a_record_may_state_their_uncertainty(tmp_path):
+    """Nine poses have no degree of freedom left beside nine parameters: u is the stated one's."""
+    truth = posed(4.0, 1.0, 9, noise=0.01, seed=8)
+    found = drafted(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
+    document = found.document(tmp_path / "camp")
+    document["model"] = {"terms": ["K_F", "K_I", "delta_O", "delta_P"], "assume": "all"}
+    u = {}
+    for stated in (0.01, 0.02):
+        document["runs"][0]["poses"]["u"] = f"{stated} m/s^2"
+        folder = tmp_path / f"u{stated}"
+        folder.mkdir()
+        text = write_document(document).replace("../log.csv", str(tmp_path / "log.csv"))
+        (folder / "campaign.toml").write_text(text, encoding="utf-8")
+        result = calibrate(folder)
+        u[stated] = result.accelerometers["Z"].coefficients["K_F"].u
+    assert u[0.02] == pytest.approx(2.0 * u[0.01], rel=1e-2)
+    document["runs"][0]["poses"]["u"] = "0 m/s^2"
+    (folder / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+    with pytest.raises(CampaignError, match="u: must be greater than zero"):
+        read_campaign(folder)

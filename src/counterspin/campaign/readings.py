@@ -63,6 +63,13 @@ class PosesSettings(SettingsSection):
     threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
         "scatter below which the sensor rests", "0.05 m/s^2", None, absent="found in the record"
     )
+    u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
+        "standard uncertainty of each axis in a pose, what its rest does not show included; "
+        "needed for nine poses or fewer",
+        "0.01 m/s^2",
+        None,
+        absent="by how the poses fit",
+    )
 
 
 class ReadingRunSettings(SettingsSection):

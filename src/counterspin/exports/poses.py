@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from counterspin.campaign.memory.records import record_name
 from counterspin.errors import CampaignError
@@ -36,6 +36,9 @@ from counterspin.frozen import frozen
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
 from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST
+
+#: Poses that do not tell nine parameters and their noise.
+_TOO_FEW: Final = 9
 
 
 @frozen
@@ -95,6 +98,7 @@ class PosesDraft(AnsweredExport):
             "site": {"gravity": said["gravity"], "latitude": said["latitude"]},
             "accelerometers": instruments,
             "triad": {"accelerometers": list(AXES)},
+            **_model(self.found),
         } | (self._table(columns, place) if in_table else self._records(said, place))
 
     def _table(self, columns: Sequence[str], place: Path) -> dict[str, Any]:
@@ -160,6 +164,13 @@ def shows_poses(looks: Sequence[Look]) -> bool:
         return found is not None
     # Whatever its unit may be, what rests on a sphere and moves clearly between is a sensor's.
     return found.poses is not None and any(found.zero) and found.poses.contrast > CLEAR_RATIO
+
+
+def _model(found: TriadColumns | None) -> dict[str, Any]:
+    """Return what is asked for of poses that are too few for all; empty for others."""
+    if found is None or found.means is None or len(found.means) > _TOO_FEW:
+        return {}
+    return {"model": {"terms": ["K_F", "K_I"]}}
 
 
 # What is asked, and said
@@ -229,6 +240,7 @@ def _statements(
     usual = " if it has 100 rows a second" if time is None and sampling is None else ""
     usual = ", its first part," + usual if len(poses.level) == MOST_ROWS else usual
     where = guesses[0].look.path.name if len(guesses) == 1 else f"{len(guesses)} files"
+    yield from _few(found)
     level = f"{poses.threshold:.3g} {found.unit or ''}".strip()
     yield (
         f"{len(poses.start)} poses in {where}{usual}: rests of at least "
@@ -249,8 +261,18 @@ def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
     unit = f" in {found.unit}" if found.unit else ""
     yield f"a sensor with three axes: columns {quoted(found.columns)}{unit}"
     yield f"{len(found.means)} poses, one in each row; their attitudes are unknown"
+    yield from _few(found)
     yield from guess.temperature_words
     yield from _not_used(guess, found)
+
+
+def _few(found: TriadColumns) -> Iterator[str]:
+    """Yield what is said of poses that are too few."""
+    if _model(found):
+        yield (
+            "nine poses or fewer do not tell the angles between the axes beside their noise: biases "
+            "and scale factors alone are asked for; take twelve poses or more, all over the sphere"
+        )
 
 
 def _not_used(guess: FileGuess, found: TriadColumns) -> Iterator[str]:

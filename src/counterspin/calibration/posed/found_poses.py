@@ -93,7 +93,7 @@ def found_in(campaign: Campaign, record: PoseRecord) -> Iterator[FoundPose]:
                 axes=campaign.accelerometers[name].mounting,
                 rate=0.0,
                 value=float(value),
-                u=None,
+                u=None if record.u is None else record.u / g,
                 head=(0.0, 0.0, 0.0),
                 u_head=0.0,
                 temperature=warm and (float(np.interp(middle, knots, warm)),),

@@ -53,6 +53,7 @@ class PoseRecord:
     #: K, several of them evenly spread over the record, and s; None where they were not recorded.
     temperature: tuple[float, ...] | None
     time: float | None
+    u: float | None = None  #: Of each axis in a pose, m/s^2; None: not stated.
 
 
 @frozen
@@ -215,4 +216,5 @@ def _record_of_poses(
         poses.threshold,
         settings.temperature,
         settings.time,
+        poses.u,
     )
