@@ -270,7 +270,7 @@ def _few(found: TriadColumns) -> Iterator[str]:
     """Yield what is said of poses that are too few."""
     if _model(found):
         yield (
-            "nine poses or fewer do not tell the angles between the axes beside their noise: biases "
+            "nine poses or fewer do not tell the angles between axes beside their noise: biases "
             "and scale factors alone are asked for; take twelve poses or more, all over the sphere"
         )
 
