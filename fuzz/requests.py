@@ -173,6 +173,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST copy": [{"name": "three", "to": "copied"}],
         "POST rename": [{"name": "three", "to": "new/three"}],
         "POST put-away": [{"name": "three"}],
+        "POST records": [{"name": "three", "files": files[:1]}],
         "POST campaign": [{"name": "new", "test": "tumble"}, {"name": "new"}],
         "GET manual": [{"name": "campaign"}],
         "GET description": [{"name": "three"}, {"name": "tumble"}],

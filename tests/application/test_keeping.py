@@ -1,8 +1,18 @@
-"""Campaigns as folders: copied, renamed, put away."""
+"""Campaigns as folders: copied, renamed, put away, given records."""
 
+import numpy as np
+import polars as pl
 import pytest
 
-from counterspin.application.keeping import TRASH, copy_campaign, put_away, rename_campaign
+from counterspin.application.keeping import (
+    TRASH,
+    add_records,
+    copy_campaign,
+    put_away,
+    rename_campaign,
+)
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.starter import init
 from counterspin.errors import CounterspinError
 
 
@@ -90,3 +100,36 @@ def test_the_folder_that_is_served_stays(desk, folder):
     (folder / "campaign.toml").write_text(text)
     with pytest.raises(CounterspinError, match="is the served folder itself"):
         put_away(desk, "")
+
+
+def further(folder, name, rate, **columns):
+    """Write a record of 40 s at a rate, rad/s, as those of the campaign are."""
+    time = np.arange(800) * 0.05
+    wave = {"east_m": 2.5 * np.cos(rate * time), "north_m": 2.5 * np.sin(rate * time)}
+    data = {"time_s": time, "angle_rad": rate * time, **wave, **columns}
+    pl.DataFrame(data).write_csv(folder / "three" / name)
+    return f"three/{name}"
+
+
+def test_a_record_becomes_a_run_at_the_rate_that_it_shows(desk, folder):
+    files = [further(folder, "a.csv", 1.5 * np.pi), further(folder, "b c.csv", -0.6 * np.pi)]
+    told = add_records(desk, "three", files)
+    assert told == {"added": ["a at 0.75 rev/s", "b_c at -0.3 rev/s"]}
+    *_, first, second = read_campaign(folder / "three").runs
+    assert [first.rate, second.rate] == pytest.approx([1.5 * np.pi, -0.6 * np.pi], rel=1e-12)
+    assert second.record == folder / "three" / "b c.csv"
+    assert add_records(desk, "three", files) == {"added": []}  # they are runs now
+
+
+def test_a_record_without_a_wave_is_no_run(desk, folder):
+    still = dict.fromkeys(("angle_rad", "east_m", "north_m"), np.zeros(800))
+    before = (folder / "three" / "campaign.toml").read_bytes()
+    with pytest.raises(CounterspinError, match=r"a.csv: the file does not show at which rate"):
+        add_records(desk, "three", [further(folder, "a.csv", 1.0, **still)])
+    assert (folder / "three" / "campaign.toml").read_bytes() == before
+
+
+def test_readings_are_no_records(desk, folder):
+    init(folder / "tumble", "tumble")
+    with pytest.raises(CounterspinError, match="are readings, not records"):
+        add_records(desk, "tumble", ["three/slow.csv"])

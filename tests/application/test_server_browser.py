@@ -20,6 +20,7 @@ from signing_keys import write_pair, write_pkcs12
 from certificates import write_own
 from counterspin.application.server import _leading
 from counterspin.calibration.result import Result
+from counterspin.campaign.description import read_campaign
 from counterspin.certificates.issuing import check_certificate
 from counterspin.planning.plan import write_example
 
@@ -260,15 +261,23 @@ def test_from_a_log_of_poses_to_a_triad(opened, folder, tmp_path):
     assert len(result.triad.poses) == 24
 
 
-def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):
+def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_path):
     tab = opened("/campaign/three")
     tab.get_by_role("navigation", name="On this page").get_by_role("button", name="Runs").click()
     assert tab.evaluate("document.activeElement.textContent") == "Runs"
-    tab.get_by_text("Copy, rename, archive").click()
+    tab.get_by_text("Add records, copy").click()
     tab.get_by_label("Name of the folder").fill("four")
     tab.get_by_role("button", name="Copy").click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
-    tab.get_by_text("Copy, rename, archive").click()
+    tab.get_by_text("Add records, copy").click()
+    # Every second row, so that its samples are not those of a run that is there.
+    rows = (folder / "three" / "slow.csv").read_text().splitlines()
+    other = tmp_path / "slower.csv"
+    other.write_text("\n".join(rows[:1] + rows[1::2]))
+    tab.get_by_label("Add records").set_input_files(other)
+    tab.get_by_text("Added as run: slower at 0.25 rev/s.").wait_for()
+    assert read_campaign(folder / "four").runs[-1].record == folder / "four" / "slower.csv"
+    tab.get_by_text("Add records, copy").click()
     tab.get_by_label("Name of the folder").fill("three")
     tab.get_by_role("button", name="Rename").click()
     tab.get_by_text("three exists, and is not replaced").wait_for()
@@ -278,8 +287,8 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder):
     tab.get_by_text("1 of 2").wait_for()
     tab.locator(".card a").click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
-    tab.get_by_text("Copy, rename, archive").click()
-    tab.get_by_role("button", name="Put away").click()
+    tab.get_by_text("Add records, copy").click()
+    tab.get_by_role("button", name="Move to the trash").click()
     tab.wait_for_url("**#/")
     assert not (folder / "four").exists()
     assert (folder / "three" / "campaign.toml").is_file()

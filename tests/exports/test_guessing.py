@@ -82,7 +82,14 @@ def test_without_names_the_first_of_two_that_advance_is_the_time():
 
 @pytest.mark.parametrize(
     ("rate", "factor", "unit"),
-    [(1.5, 1.0, "s"), (1.5, 1e3, "ms"), (0.05, 1.0, None), (1.5, 1e6, None)],
+    [
+        (1.5, 1.0, "s"),
+        (1.5, 1e3, "ms"),
+        (1.5, 1e6, "us"),
+        (1.5, 1e9, "ns"),
+        (0.05, 1.0, None),
+        (1.5, 1e-3, None),
+    ],
 )
 def test_the_unit_of_a_time_shows_in_how_fast_a_centrifuge_may_turn(rate, factor, unit):
     t = 10.0 * TIME

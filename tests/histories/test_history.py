@@ -534,5 +534,5 @@ def test_results_count_as_their_files(tmp_path):
     assert [p.file for p in other.points] == [f"result {n} ({title})" for n in (1, 2, 3)]
     mixed = history([folder, results[0].model_copy(update={"title": "again"})])
     assert [unused.file for unused in mixed.left_out] == ["result 2 (again)"]
-    with pytest.raises(CounterspinError, match="no result in memory can be used"):
+    with pytest.raises(CounterspinError, match=r"no result can be used in a history\. result 1"):
         history([results[0].model_copy(update={"details": {}})])

@@ -51,7 +51,7 @@ def test_what_is_said_is_taken():
     lines = ["a;b;c", "d;e;f", "s;s;s", *ROWS]
     assert found(lines).names == ("d", "e", "f")
     assert found(lines, skip_lines=0).names == ("a", "b", "c")
-    assert found(lines, units_row=False).names == ("s", "s", "s")
+    assert found(lines, units_row=False).names == ("s #1", "s #2", "s #3")
     assert found(lines, delimiter=",") is None
 
 

@@ -14,7 +14,7 @@ from counterspin.reports.blocks import (
 )
 from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import format_compact, format_estimate
-from counterspin.reports.typography import typeset, typeset_block
+from counterspin.reports.typography import typeset, typeset_block, with_indices
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,16 @@ def test_every_kind_of_block_is_set_but_commands():
     bars = Bars("ug", ("ug.csv",), (1.0,), ("6e-7",))
     assert typeset_block(bars) == Bars("µg", ("ug.csv",), (1.0,), ("6 × 10⁻⁷",))
     assert typeset_block(HeatMap("ug", ("K",), ((1.0,),))) == HeatMap("µg", ("K",), ((1.0,),))
+
+
+@pytest.mark.parametrize(
+    ("plain", "printed"),
+    [
+        ("K_II of Qx", "K[II] of Qx"),
+        ("misalignment, delta_O: 3 mrad", "misalignment, δ[O]: 3 mrad"),
+        ("the mean of a_I².", "the mean of a[I]²."),
+        ("K_F.heating, Qx.K_II, a_1.csv and delta_Omega", None),
+    ],
+)
+def test_symbols_have_an_index(plain, printed):
+    assert with_indices(plain, lambda letter, index: f"{letter}[{index}]") == (printed or plain)

@@ -97,6 +97,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "copy"): keeping.copy_campaign,
     ("POST", "rename"): keeping.rename_campaign,
     ("POST", "put-away"): keeping.put_away,
+    ("POST", "records"): keeping.add_records,
     ("GET", "description"): descriptions.description,
     ("GET", "lab"): descriptions.lab_data,
     ("POST", "check"): descriptions.check_text,

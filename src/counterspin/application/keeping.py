@@ -1,4 +1,4 @@
-"""Campaigns as folders: copied, given another name, put away; nothing is ever lost."""
+"""Campaigns as folders: copied, renamed, put away, given records; nothing is ever lost."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from counterspin.application.desk import Desk
+from counterspin.application.editing import changed, checked_campaign
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
+from counterspin.exports.description import further_runs
 from counterspin.output import make_folder
 
 #: Where campaigns go that are put away; as a hidden folder it is no part of the page.
@@ -47,6 +49,32 @@ def put_away(desk: Desk, name: str) -> dict[str, Any]:
     make_folder(place.parent)
     _move(source, place)
     return {"place": desk.folder.name(place)}
+
+
+def add_records(desk: Desk, name: str, files: list[str]) -> dict[str, Any]:
+    """Make a run of each record that was brought to a campaign; return what was added, in words.
+
+    files: Their names, from the folder that is served.
+    """
+    description = desk.description(name)
+    before = desk.folder.read(desk.folder.name(description))
+    document = load_document(description)
+    desk.require_inside(description.parent, document)
+    runs = [run for run in document.get("runs", []) if isinstance(run, dict)]
+    if not runs or "record" not in runs[0]:
+        raise CounterspinError(
+            "the runs of this campaign are readings, not records; add yours to its table"
+        )
+    named = {(description.parent / str(run.get("record"))).resolve() for run in runs}
+    new = [file for file in map(desk.file, files) if file.resolve() not in named]
+    text, added = before.text, further_runs(new, document, description.parent) if new else []
+    for place, run in enumerate(added, len(runs)):
+        text = changed(text, ["runs", place], run)
+    if added:
+        if problems := checked_campaign(desk, description, text).problems:
+            raise CounterspinError(": ".join(problems[0]))
+        desk.folder.write(desk.folder.name(description), text, before.version)
+    return {"added": [f"{run['name']} at {run['rate']}" for run in added]}
 
 
 def _source(desk: Desk, name: str) -> Path:

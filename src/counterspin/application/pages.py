@@ -64,7 +64,7 @@ def _comparison(desk: Desk, names: Sequence[str], _: str) -> Page:
 
     compared = compare(*map(desk.result, names), names=list(names))
     files = [desk.file(name) for name in names]
-    return Page("Comparison", list(comparison_blocks(compared)), compare_command(files))
+    return Page("Comparison", _typeset(list(comparison_blocks(compared))), compare_command(files))
 
 
 def _history(desk: Desk, names: Sequence[str], term: str) -> Page:

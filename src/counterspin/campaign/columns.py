@@ -70,7 +70,7 @@ class TimeChannel(SettingsSection):
         "name of the column in the file", "time_s", None, absent="counted"
     )
     unit: Annotated[str, AfterValidator(time_unit)] | None = described(
-        "of its numbers; `iso`: time stamps in ISO 8601, counted from the first",
+        "of its numbers; `iso`: time stamps, counted from the first",
         "ms",
         None,
         absent="the file's",

@@ -18,11 +18,12 @@ from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.arm import ArmDraft, arm_draft, shows_arm
-from counterspin.exports.guessing import FileGuess, agreed, guess_file
-from counterspin.exports.looking import Look
+from counterspin.exports.guessing import NONE, FileGuess, agreed, guess_file
+from counterspin.exports.looking import Look, look_at
 from counterspin.exports.poses import PosesDraft, poses_draft, shows_poses
 from counterspin.exports.questions import (
     SENSES,
+    UNFIT,
     AnsweredExport,
     ExportQuestion,
     questions_of,
@@ -38,6 +39,10 @@ from counterspin.toml_text import write_document
 _NAMES: Final = {"east": "Qx", "west": "Qx", "north": "Qy", "south": "Qy", "up": "Qz", "down": "Qz"}
 #: An encoder's zero is a compass direction if it points there within, rad.
 _POINTING_ANGLE: Final = math.radians(0.5)
+#: Axis -> the one against which it points, and by how much it is turned, rad.
+_OPPOSITE: Final = {"west": ("east", math.pi), "south": ("north", math.pi)}
+#: Rows of a record, at least.
+_FEWEST_ROWS: Final = 16
 #: A rate is a round number if it is one within this part.
 _ROUND_RATE_PART: Final = 2e-4
 
@@ -74,19 +79,7 @@ class Draft(AnsweredExport):
             "records": _records(common, answers, sense),
             "accelerometers": _accelerometers(common),
         }
-        names: list[Any] = []
-        runs = []
-        for guess in self.guesses:
-            stem, sheet = guess.look.path.stem, guess.look.sheet
-            name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
-            names.append(name)
-            run: dict[str, Any] = {
-                "name": name,
-                "rate": _rate(guess, answers, sense),
-                "record": relative_name(guess.look.path, place),
-            }
-            runs.append(run | ({"records": {"sheet": sheet}} if sheet else {}))
-        return document | {"runs": runs}
+        return document | {"runs": list(_runs(self.guesses, answers, sense, place, []))}
 
 
 def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Draft:
@@ -107,9 +100,29 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
         return questions
 
     taken, problems = settled(answers, asked)
+    problems = (*(f"{UNFIT}: {why}" for look in looks if (why := _unfit(look))), *problems)
     common = agreed(guesses)
     statements = tuple(_statements(guesses, common, _sense(common)))
     return Draft(statements, questions, taken, problems, guesses, common)
+
+
+def _unfit(look: Look) -> str:
+    """Return why a file is no record of a run, as it is written; empty text if it may be one."""
+    rows = max(len(column.values) for column in look.columns)
+    if rows < _FEWEST_ROWS:
+        return (
+            f"{look.path.name} has {rows} rows of numbers in {len(look.columns)} columns, too few "
+            "for a record of a run. Export a row for each sample and a column for each quantity; "
+            "of a table of readings say which test it is of (`test`)"
+        )
+    for name, cells in look.first_words.items():
+        kinds = len(set(cells))
+        if 1 < kinds < len(cells) / 2 and cells[kinds:] == cells[:-kinds]:
+            return (
+                f"in {look.path.name} several quantities stand below each other: column '{name}' "
+                f"has {', '.join(cells[:kinds][:4])} in turn. Export a column for each"
+            )
+    return ""
 
 
 #: What the files of a test show.
@@ -164,6 +177,58 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
     return target
 
 
+def further_runs(
+    files: Sequence[Path], document: Mapping[str, Any], folder: Path
+) -> list[dict[str, Any]]:
+    """Return runs of a description for further files, each at the rate that its file shows.
+
+    document: The description; the files are read as it reads those that it has.
+    """
+    records, runs = document.get("records", {}), document.get("runs", [])
+    time, angle = records.get("time") or {}, records.get("angle") or {}
+    told = {
+        "time": time.get("column", NONE),
+        "time unit": time.get("unit"),
+        "sampling_rate": time.get("sampling_rate"),
+        "angle": angle.get("column", NONE),
+        "angle unit": angle.get("unit"),
+        "per_revolution": angle.get("per_revolution"),
+    }
+    told = {key: str(value) for key, value in told.items() if value is not None}
+    sense = angle.get("sense", SENSES[0])
+    if (not angle or angle.get("pulses")) and str(runs[0]["rate"]).startswith("-"):
+        sense = SENSES[1]  # nothing counts down, and the centrifuge turns as it did
+    guesses = [guess_file(look, told) for look in look_at(files)]
+    for guess in guesses:
+        if guess.rate is None or not (guess.time or guess.sampling):
+            raise CounterspinError(
+                f"{guess.look.path}: the file does not show at which rate the centrifuge turned; "
+                "add its run in the description"
+            )
+    names = [run["name"] for run in runs]
+    return list(_runs(guesses, {}, sense, folder.resolve(), names))
+
+
+def _runs(
+    guesses: Sequence[FileGuess],
+    answers: Mapping[str, str],
+    sense: str,
+    place: Path,
+    names: list[str],
+) -> Iterator[dict[str, Any]]:
+    """Yield the run of each file, under a name that is not among `names`, and add it there."""
+    for guess in guesses:
+        stem, sheet = guess.look.path.stem, guess.look.sheet
+        name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
+        names.append(name)
+        run: dict[str, Any] = {
+            "name": name,
+            "rate": _rate(guess, answers, sense),
+            "record": relative_name(guess.look.path, place),
+        }
+        yield run | ({"records": {"sheet": sheet}} if sheet else {})
+
+
 # What is said
 
 
@@ -210,6 +275,7 @@ def _statements(
         yield "pendulous axes: assumed down, or north for an upright input axis"
     if common.unused:
         yield f"not used: {', '.join(common.unused[:20])}"
+    yield from (f"not read: {why}" for guess in guesses for why in guess.look.spoilt)
 
 
 # What follows
@@ -220,7 +286,8 @@ def _sense(common: FileGuess) -> str | None:
     phases: dict[str, dict[str, float]] = {}
     for signal in common.signals:
         if signal.phase is not None and signal.axis is not None and signal.observable:
-            phases.setdefault(signal.observable, {})[signal.axis] = signal.phase
+            axis, turned = _OPPOSITE.get(signal.axis, (signal.axis, 0.0))
+            phases.setdefault(signal.observable, {})[axis] = signal.phase + turned
     for phase in phases.values():
         if "east" in phase and "north" in phase:
             ahead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)

@@ -28,16 +28,25 @@ from counterspin.units import unit_factor
 
 _TIME: Final = re.compile(r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)")
 _ANGLE: Final = re.compile(r"(?i).*(angle|theta|phi|azimuth|winkel|encoder|spindle|count|kurs)")
-#: Words in names -> the axis.
+#: Words in names -> the axis; in Chinese and Japanese too, and what stands at the beginning alone.
 _AXES: Final = {
-    "east": re.compile(r"(?i)(.*[^a-z])?(east|ost)([^a-z]|$)"),
-    "north": re.compile(r"(?i)(.*[^a-z])?(north|nord)([^a-z]|$)"),
-    "up": re.compile(r"(?i)(.*[^a-z])?(up|height)([^a-z]|$)"),
+    axis: re.compile(rf"(?i)(.*[^a-z])?({words})([^a-z]|$)|{alone}")
+    for axis, words, alone in (
+        ("east", "east|ost", ".*[\u6771\u4e1c]|est([^a-z]|$)"),
+        ("north", "north|nord|norte", ".*\u5317"),
+        ("west", "west|ouest|oeste", ".*\u897f"),
+        ("south", "south|süd|sued|sud|sur", ".*\u5357"),
+        ("up", "up|height", ".*\u4e0a"),
+    )
 }
 #: A thermometer's column.
 _TEMPERATURE: Final = re.compile(r"(?i)(.*[^a-z])?temp(erature?|eratur)?([^a-z].*|$)")
 #: Scale of temperature -> what a thermometer beside an accelerometer shows in it.
 _THERMOMETER: Final = {"degC": (-60.0, 150.0), "K": (210.0, 425.0)}
+#: Names of a column that counts the rows.
+_COUNTER: Final = re.compile(
+    r"(?i)(no|nr|num|number|index|idx|scan|samples?|points?|rows?|zeile|lfd\.? ?nr|#)\.?( #\d+)?"
+)
 #: Names of single numbers: rows a second, s between rows, revolutions a minute.
 _SAMPLING: Final = re.compile(r"(?i)(.*[._])?(fs|f_s|sampl(e|ing)_?(rate|frequency))(_?hz)?")
 _STEP: Final = re.compile(r"(?i)(.*[._])?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval))(_?s)?")
@@ -53,7 +62,12 @@ _UNIT_TOLERANCE: Final = 0.02
 _EVEN_STEP_PART: Final = 0.5
 #: Unit of time -> rates of a centrifuge, rad per unit: so fast in s would be impossible in ms, so
 #: slow in ms useless in s.
-_TURNING_UNITS: Final = {"s": (0.1, 60.0), "ms": (1e-4, 1e-2)}
+_TURNING_UNITS: Final = {
+    "s": (0.1, 60.0),
+    "ms": (1e-4, 1e-2),
+    "us": (1e-7, 1e-5),
+    "ns": (1e-10, 1e-8),
+}
 #: Gravity by which g and m/s^2 are told from other units, m/s^2.
 STANDARD_GRAVITY: Final = 9.80665
 
@@ -77,6 +91,7 @@ class AngleGuess:
     per_revolution: float | None = None  #: Of counts; None of others.
     pulses: bool = False  #: Whether the column has times of pulses.
     known: bool = False  #: Whether the unit is the file's own.
+    turn: float | None = None  #: A revolution, in the column's numbers, as the waves show it.
 
 
 @frozen
@@ -156,7 +171,12 @@ def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> Fi
     rest = [column for column in columns if column is not time_column and not column.stamps]
     long = [column for column in rest if len(column.values) == len(seconds)]
     swings = {column.name: frequency(seconds, column.values) for column in long}
-    advancing = [column for column in long if _advance(column.values, seconds) is not None]
+    advancing = [
+        column
+        for column in long
+        if _advance(column.values, seconds) is not None
+        and not (time_column and np.array_equal(column.values, time_column.values, equal_nan=True))
+    ]
     angle_column = _chosen(advancing, told.get("angle"), _angle_column)
     swinging = [
         column
@@ -256,6 +276,8 @@ def _is_signal(column: FileColumn, swing: float | None, told: Mapping[str, str])
         return what != UNUSED
     if "signal" in told:
         return column.name == told["signal"]
+    if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
+        return False  # such as a temperature
     return bool(swing or _axis(column.name))
 
 
@@ -300,7 +322,8 @@ def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
 
 def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the column of the time: by its kind, its name or its unit, or even steps."""
-    stamps = [column for column in columns if column.stamps]
+    # A clock that stands still from row to row tells no time of theirs.
+    stamps = [column for column in columns if column.stamps and is_fine(column.values)]
     if stamps:
         return stamps[0]
     rising = [column for column in columns if is_even(column.values)]
@@ -313,9 +336,21 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
         for column in columns
         if len(column.values) == len(rows) and _advance(column.values, rows) is not None
     ]
-    first = [c for c in rising[:1] if c is columns[0] and not _ANGLE.match(c.name)]
+    first = [
+        column
+        for column in rising[:1]
+        if column is columns[0]
+        and not _ANGLE.match(column.name)
+        and not _COUNTER.fullmatch(column.name)
+    ]
     first = first if len(advancing) > 1 else []
     return next(iter([*named, *united, *first]), None)
+
+
+def is_fine(stamps: Array) -> bool:
+    """Return whether times differ from row to row, most of them."""
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    return bool(len(steps) and np.mean(steps > 0.0) > 0.5)
 
 
 def is_even(values: Array) -> bool:
@@ -390,7 +425,7 @@ def _angle(
         ):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / turn
     counts = _whole_counts(period)
-    guess = AngleGuess(column.name, "count", counts)
+    guess = AngleGuess(column.name, "count", counts, turn=period)
     return guess, unwrapped * 2.0 * np.pi / (counts or period)
 
 

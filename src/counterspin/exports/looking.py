@@ -23,9 +23,17 @@ from counterspin.records.tables import is_workbook
 
 #: The answer that every sheet of a workbook is a run.
 ALL_SHEETS: Final = "all"
+#: What a table has to be like.
+_WANTED: Final = (
+    "Where words stand between numbers in its rows, take them out. Export one column for each "
+    "quantity, with the names in one line above the numbers, and nothing but numbers in the cells: "
+    ".csv with semicolons or tabs, .xlsx, .tdms, .mat or .h5."
+)
 #: Rows that are looked at, at most, and columns.
 _MAX_ROWS: Final = 2_000_000
 _MAX_COLUMNS: Final = 200
+#: Cells of a column of words that show whether it repeats.
+_FIRST_CELLS: Final = 60
 
 
 @frozen(eq=False)
@@ -53,8 +61,12 @@ class Look:
     interval: float | None = None  #: Time between rows by the file, s.
     #: Single numbers that stand beside the columns, by name.
     numbers: Mapping[str, float] = field(default_factory=dict)
+    #: Column that holds neither numbers nor time stamps -> its first cells.
+    first_words: Mapping[str, Sequence[str]] = field(default_factory=dict)
     #: Of a small file: column that holds neither numbers nor time stamps -> its cells, row by row.
     words: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    #: Which columns would hold numbers but for a cell, and where it stands, in words.
+    spoilt: tuple[str, ...] = ()
 
 
 def look_at(
@@ -91,18 +103,19 @@ def look(path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()) -> 
 def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
     with open_columns(path, Dialect(sheet=sheet)) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
-        columns, others = [], []
+        columns, others, spoilt = [], [], []
         for name in names:
-            column = _column(file, name)
+            column, why = _column(file, name)
             if column is None:
                 others.append(name)
+                why = why.replace(str(path), path.name)
+                spoilt += [why] if "holds the text" in why and file.locate(0) not in why else []
             else:
                 columns.append(column)
         if not columns:
             seen = file.seen()
-            lines = f" Its first lines:\n{seen}" if seen else ""
-            advice = "Where words stand between numbers in its rows, take them out."
-            raise RecordError(f"{path}: no column of the file holds numbers. {advice}{lines}")
+            lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
+            raise RecordError(f"{path}: no column of the file holds numbers. {lines}")
         return Look(
             path,
             tuple(columns),
@@ -113,7 +126,9 @@ def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
             sheets,
             file.interval,
             file.single_numbers(),
+            file.first_cells(others, _FIRST_CELLS),
             _words(file, others, max(len(column.values) for column in columns)),
+            tuple(spoilt),
         )
 
 
@@ -126,18 +141,20 @@ def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[
     return {name: ["" if c is None else str(c).strip() for c in frame[name]] for name in there}
 
 
-def _column(file: ColumnFile, name: str) -> FileColumn | None:
-    """Return a column as numbers, or as time stamps, or None."""
+def _column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:
+    """Return a column as numbers, or as time stamps, or None and why it is no number."""
+    why = ""
     for stamps in (False, True):
         file.stamps = frozenset([name] if stamps else [])
         file.first_stamp = None
         try:
             file.require([name])
             values = file.whole([name])[name][:_MAX_ROWS]
-        except RecordError:
+        except RecordError as error:
+            why = why or str(error)
             continue
         numbers = np.array(values, dtype=float)
         numbers[~(np.abs(numbers) < LARGEST_VALUE)] = np.nan  # what no instrument measures
         if np.isfinite(numbers).any():
-            return FileColumn(name, file.units.get(name, ""), numbers, stamps)
-    return None
+            return FileColumn(name, file.units.get(name, ""), numbers, stamps), ""
+    return None, why

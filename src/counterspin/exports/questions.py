@@ -10,6 +10,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from counterspin.campaign.columns import SENSE_WORDS
 from counterspin.campaign.quantity import BARE, parse
 from counterspin.campaign.settings import OBSERVABLES
@@ -22,6 +24,8 @@ from counterspin.units import unit_factor
 
 SENSES: Final = ("counterclockwise", "clockwise")
 AXES: Final = ("east", "west", "north", "south", "up", "down")
+#: In the place of a question's key: what is wrong with the files themselves.
+UNFIT: Final = "files"
 #: In the place of a unit: that of any signal.
 ANY_SIGNAL: Final = "any"
 #: SI unit -> the usual ones that convert to it.
@@ -153,6 +157,9 @@ class AnsweredExport:
 
     def complete(self) -> dict[str, str]:
         """Return guesses, and answers above them; CampaignError if one is missing or wrong."""
+        # Nothing is asked about files that have to be exported anew.
+        if unfit := [line for line in self.problems if line.startswith(f"{UNFIT}: ")]:
+            raise CampaignError("init", unfit)
         missing = [
             f'{q.key}: {q.text} Answer with `answer`, such as "{q.key}={q.example}".'
             for q in self.open_questions
@@ -234,9 +241,19 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[Export
         text = f"In which unit is the time, column '{time.column}'?"
         yield ExportQuestion("time unit", text, "s", _UNITS["s"], time.unit, unit="s")
     if time is None:
-        text = "There is no time column. What is the sampling rate?"
+        text = f"There is no time column. What is the sampling rate?{_clock_seen(common.look)}"
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
         yield ExportQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
+
+
+def _clock_seen(look: Look) -> str:
+    """Return what a clock shows that stands still from row to row; empty text if there is none."""
+    for column in look.columns:
+        seconds = column.values[np.isfinite(column.values)]
+        if column.stamps and len(seconds) > 1 and (span := float(np.ptp(seconds))) > 0.0:
+            about = (len(seconds) - 1) / span
+            return f" By column '{column.name}' it is about {about:.3g} Hz."
+    return ""
 
 
 def _angle_questions(
@@ -251,7 +268,8 @@ def _angle_questions(
         choices = ("deg", "rad", "rev", "mrad", "arcmin", "arcsec", "count")
         yield ExportQuestion("angle unit", text, "deg", choices, guess=angle.unit)
     if angle is not None and angle.unit == "count":
-        text = f"How many counts of column '{angle.column}' make a revolution?"
+        seen = f" The waves show {angle.turn:.6g}." if angle.turn else ""
+        text = f"How many counts of column '{angle.column}' make a revolution?{seen}"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
         yield ExportQuestion("per_revolution", text, "65536", guess=counts)
     text = "In which sense does the angle increase, seen from above?"

@@ -157,7 +157,7 @@ def _nothing(paths: Sequence[Path | str | Result], collected: CollectedResults) 
         for item in lost[:5]
     )
     more = f"; and {len(lost) - 5} more" if len(lost) > 5 else ""
-    return f"no result in {where} can be used in a history. {reasons}{more}"
+    return f"no result can be used in a history. {reasons}{more}"
 
 
 def _shared(by_serial: dict[str, list[DatedResult]]) -> list[str]:

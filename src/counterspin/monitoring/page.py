@@ -143,10 +143,10 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
     if state.trouble:
         yield Paragraph(state.trouble, "warning")
     goals = {goal.name: goal for goal in state.goals}
-    yield Table(
-        (Column("Coefficient"), Column("So far", "right"), Column("Goal", wraps=True)),
-        tuple((c.name, _estimate(c), _goal(goals.get(c.name))) for c in state.coefficients),
-    )
+    columns = [Column("Coefficient"), Column("So far", "right")]
+    columns += [Column("Goal", wraps=True)] * bool(goals)
+    rows = ((c.name, _estimate(c), _goal(goals.get(c.name))) for c in state.coefficients)
+    yield Table(tuple(columns), tuple(row[: len(columns)] for row in rows))
     if state.met:
         yield Paragraph("The goal is met.", "answer")
     if state.complete:

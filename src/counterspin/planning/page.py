@@ -308,8 +308,7 @@ def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) 
     part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
         f"{part} % of the information on K_II comes from its second harmonic, which an eccentric "
-        f"encoder and imbalance "
-        "imitate; the rest on the mean of a_I^2.",
+        "encoder and imbalance imitate; the rest comes from the mean of a_I^2.",
     )
 
 

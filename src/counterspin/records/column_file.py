@@ -24,6 +24,11 @@ _UNPACKED_RATIO = 200
 _UNPACKED_BYTES = 64_000_000
 
 
+#: What SCPI instruments write for more than they measure, and for no number (SCPI-99, 7.2.1.4).
+_OVERFLOW = 9.9e37
+_NOT_A_NUMBER = 9.91001e37
+
+
 @contextmanager
 def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     """Turn whatever a reader raises into a `RecordError` that names the file.
@@ -121,7 +126,7 @@ class ColumnFile(ABC):
         rows = 0
         with record_errors(self.path, lambda: f" after row {rows}" if rows else ""):
             for batch in self._batches(wanted):
-                yield batch
+                yield {name: without_overflow(values) for name, values in batch.items()}
                 rows += column_rows(batch)
 
     def whole(self, wanted: Sequence[str]) -> Columns:
@@ -163,6 +168,14 @@ class ColumnFile(ABC):
         """Return the single numbers that stand beside the columns, by name."""
         return {}
 
+    def first_cells(  # of other files there are none
+        self,
+        names: Sequence[str],  # noqa: ARG002
+        count: int,  # noqa: ARG002
+    ) -> dict[str, list[str]]:
+        """Return the first cells of a text's columns; nothing of other files."""
+        return {}
+
     def seen(self) -> str:
         """Say what a text's first lines look like, a line each; empty text of other files."""
         return ""
@@ -176,8 +189,7 @@ class ColumnFile(ABC):
         after = (stamps - (self.first_stamp or 0)).to_numpy().astype(float)
         return after * 1e-9
 
-    @abstractmethod
-    def _require(self, wanted: Sequence[str]) -> None:
+    def _require(self, wanted: Sequence[str]) -> None:  # noqa: B027
         """As `require`, of columns that are there."""
 
     @abstractmethod
@@ -203,6 +215,16 @@ class ColumnFile(ABC):
                 f"{self.path}: the file is damaged: its {size} bytes claim "
                 f"to contain {needed} bytes of numbers."
             )
+
+
+def without_overflow(values: np.ndarray) -> np.ndarray:
+    """Return numbers with NaN for those that instruments write where they measured none."""
+    import numpy as np
+
+    over = np.abs(values) >= _OVERFLOW
+    if not over.any() or (np.abs(values[over]) > _NOT_A_NUMBER).any():
+        return values
+    return np.where(over, np.nan, values)
 
 
 def quoted(names: Sequence[str], cap: int = 20) -> str:
@@ -231,18 +253,31 @@ def nanoseconds(name: str) -> pl.Expr:
     """Return the stamps of a column of text as integers, ns; null where there is none.
 
     With a date, since 1970 (UTC, or the place's own time where no zone is stated); without one,
-    since midnight. Fractions may have a comma; a blank may stand in the place of the T.
+    since midnight. Fractions may have a comma or a colon; a blank may stand in the place of the T.
+    Of 1/2/2026 the month is first, unless there is none of its number; of 1.2.2026 the day.
     """
     import polars as pl
 
     text = pl.col(name).str.strip_chars().str.replace(",", ".", literal=True)
+    text = text.str.replace(r"(:\d\d:\d\d):(\d+)$", "${1}.${2}")
+    text = text.str.replace(r"^(\d{1,3}:\d\d\.\d+)$", "00:${1}")
+    text = text.str.replace(r"^(\d{4})/(\d\d?)/", "${1}-${2}-")
+    text = text.str.replace(r"^(\d\d?)\.(\d\d?)\.(\d{4})", "${3}-${2}-${1}")
+    text = text.str.replace(r"^(1[3-9]|[23]\d)/(\d\d?)/(\d{4})", "${3}-${2}-${1}")
+    text = text.str.replace(r"^(\d\d?)/(\d\d?)/(\d{4})", "${3}-${1}-${2}")
+    text = text.str.replace(r" ?([AaPp][Mm])$", "${1}")
     text = text.str.replace(" ", "T", literal=True).str.replace(r"Z$", "+00:00")
-    dated = pl.when(text.str.contains("T", literal=True)).then(text)
+    dated = pl.when(text.str.contains(r"^\d{4}-")).then(text)
     text = dated.otherwise(pl.concat_str([pl.lit("1970-01-01T"), text]))
     zoned = text.str.contains(r"[+-]\d\d:?\d\d$")
     form = "%Y-%m-%dT%H:%M:%S%.f"
-    unzoned = pl.when(~zoned).then(text)
-    plain = unzoned.str.to_datetime(form, time_unit="ns", strict=False)
+    halved = text.str.contains(r"[AaPp][Mm]$")
+    of_day = pl.when(~zoned & ~halved).then(text).str
+    of_half = pl.when(halved).then(text).str
+    plain = pl.coalesce(
+        of_day.to_datetime(form, time_unit="ns", strict=False),
+        of_half.to_datetime("%Y-%m-%dT%I:%M:%S%.f%p", time_unit="ns", strict=False),
+    )
     with_zone = pl.when(zoned).then(text)
     placed = with_zone.str.to_datetime(f"{form}%z", time_unit="ns", time_zone="UTC", strict=False)
     return pl.coalesce(placed.dt.replace_time_zone(None), plain).cast(pl.Int64()).alias(name)

@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, frame_columns, nanoseconds, plain_path
+from counterspin.records.column_file import (
+    ColumnFile,
+    frame_columns,
+    nanoseconds,
+    plain_path,
+    record_errors,
+)
 from counterspin.records.dialect import (
     BLANKS,
     EMPTY_WORDS,
@@ -22,11 +28,13 @@ from counterspin.records.dialect import (
     Line,
     described_lines,
     find_layout,
+    grouping,
     is_plain,
     plain_layout,
     split,
+    ungrouped,
 )
-from counterspin.records.labview import labview_head
+from counterspin.records.heads import stated_head
 from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
@@ -68,15 +76,14 @@ class CsvFile(ColumnFile):
                     return
                 yield number, line
 
-    def _require(self, wanted: Sequence[str]) -> None:
-        for name in wanted:
-            if self.names.count(name) > 1:
-                raise RecordError(f"{self.path}: two columns of the header are named '{name}'.")
-
     def _find_layout(self, dialect: Dialect) -> None:
         self._transcode(dialect)
         head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
         lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
+        if (mark := grouping(text for _, text in lines)) is not None:
+            self._ungroup(mark)
+            head = list(islice(self._lines(), len(head)))
+            lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
         layout, plain = None, is_plain(lines)
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
@@ -99,13 +106,19 @@ class CsvFile(ColumnFile):
         self._before_rows, self.names = layout.before_rows, list(layout.names)
         self.units = dict(zip(layout.names, layout.units, strict=True))
         self.units_row = layout.units_row
-        above = [split(line, self.delimiter) for number, line in lines if number < layout.header]
-        units, self.interval = labview_head(above, self.names, self.decimal)
+        above = [
+            split(line, self.delimiter) for number, line in lines if number <= layout.before_rows
+        ]
+        units, self.interval = stated_head(above, self.names, self.decimal)
         self.units |= units
         if not plain:
             self.found = layout.words(self._encoding)
         if self.delimiter == BLANKS:
             self._part_by_tabs()
+
+    def _ungroup(self, mark: str) -> None:
+        """Take the content without the marks between groups of three digits."""
+        self._content = ungrouped(self.content().decode(self._encoding), mark).encode()
 
     def _part_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
@@ -118,6 +131,12 @@ class CsvFile(ColumnFile):
             return words
         above = f"above the first numbers, line {self._before_rows + 1}"
         return f"{words} The columns were numbered, since no line {above}, would name them."
+
+    def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
+        """Return the first cells of columns, as they are written."""
+        with record_errors(self.path):
+            frame = self._text(names).head(count).collect() if names else None
+        return {} if frame is None else {n: [str(c or "") for c in frame[n]] for n in names}
 
     def seen(self) -> str:
         """Say what the first lines look like, a line each."""
@@ -192,12 +211,13 @@ class CsvFile(ColumnFile):
         """Return every column of the file as text; comments are left out."""
         import polars as pl
 
-        self._require(self.names)
+        names = [name for name in self.names if name]
+        self._require(names)
         if self._content is None and self._encoding != "utf-8":
             # Numbers are the same in all, but words are not.
             self._content = self.content().decode(self._encoding, errors="replace").encode()
         try:
-            return self._text(self.names).collect()
+            return self._text(names).collect()
         except pl.exceptions.PolarsError:
             self._refuse_bad_lines()
             raise
@@ -253,7 +273,7 @@ class CsvFile(ColumnFile):
         if column in self.stamps:
             raise RecordError(
                 f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
-                "instead of a time in ISO 8601, such as 2026-03-01T12:00:00.020."
+                "instead of a time, such as 2026-03-01T12:00:00.020."
             )
         hint = ""
         if _is_number(cell.replace(",", ".")):

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from itertools import zip_longest
 from typing import Final
 
 from counterspin.frozen import frozen
@@ -27,17 +28,37 @@ DELIMITERS: Final = (*MARKS, BLANKS)
 HEAD_LINES: Final = 400
 #: Rows that show whether a file is plain, and how many are wanted to tell a layout.
 _PLAIN_ROWS, _FEWEST_ROWS = 20, 3
-#: What counts as an empty cell, in lower case and without surrounding blanks.
-EMPTY_WORDS: Final = ("", "nan")
-#: Time of day, perhaps with a date before it and a zone behind, in ISO 8601.
-STAMP: Final = re.compile(
-    r"(?:\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"
+#: What counts as an empty cell, in lower case and without surrounding blanks: no number, or one
+#: that the instrument could not measure.
+EMPTY_WORDS: Final = (
+    *("", "nan", "n/a", "#n/a", "na", "null", "-", "--", "---"),
+    *("ovld", "ovl", "overload", "overflow", "over"),
 )
+#: Time of day, perhaps with a date before it and a zone behind: in ISO 8601, or as spreadsheets
+#: and recorders write it; or minutes and seconds.
+STAMP: Final = re.compile(
+    r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} )?\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
+    r"(?: ?[AaPp][Mm]|Z|[+-]\d\d:?\d\d)?|\d{1,3}:\d\d[.,]\d+"
+)
+#: Lines of a head, by their first cell: the names of columns, and their units.
+_NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
+_UNIT_KEYS: Final = ("vunit", "unit")
+#: What a row of units has above columns that have none.
+_NO_UNITS: Final = ("", "-", "no.", "no", "nr", "nr.", "number", "time", "date", "date&time")
+#: Most lines between the units and the rows.
+_LINES_BELOW_UNITS: Final = 4
 _NUMBERS: Final = {
     mark: re.compile(
         rf"[+-]?(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?"
     )
     for mark in (".", ",")
+}
+#: What may part the groups of three digits of a number, and what its decimals then: thin, narrow
+#: and other blanks that are not broken, an apostrophe, or the mark that does not part decimals.
+_GROUPED: Final = {
+    **dict.fromkeys(("\u202f", "\u2009", "\xa0", "'", "’"), r"[.,]"),
+    ".": ",",
+    ",": r"\.",
 }
 #: A cell between blanks; a unit in brackets may stand one blank behind its name.
 _BETWEEN_BLANKS: Final = re.compile(r"\S+(?: ?[\[(][^\[\]()\s]+[\])])?")
@@ -81,6 +102,8 @@ _WORDS: Final = {
     "m/(s^2)": "m/s^2",
     "m s-2": "m/s^2",
 }
+#: Between a name that several columns have, and which of them one is.
+NUMBERED: Final = " #"
 #: There is no factor from a temperature in these to one in another unit.
 TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
 
@@ -187,8 +210,19 @@ def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
     before = next(body, lines[-1][0] + 1) - 1
     mark = dialect.decimal or "."
     return Layout(
-        number, before, tuple(names), tuple(units), bool(dialect.units_row), delimiter, mark
+        number, before, _distinct(names), tuple(units), bool(dialect.units_row), delimiter, mark
     )
+
+
+def _distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of columns, those that occur more than once with their number behind."""
+    seen: dict[str, int] = {}
+    numbered = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        several = name and names.count(name) > 1
+        numbered.append(f"{name}{NUMBERED}{seen[name]}" if several else name)
+    return tuple(numbered)
 
 
 def find_rows(
@@ -241,7 +275,7 @@ def find_rows(
     numbers = sum(_is_number(cell, decimal) for cell in written)
     texts = sum(not STAMP.fullmatch(cell) for cell in written) - numbers
     before = table[begin][0] - 1
-    layout = Layout(header, before, tuple(names), tuple(units), bool(below), delimiter, decimal)
+    layout = Layout(header, before, _distinct(names), tuple(units), bool(below), delimiter, decimal)
     return numbers - texts, layout
 
 
@@ -268,11 +302,22 @@ def _head(
     above: Sequence[tuple[int, list[str]]], dialect: Dialect, width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
     """Return the line of names above the rows, and the cells of units; None if it is none."""
+    units_row = dialect.units_row
     if dialect.skip_lines is None:
-        above = above[-2:]  # names stand right above the rows, or above the units
+        said = {cells[0].lower(): (number, cells) for number, cells in reversed(above)}
+        for key in _NAME_KEYS:
+            if key in said and len(said[key][1]) >= width - 1:
+                number, names = said[key]
+                units = next((said[one][1] for one in _UNIT_KEYS if one in said), [])
+                # Columns before the channels have their names in the last line.
+                before = above[-1][1] if not names[1] else []
+                named = [name or old for name, old in zip_longest(["", *names[1:width]], before)]
+                return (number, [name or "" for name in named[:width]]), ["", *units[1:width]]
+        # Names stand right above the rows, or above the units, below which more may be told.
+        paired = None if units_row is not None else _named_and_united(above, width)
+        above = paired or above[-2:]
     if not above:
         return None
-    units_row = dialect.units_row
     if units_row is None:
         units_row = len(above) > 1 and _are_units(above[1][1], above[0][1], width)
     if len(above) < 1 + units_row:
@@ -298,6 +343,18 @@ def _marked(
     return ((number, names), []) if len(named) == width > 1 and cells != names else None
 
 
+def _named_and_united(
+    above: Sequence[tuple[int, list[str]]], width: int
+) -> Sequence[tuple[int, list[str]]] | None:
+    """Return the line of names and that of units below it; None if there are none near the rows."""
+    for place in range(len(above) - 1, max(0, len(above) - 2 - _LINES_BELOW_UNITS), -1):
+        if _are_units(above[place][1], above[place - 1][1], width):
+            return above[place - 1 : place + 1]
+        if len(above[place][1]) != width:
+            return None  # a line about the measurement
+    return None
+
+
 def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -> tuple[int, int]:
     """Return from where to where the longest stretch of rows of one width goes."""
     best, begin = (0, 0), 0
@@ -312,6 +369,24 @@ def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -
             best = (begin, place)
         begin = place if fits and not comment else place + 1
     return best
+
+
+def grouping(lines: Iterable[str]) -> str | None:
+    """Return what parts groups of three digits in cells that have decimals too; None: nothing."""
+    text = "\n".join(lines)
+    for mark, decimal in _GROUPED.items():
+        edge = '"' if mark == "," else r'["\t;\n]'
+        cell = rf"{edge}[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+{decimal}\d+(?={edge})"
+        if re.search(cell, f"\n{text}\n"):
+            return mark
+    return None
+
+
+def ungrouped(text: str, mark: str) -> str:
+    """Return a text without the marks that part groups of three digits."""
+    edge = '"' if mark == "," else r'["\t;\r\n]'
+    cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+(?=[.,]?\d*{edge})"
+    return re.sub(cell, lambda found: found[0].replace(mark, ""), f"\n{text}\n")[1:-1]
 
 
 def split(line: str, delimiter: str) -> list[str]:
@@ -364,7 +439,7 @@ def _known_unit(text: str) -> str | None:
 
 def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
     """Return whether cells are units, and those above them names."""
-    units = [file_unit(cell) is not None for cell in cells if cell and cell != "-"]
+    units = [file_unit(cell) is not None for cell in cells if cell.lower() not in _NO_UNITS]
     named = [name for name in names if name]
     return (
         len(cells) <= width

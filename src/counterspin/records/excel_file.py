@@ -117,7 +117,9 @@ def _rows_of(book: Any, sheet: str, dialect: Dialect = TO_BE_FOUND) -> tuple[int
         (number, ["" if cell is None else cell.strip() for cell in row])
         for number, row in enumerate(head, 1)
     ]
-    return find_rows(parted, dialect, ".")
+    # Cells of text, as a pasted file leaves them, may have commas.
+    found = [find_rows(parted, dialect, mark) for mark in (".", ",")]
+    return max((one for one in found if one), key=lambda one: one[0], default=None)
 
 
 class ExcelFile(ColumnFile):
@@ -130,7 +132,7 @@ class ExcelFile(ColumnFile):
         if found is None:
             raise NoRowsError(f"{path}: sheet '{self._sheet}' has no rows of numbers below names.")
         self._layout = found[1]
-        self.names = list(self._layout.names)
+        self.names, self.decimal = list(self._layout.names), self._layout.decimal
         self.units = dict(zip(self._layout.names, self._layout.units, strict=True))
         self.units_row = self._layout.units_row
         self.found = ", ".join(
@@ -138,15 +140,11 @@ class ExcelFile(ColumnFile):
             + ["columns without names"] * (self._layout.header == 0)
             + [f"names in row {self._layout.header}"] * (self._layout.header > 1)
             + ["a row of units"] * self.units_row
+            + ["text with decimal commas"] * (self.decimal == ",")
         )
 
     def _loaded(self, kind: Any, skip: int) -> pl.DataFrame:
         return _loaded(self._book, self._sheet, kind, skip)
-
-    def _require(self, wanted: Sequence[str]) -> None:
-        for name in wanted:
-            if self.names.count(name) > 1:
-                raise RecordError(f"{self.path}: two columns are named '{name}'.")
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         import polars as pl
@@ -166,11 +164,14 @@ class ExcelFile(ColumnFile):
                 columns[name] = self.seconds(value)
             else:
                 value = numbers.to_series(place)
+                if self.decimal == ",":
+                    plain = written.str.replace(",", ".", literal=True)
+                    value = value.fill_null(plain.cast(pl.Float64(), strict=False))
                 columns[name] = value.to_numpy()
             bad = (value.is_null() & ~empty).arg_true()
             if len(bad):
                 row = int(bad[0])
-                belongs = "time in ISO 8601" if name in self.stamps else "number"
+                belongs = "time" if name in self.stamps else "number"
                 raise RecordError(
                     f"{self.path}, {self.locate(row)}: column '{name}' holds the text "
                     f"'{str(written[row])[:40]}' instead of a {belongs}."

@@ -29,7 +29,7 @@ from counterspin.errors import CounterspinError
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Picture, Plot
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
-from counterspin.reports.typography import SYMBOL, typeset_block
+from counterspin.reports.typography import typeset_block, with_indices
 
 Theme = Literal["light", "page"]
 
@@ -137,9 +137,12 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
 
 def _with_indices(found: re.Match[str]) -> str:
     """Return words of a picture with K_II and the like as a letter and its index."""
-    lowered = r'\1<tspan dy="2" font-size="6.5">\2</tspan><tspan dy="-2">'
-    words, count = re.subn(rf"(?<![\w.]){SYMBOL}", lowered, found[2])
-    return found[1] + words + "</tspan>" * count
+
+    def lowered(letter: str, index: str) -> str:
+        return f'{letter}<tspan dy="2" font-size="6.5">{index}</tspan><tspan dy="-2">'
+
+    words = with_indices(found[2], lowered)
+    return found[1] + words + "</tspan>" * words.count('<tspan dy="-2">')
 
 
 def _colour(name: str, theme: Theme) -> str:

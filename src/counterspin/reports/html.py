@@ -21,7 +21,7 @@ from counterspin.output import mark
 from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Plot, Table
 from counterspin.reports.characters import escape_controls
 from counterspin.reports.charts import svg
-from counterspin.reports.typography import SYMBOL
+from counterspin.reports.typography import with_indices
 from counterspin.reports.zoomable import can_zoom, plot_data
 
 
@@ -224,10 +224,12 @@ def _equation(text: str) -> Markup:
 
 def _symbols(text: str) -> Markup:
     """Return prose with the symbols of coefficients set as a letter and its index."""
-    return _indexed(text, SYMBOL)
+    return _indexed(text)
 
 
-def _indexed(text: str, symbol: str) -> Markup:
-    # The underscore is not seen, but found and copied: K_II.
-    index = r"\1<sub><i>_</i>\2</sub>"
-    return Markup(re.sub(rf"(?<![\w.]){symbol}", index, str(Markup.escape(text))))
+def _indexed(text: str, *symbol: str) -> Markup:
+    def index(letter: str, index: str) -> str:
+        # The underscore is not seen, but found and copied: K_II.
+        return f"{letter}<sub><i>_</i>{index}</sub>"
+
+    return Markup(with_indices(str(Markup.escape(text)), index, *symbol))

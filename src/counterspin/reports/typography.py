@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
 from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Sphere, Table
 from counterspin.reports.characters import Lines
 
-#: A coefficient or score in prose, such as K_II: the letter and its index.
-SYMBOL: Final = r"([KE])_([A-Z]{1,3}|\d|n)(?!\w|\.\w)"
+#: A coefficient, score or force in prose, such as K_II: the letter and its index. A superscript
+#: may follow.
+SYMBOL: Final = r"(K|E|a(?=_[IPO])|delta(?=_[IPO]))_([A-Z]{1,3}|\d|n)(?![^\W²³⁴]|\.\w)"
+#: Letters that are words in code -> as they are printed.
+_GREEK: Final = {"delta": "δ"}
 
 RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -35,6 +39,18 @@ def typeset(text: str) -> str:
     text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{_raised(found[2])}", text)
     text = _EXPONENT.sub(lambda found: found[1].translate(RAISED), text)
     return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO.sub("µg", text)))
+
+
+def with_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
+    """Return prose with its symbols as a face sets them.
+
+    index: Takes a symbol's letter and its index.
+    """
+
+    def placed(found: re.Match[str]) -> str:
+        return index(_GREEK.get(found[1], found[1]), found[2])
+
+    return re.sub(rf"(?<![\w.]){symbol}", placed, text)
 
 
 def _raised(exponent: str) -> str:

@@ -92,10 +92,14 @@ function keeping(name) {
       return `${said} ${made.name}.`;
     }, () => go(campaignAddress(to.value.trim()))());
   files.addEventListener("change", () => doing(async () => {
-    for (const file of files.files ?? []) await bring(name ? `${name}/${file.name}` : file.name, file);
-    return "The records are in the folder; name them in the description.";
-  }, go(`#/description/${encodeURIComponent(name)}`)));
-  return make("details", { class: "keeping" }, make("summary", {}, "Copy, rename, archive, add a record"),
+    const names = [...files.files ?? []].map((file) => (name ? `${name}/${file.name}` : file.name));
+    for (const [place, file] of [...files.files ?? []].entries()) await bring(names[place], file);
+    const { added } = await send("POST", "records", { name, files: names });
+    return added.length ? `Added as ${added.length > 1 ? "runs" : "run"}: ${added.join(", ")}.`
+      : "The records are there; runs of the description name them.";
+  }, () => dispatchEvent(new HashChangeEvent("hashchange"))));
+  return make("details", { class: "keeping" }, make("summary", {}, "Add records, copy, rename, move to the trash"),
+    make("div", { class: "row" }, labelled("Add records: each is a run, at the rate that it shows", files)),
     make("div", { class: "row" }, labelled("Name of the folder", to),
       make("button", { type: "button", onclick: moved("copy", "Copied to") }, "Copy"),
       make("button", { type: "button", onclick: moved("rename", "It is now called") }, "Rename"),
@@ -105,8 +109,8 @@ function keeping(name) {
           const { place: where } = await send("POST", "put-away", { name });
           return `It is now in ${where}; move it back to restore it.`;
         }, go("#/")),
-      }, "Put away")),
-    labelled("Add records to the folder", files), place);
+      }, "Move to the trash")),
+    place);
 }
 
 /**

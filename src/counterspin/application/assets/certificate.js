@@ -22,7 +22,7 @@ export async function certificateView(result) {
   const both = make("input", { type: "checkbox", checked: true });
   const button = make("button", { class: "main" }, "Issue");
   const place = make("div", { "aria-live": "polite" });
-  const draft = make("p", { class: "warning", id: "draft" });
+  const draft = make("p", { id: "draft" });
   /** @type {string[]} */
   let example = told.example;
   // Before anything is signed: what still is an example's gets no signature.
@@ -32,6 +32,7 @@ export async function certificateView(result) {
     button.textContent = signing.wanted ? "Sign and issue" : "Issue";
     if (refused) button.setAttribute("aria-describedby", draft.id);
     else button.removeAttribute("aria-describedby");
+    draft.className = refused ? "warning" : "quiet";
     draft.hidden = example.length === 0;
     draft.textContent = `Still example text: ${inSections(example)}. ${
       refused ? "Replace that below before you sign." : "A certificate issued now is a draft, and every page says so."}`;

@@ -35,8 +35,10 @@ export const labelled = (words, control) => make("label", {}, words, control);
  * @returns {(Node|string)[]}
  */
 export const symbols = (text) =>
-  text.split(/\b([KE]_(?:[A-Z]{1,3}|\d)(?![\w.]))/).map((piece, place) =>
-    place % 2 ? make("span", {}, piece[0], make("sub", {}, piece.slice(2))) : piece);
+  text.split(/\b((?:[KE]_(?:[A-Z]{1,3}|\d)|delta_[OP])(?![\w.]))/).map((piece, place) => {
+    const [letter, index] = piece.split("_");
+    return place % 2 ? make("span", {}, letter === "delta" ? "δ" : letter, make("sub", {}, index)) : piece;
+  });
 
 /**
  * Keys of the laboratory's data in words, by section.

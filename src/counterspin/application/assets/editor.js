@@ -83,6 +83,9 @@ function typed(text, kind) {
   return kind === "list" ? trimmed.split(",").map((one) => one.trim()).filter(Boolean) : trimmed;
 }
 
+/** Labels that are listed of what is folded away. */
+const MOST_LISTED = 4;
+
 /** Section -> what is asked of a table that is added. */
 const ADDED = /** @type {Record<string, string>} */ ({
   accelerometers: "Name of another accelerometer",
@@ -102,6 +105,13 @@ function machineOf(key, document) {
   if (key === "readings") return about ? "tumble" : columns?.motion ? "arm" : "";
   return key === "centrifuge" && !document.readings ? "double-turntable" : "";
 }
+
+/**
+ * The first of some labels, and how many more there are.
+ * @param {string[]} labels
+ */
+const listed = (labels) => labels.slice(0, MOST_LISTED).join(", ")
+  + (labels.length > MOST_LISTED ? ` and ${labels.length - MOST_LISTED} more` : "");
 
 /** @param {any} choice */
 const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] ?? String(choice);
@@ -378,7 +388,7 @@ export class Editor {
       ...seen.map((field) => this.field(field, [...path, field.key], value[field.key])))];
     if (others.length) {
       content.push(make("details", { class: "optional", id: `m-${keyPath(path)}`, open: !seen.length },
-        make("summary", {}, "More"),
+        make("summary", {}, `More: ${listed(others.map(({ label }) => label))}`),
         make("div", { class: "grid" },
           ...others.map((field) => this.field(field, [...path, field.key], undefined)))));
     }

@@ -80,14 +80,15 @@ async function whatIf(result, accelerometer) {
   show(first);
   const sliders = sources.map((source, place) => {
     const id = `known-${accelerometer}-${place}`;
-    const words = make("output", { for: id, "aria-live": "off" }, `known to ${size(source, source.u)}`);
+    const now = size(source, source.u);
+    const words = make("output", { for: id, "aria-live": "off" }, `known to ${now}, as now`);
     const range = make("input", {
       id, type: "range", min: -2, max: 1, step: 0.05, value: 0, "aria-valuetext": words.textContent,
       oninput: () => {
         const u = knownTo(source, Number(range.value));
         if (Number(range.value)) known[source.name] = u;
         else delete known[source.name];
-        words.textContent = `known to ${size(source, u)}`;
+        words.textContent = `known to ${size(source, u)}, ${Number(range.value) ? `now ${now}` : "as now"}`;
         range.setAttribute("aria-valuetext", words.textContent);
         ask();
       },
@@ -99,7 +100,7 @@ async function whatIf(result, accelerometer) {
   if (sliders.length) {
     content.push(make("details", { open: true },
       make("summary", {}, "What if one of these were known better?"),
-      make("p", { class: "quiet" }, "Computed by an update of the fit, with the estimated noise."),
+      make("p", { class: "quiet" }, "Left is better known, right is worse. Computed by an update of the fit, with the estimated noise."),
       make("div", { class: "sliders" }, ...sliders)), wrong);
   }
   return make("div", { class: "card" }, ...content);

@@ -1,6 +1,7 @@
 // @ts-check
 // A campaign while its records grow.
 
+import { campaignAddress } from "./addresses.js";
 import { get, Refused } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
 import { campaignTabs } from "./tabs.js";
@@ -107,6 +108,7 @@ export async function liveView(name) {
       }
       if (told.complete) {
         say("All is recorded.");
+        place.append(make("p", {}, make("a", { class: "button", href: campaignAddress(name) }, "Go on to the result")));
         looking = false;
         return;
       }
@@ -137,6 +139,8 @@ export async function liveView(name) {
     title: `${campaign.title}, live`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live"),
+      make("p", { class: "quiet" }, "The records are looked at every second while your recorder writes them into the campaign's folder. "
+        + "The ripple is a part of the rate; residuals should be about as large as the noise."),
       make("div", { class: "row" }, labelled("Goal: a coefficient and its standard uncertainty", goal)), wrong, chart.element, place, events, command,
     ],
   };

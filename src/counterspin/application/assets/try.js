@@ -33,7 +33,8 @@ function jobForm(campaign, kind, label, words, begin, done) {
           done(job);
         });
       } catch (error) {
-        place.replaceChildren(warning(/** @type {Error} */ (error).message));
+        place.replaceChildren(warning(/** @type {Error} */ (error).message),
+          make("p", {}, make("a", { href: `#/description/${encodeURIComponent(campaign.name)}` }, "Open the description")));
       }
     },
   }, label, make("button", { class: "main" }, words));
@@ -74,7 +75,8 @@ export async function tryView(name) {
         simulated),
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "Expected uncertainties, predicted without records."), forecast),
+        make("p", { class: "quiet" }, "Expected uncertainties, by the description; where it leaves noise, rate or length "
+          + "of the runs to records that are there, by these."), forecast),
     ],
   };
 }

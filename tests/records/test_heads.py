@@ -1,6 +1,6 @@
 """What the head of a LabVIEW measurement file states."""
 
-from counterspin.records.labview import labview_head
+from counterspin.records.heads import stated_head
 
 HEAD = [
     ["LabVIEW Measurement", ""],
@@ -13,15 +13,15 @@ NAMES = ["X_Value", "Angle", "East", "Raw", "Comment"]
 
 
 def test_units_and_step_stand_above_their_columns():
-    units, step = labview_head(HEAD, NAMES, ",")
+    units, step = stated_head(HEAD, NAMES, ",")
     assert units == {"X_Value": "s", "Angle": "deg", "East": "m", "Raw": "V"}
     assert step == 0.02
 
 
 def test_what_is_not_stated_is_not_invented():
-    assert labview_head([["about"], []], NAMES, ",") == ({}, None)
+    assert stated_head([["about"], []], NAMES, ",") == ({}, None)
     frequencies = [["X_Dimension", "Frequency"], ["Delta_X", "0,5"]]
-    assert labview_head(frequencies, NAMES, ",") == ({}, None)
+    assert stated_head(frequencies, NAMES, ",") == ({}, None)
     uneven = [*HEAD[:3], ["Delta_X", "0,02", "0,04", "0,02"]]
-    assert labview_head(uneven, NAMES, ",")[1] is None
-    assert labview_head([*HEAD[:3], ["Delta_X", "x"]], NAMES, ",")[1] is None
+    assert stated_head(uneven, NAMES, ",")[1] is None
+    assert stated_head([*HEAD[:3], ["Delta_X", "x"]], NAMES, ",")[1] is None

@@ -1,0 +1,111 @@
+"""Files of many makes: each is read as the same record, or refused with what to do."""
+
+import numpy as np
+import polars as pl
+import pytest
+from recorders import FILES
+
+from counterspin.calibration.observed import read_run
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CounterspinError
+from counterspin.exports.description import draft, write_description
+from counterspin.exports.looking import look_at
+
+RATE = 2.0 * np.pi
+#: Cells that have no number.
+MISSING = {"cells that were not measured": {"Qx": 3, "Qy": 1}}
+KNOWN = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
+
+
+@pytest.fixture(scope="module")
+def frame():
+    """Return a run of 20 turns: a circle of 2.5 m, and noise of 1 cm."""
+    time = np.arange(400) * 0.05
+    noise = np.random.default_rng(5).normal(scale=0.01, size=(2, 400))
+    angle = RATE * time
+    waves = {"east_m": 2.5 * np.cos(angle) + noise[0], "north_m": 2.5 * np.sin(angle) + noise[1]}
+    return pl.DataFrame({"time_s": time, "angle_rad": angle, **waves})
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_record_is_the_same_whoever_wrote_it(tmp_path, frame, name):
+    write, ending = FILES[name]
+    path = tmp_path / f"run{ending}"
+    write(frame, path)
+    found = draft(look_at([path]), KNOWN)
+    assert [question.key for question in found.open_questions] == []
+    write_description(found, tmp_path / "campaign")
+    campaign = read_campaign(tmp_path / "campaign")
+    (run,) = campaign.runs
+    assert run.rate == pytest.approx(RATE, rel=1e-6)
+    record = read_run(campaign, run)
+    assert record.time - record.time[0] == pytest.approx(frame["time_s"].to_numpy(), abs=1e-6)
+    assert record.angle == pytest.approx(frame["angle_rad"].to_numpy(), abs=3e-6)
+    for owner, column in (("Qx", "east_m"), ("Qy", "north_m")):
+        measured = np.isfinite(record.signals[owner])
+        assert np.count_nonzero(~measured) == MISSING.get(name, {}).get(owner, 0)
+        expected = frame[column].to_numpy()[measured]
+        assert record.signals[owner][measured] == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_sense_shows_along_west_and_south_too(tmp_path, frame):
+    angle = (90.0 - np.degrees(frame["angle_rad"].to_numpy())) % 360.0
+    data = {"t_s": frame["time_s"], "azimuth_deg": angle, "west_m": -frame["east_m"]}
+    path = tmp_path / "run.csv"
+    pl.DataFrame(data | {"south_m": -frame["north_m"]}).write_csv(path)
+    document = draft(look_at([path]), KNOWN).document(tmp_path)
+    assert (
+        document["records"]["angle"] | {"zero": "north", "sense": "clockwise"}
+        == (document["records"]["angle"])
+    )
+    assert [one["input_axis"] for one in document["accelerometers"].values()] == ["west", "south"]
+
+
+def lines(path, head, rows):
+    path.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "told"),
+    [
+        (["Time;Angle;East"], "{t} s;{a} deg;{e} m", "line 2: 3 cells, none a number.*nothing but"),
+        ([], '{{"t": {t}, "angle": {a}, "east": {e}}}', "line 1.*Export one column"),
+        (
+            ["VarName;Time_s;VarValue"],
+            "Angle;{t};{a}\nEast;{t};{e}",
+            "several quantities stand below each other: column 'VarName' has Angle, East in turn",
+        ),
+    ],
+)
+def test_what_is_no_table_is_refused_with_what_to_do(tmp_path, frame, head, row, told):
+    cells = zip(*(frame[name] for name in ("time_s", "angle_rad", "east_m")), strict=True)
+    rows = [row.format(t=t, a=a, e=e) for t, a, e in cells]
+    with pytest.raises(CounterspinError, match=f"(?s){told}"):
+        draft(look_at([lines(tmp_path / "run.csv", head, rows)])).document(tmp_path)
+
+
+def test_a_row_for_each_quantity_is_refused(tmp_path, frame):
+    rows = [f"{name};{';'.join(map(str, frame[name]))}" for name in frame.columns]
+    with pytest.raises(CounterspinError, match=r"has \d rows of .* a row for each sample"):
+        draft(look_at([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
+
+
+def test_remarks_below_the_rows_are_told(tmp_path, frame):
+    path = tmp_path / "run.csv"
+    frame.write_csv(path)
+    path.write_text(path.read_text() + "End of data\n")
+    said = draft(look_at([path])).statements
+    assert (
+        "not read: run.csv, line 402: column 'time_s' holds the text 'End of data' instead of "
+        "a number."
+    ) in said
+
+
+def test_a_clock_of_whole_seconds_tells_about_how_fast_rows_follow(tmp_path, frame):
+    stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in frame["time_s"]]
+    path = tmp_path / "run.csv"
+    frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
+    (asked,) = (q for q in draft(look_at([path])).questions if q.key == "sampling_rate")
+    assert asked.guess is None
+    assert "By column 'time_s' it is about 21 Hz." in asked.text
