@@ -45,10 +45,11 @@ from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.posed.triad import triad_result
 from counterspin.calibration.readings import (
-    Fitted,
+    ReadingsAndPoses,
     in_output_units,
     only_at_rest,
     radii,
+    results_of,
     with_readings,
 )
 from counterspin.calibration.result import described
@@ -61,6 +62,7 @@ from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
+from counterspin.records.mean import RecordMean
 
 
 def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
@@ -79,7 +81,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
         nominal=[unknown.nominal for unknown in model.asked],
     )
     views = [
-        AccelerometerView(campaign, estimated, assessment, name).with_parts(read)
+        AccelerometerView(campaign, estimated, assessment, name).with_parts(read.parts)
         for name in campaign.accelerometers
     ]
     kinds = compare_kinds(views)
@@ -97,7 +99,9 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
-    accelerometers = {view.name: _accelerometer(view, observed, kinds[view.name]) for view in views}
+    accelerometers = {
+        view.name: _accelerometer(view, observed, kinds[view.name], read.means) for view in views
+    }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
@@ -134,13 +138,14 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
 
 def estimate_campaign(
     campaign: Campaign, observed: Sequence[ObservedRun], model: Unknowns
-) -> tuple[Estimate, Fitted]:
+) -> tuple[Estimate, ReadingsAndPoses]:
     """Return the estimate from records and readings, and how the readings fit; as `joint`."""
-    if not campaign.readings and not campaign.posed:
-        return estimate(series_of(campaign, observed), model, noise_of(campaign)), ()
+    read = campaign.readings or campaign.posed
     from_records = None
-    if observed:
+    if observed or not read:
         from_records = estimate(series_of(campaign, observed), model, noise_of(campaign))
+    if from_records is not None and not read:
+        return from_records, ReadingsAndPoses()
     return with_readings(from_records, model, campaign)
 
 
@@ -160,6 +165,7 @@ def _accelerometer(
     view: AccelerometerView,
     observed: Sequence[ObservedRun],
     kinds: Kinds,
+    means: Mapping[tuple[str, str], RecordMean],
 ) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
     own = {
@@ -183,13 +189,13 @@ def _accelerometer(
         jackknife=view.jackknife(),
         two_stage=compare(view, observed) if observed else None,
         traces=traces(view, observed),
-        readings=[line for part in view.readings for line in part.results()],
+        readings=[line for part in view.readings for line in results_of(part, means)],
         kinds=kinds.results,
         output=in_output_units(view.campaign, name, own),
         findings=[
             *kinds.findings,
             *residual_findings(kinds.judged),
-            *outliers_of_means(name, view.readings),
+            *outliers_of_means(name, means),
             *unseen_ripple(view),
             *_undetermined(view, own),
             *incredible(view.campaign.limit_of, name, own),

@@ -8,21 +8,19 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
-from counterspin.calibration.readings import (
-    AccelerometerReadings,
-    FittedPoses,
-    JudgedReadings,
-)
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
+from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
 from counterspin.inference.joint.found_noise import level_dof
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.runs_left_out import Jackknife, leave_out
+from counterspin.inference.linear_readings import Readings
+from counterspin.inference.poses import TriadPoses
 
 #: Degrees of freedom of a very short record, whose every row the fit may follow.
 _FEWEST_DOF: Final = 0.5
@@ -36,8 +34,8 @@ class AccelerometerView:
     estimate: Estimate  #: Of all accelerometers together.
     assessment: Assessment  #: Which unknowns the records determine.
     name: str  #: The accelerometer's.
-    readings: tuple[AccelerometerReadings, ...] = ()  #: Its readings, and how they fit.
-    poses: tuple[FittedPoses, ...] = ()  #: Those of its triad, and how they fit.
+    readings: tuple[FittedReadings, ...] = ()  #: Its readings, and how they fit.
+    poses: tuple[FittedReadings, ...] = ()  #: Those of its triad, and how they fit.
 
     @property
     def fit(self) -> JointFit:
@@ -68,25 +66,17 @@ class AccelerometerView:
         return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
 
     @property
-    def parts(self) -> tuple[JudgedReadings, ...]:
+    def parts(self) -> tuple[FittedReadings, ...]:
         """Its readings, then the poses."""
         return (*self.readings, *self.poses)
 
-    def with_parts(self, parts: Sequence[JudgedReadings]) -> AccelerometerView:
+    def with_parts(self, parts: Sequence[FittedReadings]) -> AccelerometerView:
         """Return the view with those of some readings and poses that are the accelerometer's."""
+        own = [part for part in parts if self.name in part.readings.accelerometers]
         return replace(
             self,
-            readings=tuple(
-                part
-                for part in parts
-                if isinstance(part, AccelerometerReadings)
-                and part.readings.accelerometer == self.name
-            ),
-            poses=tuple(
-                part
-                for part in parts
-                if isinstance(part, FittedPoses) and self.name in part.readings.accelerometers
-            ),
+            readings=tuple(part for part in own if isinstance(part.readings, Readings)),
+            poses=tuple(part for part in own if isinstance(part.readings, TriadPoses)),
         )
 
     @property

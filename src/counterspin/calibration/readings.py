@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, fields, replace
-from typing import Any, Final
+from dataclasses import field, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,23 +24,15 @@ from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, dof_beside
+from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.linear_readings import WORDS, Readings
+from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses
-from counterspin.inference.readings import (
-    FEWEST_FREEDOM,
-    FittedReadings,
-    ReadingsFit,
-    solve_readings,
-)
+from counterspin.inference.readings import ReadingsFit, solve_readings
 from counterspin.records.mean import RecordMean, mean_of_record
-
-#: In so many of good campaigns a position, or a reading, is called off.
-_OF_SINGLE: Final = 0.5 * SIGNIFICANCE
 
 
 def only_at_rest(campaign: Campaign) -> bool:
@@ -49,114 +41,20 @@ def only_at_rest(campaign: Campaign) -> bool:
     return motions <= {"static"} and not campaign.runs
 
 
-@frozen
-class JudgedReadings(FittedReadings):
-    """Readings or poses of a campaign, and how they fit."""
+@frozen(eq=False)
+class ReadingsAndPoses:
+    """Readings and poses of a campaign, and what was found in their records."""
 
-    @property
-    def words(self) -> str:
-        """What these readings are called."""
-        return WORDS[self.readings.motion]
-
-    def outlying(self) -> list[tuple[str, float, float]]:
-        """Return name, residual (g) and standardised residual of what noise leaves open.
-
-        Each reading, and the readings of each position that was read more than once together, are
-        compared with the noise of the others (externally studentised), at the level of the other
-        tests shared out among them. Noise that is hardly known judges nothing.
-        """
-        if self.dof < FEWEST_FREEDOM:
-            return []
-        every = [*self.positions, *self.single]
-        z = [each.beside_others for each in every]
-        p = [each.p for each in every]
-        far_off: list[tuple[str, float, float]] = []
-        said: dict[int, float] = {}
-        for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):
-            places, size = every[i].places, abs(z[i])
-            # A reading is named beside its position only where it alone is the worse.
-            if any(size <= said.get(place, 0.0) for place in places):
-                continue
-            said |= dict.fromkeys(places, size)
-            names = list(dict.fromkeys(self.readings.names[place] for place in places))
-            far_off.append((", ".join(names), every[i].residual, z[i]))
-        return far_off
-
-
-@frozen
-class FittedPoses(JudgedReadings):
-    """The poses of a triad at unknown attitudes, and how they fit."""
-
-    readings: TriadPoses
-    #: Where each was found in a record, by its name.
-    found: Mapping[str, FoundPose] = field(default_factory=dict)
-
-
-@frozen
-class AccelerometerReadings(JudgedReadings):
-    """The readings of one accelerometer in one motion, and how they fit."""
-
-    readings: Readings
-    #: What was found in the records whose means are readings, by the reading's name.
-    means: Mapping[str, RecordMean] = field(default_factory=dict)
-
-    @property
-    def misfit_of_positions(self) -> float | None:
-        """Probability of residuals beside the repeats' scatter as large as these; None without.
-
-        The F test of lack of fit against pure error: Draper and Smith, Applied Regression
-        Analysis, 3rd ed., section 2.1.
-        """
-        own = self.residuals / self.sigma
-        # Each repeat at one setting has the noise alone, each reading the head's part as well,
-        # which is known: of what the residuals should be, only the noise's share is to be found.
-        again = float(np.sum(self.readings.repeats - 1.0))
-        scatter = float(np.sum(self.readings.scatter)) / self.noise**2
-        share = float(np.mean(self.linear.noise_share))
-        apart = within = 0.0
-        for position in self.positions:
-            places = list(position.places)
-            apart += len(places) - 1.0
-            within += float(np.sum((own[places] - own[places].mean()) ** 2))
-        left = self.freedom - apart
-        if self.weighed or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
-            return None
-        from scipy.special import fdtrc
-
-        weight = again / share**2 + apart
-        expected = ((1.0 - share) + share * scatter / again) * again / share**2 if again else 0.0
-        expected = (expected + within) / weight
-        return float(fdtrc(left, weight, max(self.squares - within, 0.0) / left / expected))
-
-    def results(self) -> list[ReadingResult]:
-        """Return each reading as a result shows it."""
-        return [
-            ReadingResult(
-                name=name,
-                motion=self.readings.motion,
-                mounting=self.readings.mountings[i],
-                input_axis=tuple(map(float, station.mounting.matrix[0])),
-                pendulous_axis=tuple(map(float, station.mounting.matrix[1])),
-                rate=station.rate,
-                value=float(self.readings.value[i]),
-                u=float(self.sigma[i]),
-                residual=float(self.residuals[i]),
-                z=None if math.isnan(self.single[i].standardised) else self.single[i].standardised,
-                **_found_in(self.means.get(name)),
-            )
-            for i, (name, station) in enumerate(
-                zip(self.readings.names, self.readings.stations, strict=True)
-            )
-        ]
-
-
-#: How readings, and poses of a triad, fit.
-Fitted = tuple[AccelerometerReadings | FittedPoses, ...]
+    parts: tuple[FittedReadings, ...] = ()  #: How they fit.
+    #: By accelerometer and reading, what was found in the records whose means are readings.
+    means: Mapping[tuple[str, str], RecordMean] = field(default_factory=dict)
+    #: By name, where each pose was found.
+    poses: Mapping[str, FoundPose] = field(default_factory=dict)
 
 
 def with_readings(
     estimated: Estimate | None, model: Unknowns, campaign: Campaign
-) -> tuple[Estimate, Fitted]:
+) -> tuple[Estimate, ReadingsAndPoses]:
     """Return the estimate with the campaign's readings and poses, and how these fit.
 
     estimated: From records; None if there are none.
@@ -173,24 +71,12 @@ def with_readings(
     estimated, parts = with_groups(estimated, model, groups)
     means = {(one.accelerometer, one.name): mean for one, mean in taken if mean is not None}
     found = {one.pose[0].name: one for one in posed}
-    return estimated, tuple(
-        replace(part, found=found)
-        if isinstance(part, FittedPoses)
-        else replace(
-            part,
-            means={
-                name: mean
-                for (own, name), mean in means.items()
-                if own == part.readings.accelerometer and name in part.readings.names
-            },
-        )
-        for part in parts
-    )
+    return estimated, ReadingsAndPoses(parts, means, found)
 
 
 def with_groups(
     estimated: Estimate | None, model: Unknowns, groups: Sequence[Readings | TriadPoses]
-) -> tuple[Estimate, Fitted]:
+) -> tuple[Estimate, tuple[FittedReadings, ...]]:
     """Return the estimate with readings in groups; as `with_readings`."""
     if estimated is None:
         fit = solve_readings(groups, model)
@@ -198,15 +84,7 @@ def with_groups(
     else:
         fit = solve_readings(groups, estimated.fit.model, estimated.fit)
     dof = _effective_dof(estimated.dof, fit)
-    kinds = (
-        FittedPoses if isinstance(group.readings, TriadPoses) else AccelerometerReadings
-        for group in fit.groups
-    )
-    parts = tuple(
-        kind(**{each.name: getattr(group, each.name) for each in fields(group)})
-        for kind, group in zip(kinds, fit.groups, strict=True)
-    )
-    return replace(estimated, fit=fit.fit, dof=dof, core=None, lost={}), parts
+    return replace(estimated, fit=fit.fit, dof=dof, core=None, lost={}), fit.groups
 
 
 def _require_enough(campaign: Campaign, model: Unknowns) -> None:
@@ -270,6 +148,30 @@ def _require_values(campaign: Campaign) -> None:
         )
 
 
+def results_of(
+    part: FittedReadings, means: Mapping[tuple[str, str], RecordMean]
+) -> list[ReadingResult]:
+    """Return each reading as a result shows it."""
+    group = part.readings
+    assert isinstance(group, Readings)
+    return [
+        ReadingResult(
+            name=name,
+            motion=group.motion,
+            mounting=group.mountings[i],
+            input_axis=tuple(map(float, station.mounting.matrix[0])),
+            pendulous_axis=tuple(map(float, station.mounting.matrix[1])),
+            rate=station.rate,
+            value=float(group.value[i]),
+            u=float(part.sigma[i]),
+            residual=float(part.residuals[i]),
+            z=None if math.isnan(part.single[i].standardised) else part.single[i].standardised,
+            **_found_in(means.get((group.accelerometer, name))),
+        )
+        for i, (name, station) in enumerate(zip(group.names, group.stations, strict=True))
+    ]
+
+
 def _found_in(mean: RecordMean | None) -> dict[str, Any]:
     """Return what a result states of the record that a reading is the mean of."""
     if mean is None:
@@ -298,7 +200,7 @@ def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]
         yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si), mean
 
 
-def residual_of(parts: Sequence[JudgedReadings]) -> Residual:
+def residual_of(parts: Sequence[FittedReadings]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
     left = np.concatenate([part.residuals for part in parts])
     stated = [part for part in parts if math.isinf(part.dof)]
@@ -314,7 +216,7 @@ def residual_of(parts: Sequence[JudgedReadings]) -> Residual:
     )
 
 
-def readings_noise(parts: Sequence[JudgedReadings]) -> dict[str, NoiseLine]:
+def readings_noise(parts: Sequence[FittedReadings]) -> dict[str, NoiseLine]:
     """Return the noise of readings, motion by motion."""
     return {
         part.words: NoiseLine(

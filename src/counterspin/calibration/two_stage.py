@@ -49,9 +49,8 @@ from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
 from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT
-from counterspin.inference.two_stage.second_stage import SecondStage, resolve
+from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_found_noise
 from counterspin.physics.terms import OWN_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.

@@ -152,6 +152,11 @@ class Readings:
         return tuple(tuple(places) for places in same.values() if len(places) > 1)
 
     @property
+    def accelerometers(self) -> tuple[str, ...]:
+        """Which were read: the one."""
+        return (self.accelerometer,)
+
+    @property
     def size(self) -> int:
         """The number of readings."""
         return len(self.stations)

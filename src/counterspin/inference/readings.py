@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import field, replace
-from typing import Final, Self, TypeVar
+from dataclasses import replace
+from typing import Final, TypeVar
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
-from counterspin.inference.distributions import tail_beside
+from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings, position_of
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_relaxed
+from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import LinearReadings, Readings
@@ -39,15 +38,6 @@ _NOISE_ROUNDS: Final = 200
 #: positions where the head adds nothing would be taken for exact. Enough repeats tell it.
 _LEAST_BESIDE_HEAD: Final = 0.3
 
-#: Readings without any noise, but for one that is off, leave this chi-square of the others.
-_LEAST_REST: Final = 1e-6
-
-#: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone: five,
-#: effective ones rounded, for twelve positions of which nothing is stated have just these. Of
-#: twenty columns that are tried, one is then told from chance every other time if it is 15 of its
-#: standard deviations; with four left it must be 26, with three 89, with two 5100 (Student's t).
-FEWEST_FREEDOM: Final = 4.5
-
 #: Part of a standard uncertainty that is as good as none.
 _HELD: Final = 1e-6
 
@@ -57,84 +47,6 @@ _FARTHEST: Final = 10.0
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
 _LARGEST_MOVE: Final = 1e-5
 _TOLERANCE: Final = 1e-6
-
-
-@frozen
-class Position:
-    """Readings of one position, or one reading, beside the others."""
-
-    #: Of the readings; their mean residual, g.
-    places: tuple[int, ...]
-    residual: float
-    #: The mean residual over its own standard deviation, with leverages and considered terms
-    #: counted; NaN where the fit follows these readings wholly.
-    standardised: float
-    #: The same with an estimated noise as the others tell it (externally studentised), and the
-    #: probability of as much by chance, to either side.
-    beside_others: float
-    p: float
-
-
-@frozen
-class FittedReadings:
-    """A group of readings or poses, and how it fits a solution that has followed it."""
-
-    readings: Readings | TriadPoses  #: What was read.
-    linear: LinearReadings  #: The same linearised at the estimate, each with its uncertainty.
-    noise: float  #: Of one repeat where it was estimated, g; elsewhere it means nothing.
-    dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
-    freedom: float = math.nan  #: Readings less what the fit follows of them.
-    #: Reading less model at the estimate, g, shape (n,).
-    residuals: Array = field(default_factory=lambda: np.empty(0))
-    squares: float = math.nan  #: Chi-square of the residuals, by noise and considered terms.
-    #: Each reading by itself, and for each position that was read more than once its readings.
-    single: tuple[Position, ...] = ()
-    positions: tuple[Position, ...] = ()
-
-    def place_in(self, fit: JointFit) -> int | None:
-        """Return which of a fit's observations they are; None if it is without them."""
-        for place, one in enumerate(fit.observations):
-            if isinstance(one, LinearReadings) and one.group is self.readings:
-                return place
-        return None
-
-    @property
-    def sigma(self) -> Array:
-        """Standard uncertainty of each reading, the head's part included, g, shape (n,)."""
-        return self.linear.sigma
-
-    @property
-    def weighed(self) -> bool:
-        """Whether residuals are held against a noise that they did not tell: stated, or the least.
-
-        Those that are no more than rounding say nothing of each other's size.
-        """
-        return self.readings.u is not None or self.noise <= self.readings.least_noise
-
-    def under(self, fit: JointFit) -> Self:
-        """Return how the same readings fit what a fit, which has them, says."""
-        group, solution, model = self.readings, fit.solution, fit.model
-        place = self.place_in(fit)
-        assert place is not None
-        part = fit.observations[place]
-        assert isinstance(part, LinearReadings)
-        told = None
-        if not self.weighed:
-            # Noise is estimated with what is considered among the unknowns.
-            told = _NoiseWithout(part.relaxed(len(model.unknowns)), fit.relaxed, group)
-
-        def position(places: Sequence[int]) -> Position:
-            return _position(part, places, solution, model, told)
-
-        return replace(
-            self,
-            linear=part,
-            freedom=part.freedom(solution),
-            residuals=part.left(solution, model),
-            squares=part.squares(solution, model),
-            single=tuple(position((place,)) for place in range(group.size)),
-            positions=tuple(position(places) for places in group.read_again),
-        )
 
 
 @frozen
@@ -226,7 +138,6 @@ def _solved(
     together: ReadingsFit | None = None,
 ) -> ReadingsFit:
     """Return the solved problem; of `together`, where it is given, the noise is taken."""
-    beside = () if records is None else records.blocks[: len(records.prepared)]
     everything = [*model.unknowns, *model.considered]
     known = np.array([unknown.prior_mean for unknown in everything])
     point = known
@@ -244,8 +155,8 @@ def _solved(
     # What is considered is in the residuals too. Noise and the point of the derivatives are found
     # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
     # looks like it would leave its prior so far that derivatives there are not the machine's.
-    relaxed, variance = bool(model.considered), None
-    alone = not beside and len(readings) == 1
+    variance = None
+    alone = records is None and len(readings) == 1
     free = sum(math.isinf(unknown.prior[1]) for unknown in everything) if alone else 0
     posed = {name for g in readings if isinstance(g, TriadPoses) for name in g.accelerometers}
     turned = [place for place, u in enumerate(model.unknowns) if u.owner in posed]
@@ -254,21 +165,18 @@ def _solved(
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
-            blocks = [part.weighed() for part in weighted]
-            solution = solve_blocks([*beside, *blocks], model)
-            before, followed, found = noise, weighted, solution
-            if relaxed:
-                followed = [part.relaxed(len(model.unknowns)) for part in weighted]
-                found = solve_relaxed([*beside, *blocks], model)
+            fit, before = _beside(records, weighted, model), noise
+            followed = [part.relaxed(len(model.unknowns)) for part in weighted]
             if together is not None:
                 break
             noise = [
-                _noise_again(group, part, found, Unknowns(model.unknowns), own, free)
+                _noise_again(group, part, fit.relaxed, Unknowns(model.unknowns), own, free)
                 for group, part, own in zip(readings, followed, before, strict=True)
             ]
             changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
             if max(changes) < _TOLERANCE:
                 break
+        found = fit.relaxed
         estimate, u = found.estimate[: known.size], found.u[: known.size]
         place = _place(estimate, found, known, limits, farthest, turned)
         variance = u**2
@@ -279,7 +187,7 @@ def _solved(
         for group in readings:
             if isinstance(group, TriadPoses):
                 raise ConvergenceError(_do_not_settle(group))
-        name = _furthest_off(readings, beside, model)
+        name = _furthest_off(readings, records, model)
         raise ConvergenceError(
             f"the fit of the readings did not converge in {_ROUNDS} rounds; check "
             f'"{name}", which is furthest off the others: its sign, digits and unit, and whether '
@@ -294,99 +202,46 @@ def _solved(
         dof = [group.dof for group in together.groups]
     told = {
         part.source: Noise(size)
-        for group, part, size in zip(readings, weighted, noise, strict=True)
+        for group, part, size in zip(readings, parts, noise, strict=True)
         if group.u is None
     }
-    fit = JointFit(model, solution, tuple(weighted), tuple(blocks), told)
+    fit = replace(fit, noise=told)
     if records is not None:
-        fit = replace(
-            records,
-            solution=replace(solution, covariance_unseen=records.solution.covariance_unseen),
-            observations=(*records.prepared, *weighted),
-            blocks=(*beside, *blocks),
-            noise={**records.noise, **told},
-        )
+        hidden = replace(fit.solution, covariance_unseen=records.solution.covariance_unseen)
+        noises = {**records.noise, **told}
+        fit = replace(fit, solution=hidden, noise=noises, unseen=records.unseen)
     groups = (
         FittedReadings(group, part, size, freedom).under(fit)
-        for group, part, size, freedom in zip(readings, weighted, noise, dof, strict=True)
+        for group, part, size, freedom in zip(readings, parts, noise, dof, strict=True)
     )
     return ReadingsFit(fit, tuple(groups))
 
 
+def _beside(
+    records: JointFit | None, weighted: Sequence[LinearReadings], model: Unknowns
+) -> JointFit:
+    """Return the fit of readings, with the noise that they have, beside the records of another."""
+    own, others = tuple(part.weighed() for part in weighted), tuple(weighted)
+    if records is None:
+        return JointFit(model, solve_blocks(own, model), others, own, {})
+    blocks = (*records.blocks[: len(records.prepared)], *own)
+    return JointFit(model, solve_blocks(blocks, model), (*records.prepared, *others), blocks, {})
+
+
 def _furthest_off(
-    readings: Sequence[Readings | TriadPoses], beside: Sequence[Block], model: Unknowns
+    readings: Sequence[Readings | TriadPoses], records: JointFit | None, model: Unknowns
 ) -> str:
     """Return the name of the reading that is furthest off a fit with all that is known as it is."""
     known = np.array([other.prior_mean for other in (*model.unknowns, *model.considered)])
     parts = [group.linearised(model, known, None).with_noise(1.0) for group in readings]
-    solution = solve_blocks([*beside, *(part.weighed() for part in parts)], model)
+    solution = _beside(records, parts, model).solution
     worst, furthest = "", 0.0
     for group, part in zip(readings, parts, strict=True):
         for place, name in enumerate(group.names):
-            off = abs(_position(part, (place,), solution, model, None).standardised)
+            off = abs(position_of(part, (place,), solution, model, None).standardised)
             if off > furthest:
                 worst, furthest = name, off
     return worst
-
-
-def _position(
-    part: LinearReadings,
-    places: Sequence[int],
-    solution: Solution,
-    model: Unknowns,
-    noise: _NoiseWithout | None,
-) -> Position:
-    """Return the weighted mean of some residuals, and it over its own standard deviation."""
-    weights = np.zeros(part.target.size)
-    weights[list(places)] = 1.0 / part.sigma[list(places)] ** 2
-    weights /= weights.sum()
-    own = weights * part.sigma
-    column = part.left_of(own, solution)
-    left = max(float(own @ column), 0.0)
-    shifted = weights @ part.moved_by(solution) * model.considered_sizes
-    variance = left + float(shifted @ shifted)
-    residual = float(weights @ part.left(solution, model))
-    if variance <= 1e-9 * float(own @ own):
-        return Position(tuple(places), residual, math.nan, math.nan, math.nan)
-    z, share, dof = residual / math.sqrt(variance), 0.0, math.inf
-    beside_others = z
-    if noise is not None:
-        # The head, priors and what is considered have their parts of the variance too.
-        by_noise = min(float(part.noise_share @ column**2) / variance, 1.0)
-        scale, dof = noise.beside(own)
-        shrunk = 1.0 - by_noise + by_noise * scale
-        beside_others, share = z / math.sqrt(shrunk), by_noise * scale / shrunk
-    p = 2.0 * tail_beside(share, dof, abs(beside_others))
-    return Position(tuple(places), residual, z, beside_others, p)
-
-
-class _NoiseWithout:
-    """An estimated noise without some of the readings, all else being equal."""
-
-    def __init__(
-        self, part: LinearReadings, solution: Solution, group: Readings | TriadPoses
-    ) -> None:
-        self._part, self._solution = part, solution
-        self._share = part.noise_share
-        self._residual = part.left_at(solution.estimate) / part.sigma
-        again = group.freedom_of_repeats
-        self._dof = part.freedom_of_noise(solution) + again
-        # The noise is such that the squares of residuals and repeats are what is expected.
-        self._squares = float(self._share @ (1.0 - part.leverages(solution))) + again
-
-    def beside(self, own: Array) -> tuple[float, float]:
-        """Return the variance without a combination of the readings, over it, and its dof."""
-        share, column = self._share, self._part.left_of(own, self._solution)
-        left = float(own @ column)
-        if left <= 1e-9 * float(own @ own):
-            return 1.0, self._dof
-        removed = column * float(own @ self._residual) / left
-        squares = self._squares - float(share @ (removed * (2.0 * self._residual - removed)))
-        weighed = share * column
-        crossed = float(weighed @ self._part.left_of(weighed, self._solution)) / left
-        gone = float(weighed @ column) / left
-        scale = max(squares, _LEAST_REST) / max(self._squares - gone, _LEAST_REST)
-        return scale, max(self._dof - 2.0 * crossed + gone**2, 1.0)
 
 
 def _first_noise(group: Readings | TriadPoses) -> float:

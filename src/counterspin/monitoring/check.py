@@ -234,5 +234,5 @@ def _expected(
     except CounterspinError as error:
         return [], str(error)
     names = shown_names(campaign)
-    lines = reached(FitSoFar(whole, predicted.estimate, ()), names)
+    lines = reached(FitSoFar(whole, predicted.estimate), names)
     return [line.model_copy(update={"value": None}) for line in lines], None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 
@@ -11,15 +12,16 @@ from counterspin.calibration.joint_parts import coefficient
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
-from counterspin.calibration.readings import Fitted as Parts
-from counterspin.calibration.readings import FittedPoses
+from counterspin.calibration.readings import ReadingsAndPoses
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import unit_of
+from counterspin.inference.poses import TriadPoses
 from counterspin.monitoring.result import GoalState, ReachedCoefficient
 from counterspin.planning.plan_file import read_plan, resolve_goal
 from counterspin.planning.plan_sections import GoalSettings
@@ -31,12 +33,13 @@ class FitSoFar:
 
     campaign: Campaign  #: With these runs alone.
     estimate: Estimate  #: Of its unknowns.
-    parts: Parts  #: How readings and poses fit.
+    #: Readings and poses, and how they fit.
+    read: ReadingsAndPoses = field(default_factory=ReadingsAndPoses)
 
     @property
-    def posed(self) -> tuple[FittedPoses, ...]:
+    def posed(self) -> tuple[FittedReadings, ...]:
         """The poses of its triad."""
-        return tuple(part for part in self.parts if isinstance(part, FittedPoses))
+        return tuple(part for part in self.read.parts if isinstance(part.readings, TriadPoses))
 
     @cached_property
     def assessment(self) -> Assessment:

@@ -13,6 +13,7 @@ from counterspin.calibration.posed.found_poses import FoundPose
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.campaign.triads.grouped import one_group
+from counterspin.inference.poses import TriadPoses
 from counterspin.monitoring.goals import FitSoFar
 from counterspin.monitoring.observer import record_name
 from counterspin.monitoring.result import PosesState, RunState
@@ -119,5 +120,7 @@ def _left(fit: FitSoFar) -> Iterator[tuple[str, float]]:
     """Yield each pose's name, and by how much the size of its specific force is off, g."""
     model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
     for part in fit.posed:
-        growth = part.readings.at(model, point).growth
-        yield from zip(part.readings.names, (part.residuals / growth).tolist(), strict=True)
+        poses = part.readings
+        assert isinstance(poses, TriadPoses)
+        growth = poses.at(model, point).growth
+        yield from zip(poses.names, (part.residuals / growth).tolist(), strict=True)

@@ -236,19 +236,28 @@ class _Integrals:
         return np.stack([self._kept[*who, effect] for effect in effects])
 
 
-def _along(trajectory: Trajectory, duration: float) -> _Integrals:
+def _along(trajectory: Trajectory, duration: float, kinked: tuple[float, ...] = ()) -> _Integrals:
     """Return the integrals along a trajectory, which are kept for a while.
 
     Accelerometers of one run share the motion, and a fit and its checks the integrals.
+
+    kinked: An axis; there is an edge wherever the specific force along it changes sign.
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
     few = edges.size * quadrature.NODES <= _MOST_NODES
-    return (_along_short if few else _along_long)(trajectory, duration)
+    return (_along_short if few else _along_long)(trajectory, duration, kinked)
 
 
-def _made(trajectory: Trajectory, duration: float) -> _Integrals:
+def _made(trajectory: Trajectory, duration: float, kinked: tuple[float, ...]) -> _Integrals:
+    of_panels = partial(
+        quadrature.panel_edges, trajectory.spindle, duration, coarse=trajectory.coarse
+    )
     breaks = trajectory.conditions.breaks
-    edges = quadrature.panel_edges(trajectory.spindle, duration, breaks, coarse=trajectory.coarse)
+    edges = of_panels(breaks)
+    if kinked:
+        along = np.array(kinked)
+        changes = quadrature.sign_changes(lambda t: trajectory.specific_force(t) @ along, edges)
+        edges = of_panels(np.append(breaks, changes))
     return _Integrals(trajectory, Panels(edges))
 
 
@@ -315,14 +324,10 @@ class _Shown:
 
     def kinked(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
-        motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
             return self._seen(effects)
-        of_panels = partial(
-            quadrature.panel_edges, motion.spindle, self._duration, coarse=motion.coarse
-        )
-        breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, of_panels())
-        kinked = _Integrals(motion, Panels(of_panels(breaks)))
+        axis = tuple(self._axes.input_axis.tolist())
+        kinked = _along(self._trajectory, self._duration, axis)
         return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def _seen(self, effects: Sequence[Integrated]) -> Array:

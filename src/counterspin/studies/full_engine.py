@@ -13,9 +13,8 @@ from counterspin.calibration.readings import with_groups
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import Series
-from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import TwoStageRequest
-from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
+from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
 from counterspin.inference.two_stage.strobes import by_angle, strobe_angle
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws

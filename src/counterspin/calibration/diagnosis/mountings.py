@@ -16,11 +16,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.readings import Fitted, JudgedReadings, with_groups
+from counterspin.calibration.readings import with_groups
 from counterspin.calibration.result_parts import Finding
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
 from counterspin.inference.distributions import normal_quantile
+from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.relaxed import relax
@@ -50,7 +51,7 @@ class OtherMounting:
     #: By how much its chi-square is less than that of the stated one, over the residuals' scale.
     gain: float
     dof: float | None  #: Degrees of freedom of that scale; None where the noise was stated.
-    readings: Fitted = ()  #: All readings, and how they fit then.
+    readings: tuple[FittedReadings, ...] = ()  #: All readings, and how they fit then.
 
     @property
     def pendulous(self) -> tuple[str, str]:
@@ -99,8 +100,8 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
 
 
 def _turned(
-    relaxed: Estimate, read: Sequence[JudgedReadings], name: str, quarters: int
-) -> tuple[JointFit, Fitted]:
+    relaxed: Estimate, read: Sequence[FittedReadings], name: str, quarters: int
+) -> tuple[JointFit, tuple[FittedReadings, ...]]:
     """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
     fit = with_turned(relaxed.fit, name, quarters) if quarters else relaxed.fit
     if not read:
@@ -125,7 +126,7 @@ def _turned(
     return estimated.fit, readings
 
 
-def _turned_poses(group: TriadPoses, part: JudgedReadings, name: str, quarters: int) -> TriadPoses:
+def _turned_poses(group: TriadPoses, part: FittedReadings, name: str, quarters: int) -> TriadPoses:
     """Return poses with one of the accelerometers turned, with the noise they have."""
     if not math.isinf(part.dof):
         noise = part.noise / np.sqrt(group.repeats)

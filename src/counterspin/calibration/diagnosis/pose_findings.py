@@ -21,14 +21,15 @@ from counterspin.calibration.findings import (
     lack_of_fit,
 )
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.readings import FittedPoses, residual_of
+from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.pose_tests import pose_candidates
+from counterspin.inference.poses import TriadPoses
 from counterspin.inference.reading_tests import STEP, TERM, Followed, most_followed
-from counterspin.inference.readings import FEWEST_FREEDOM
 from counterspin.reports.numbers import format_number
 
 #: What findings about the poses of a triad are about.
@@ -41,7 +42,7 @@ _DOWN: Final = 0.3
 _MOST_NAMED: Final = 4
 
 
-def pose_findings(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Finding]:
+def pose_findings(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
     """Return what speaks against the poses: residuals that are no noise, poses that stand out.
 
     fit: Which has them.
@@ -62,7 +63,7 @@ def pose_findings(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Finding]:
     return findings
 
 
-def _followed(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Followed | None]:
+def _followed(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Followed | None]:
     """Return for each group of poses what its residuals follow, beyond chance."""
     found: list[Followed | None] = [None] * len(posed)
     fit = relax(fit)
@@ -71,8 +72,9 @@ def _followed(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Followed | No
     unknown = {(u.owner, u.symbol): u for u in fit.model.unknowns}
     known = {key for key, u in unknown.items() if math.isfinite(u.prior[1])}
     columns = [
-        tuple(pose_candidates(posed[k].readings, group.place, fit, unknown, known))
-        for k, group in zip(judged, groups, strict=True)
+        tuple(pose_candidates(group.readings, group.place, fit, unknown, known))
+        for group in groups
+        if isinstance(group.readings, TriadPoses)
     ]
     for one in most_followed(fit, groups, columns) if judged else ():
         if one.p * one.tests < 0.5 * SIGNIFICANCE:
@@ -80,7 +82,7 @@ def _followed(fit: JointFit, posed: Sequence[FittedPoses]) -> list[Followed | No
     return found
 
 
-def _explained(part: FittedPoses, followed: Followed) -> Finding:
+def _explained(part: FittedReadings, followed: Followed) -> Finding:
     """Return the finding that the residuals of poses follow something."""
     first = followed.alternatives[0]
     size = equivalent_deviations(followed.p)
@@ -109,7 +111,7 @@ def _explained(part: FittedPoses, followed: Followed) -> Finding:
     )
 
 
-def _few_left(part: FittedPoses) -> Finding:
+def _few_left(part: FittedReadings) -> Finding:
     left = format_number(part.freedom, 2) if part.freedom >= 0.05 else "no"
     text = (
         f"{part.readings.size} poses leave {left} degrees of freedom after the estimation: "
@@ -125,6 +127,7 @@ def too_few_poses(view: AccelerometerView) -> str:
     axes: dict[str, list[Array]] = {}
     for part in view.poses:
         group = part.readings
+        assert isinstance(group, TriadPoses)
         there = group.at(view.fit.model, view.fit.solution.estimate)
         for name, own in zip(group.accelerometers, group.axes, strict=True):
             axes.setdefault(name, []).append(there.direction @ own[0])

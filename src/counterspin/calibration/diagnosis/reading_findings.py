@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -15,15 +15,13 @@ from counterspin.calibration.findings import (
     lack_of_fit,
 )
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.readings import (
-    AccelerometerReadings,
-    JudgedReadings,
-    residual_of,
-)
+from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.linear_readings import Readings
 from counterspin.inference.reading_tests import (
     APPROACH,
     ASYMMETRY,
@@ -45,7 +43,7 @@ from counterspin.inference.reading_tests import (
     candidates,
     most_followed,
 )
-from counterspin.inference.readings import FEWEST_FREEDOM
+from counterspin.records.mean import RecordMean
 from counterspin.reports.numbers import format_number
 
 #: Up to so many positions that are off may each be a mistake. More, and more than this share of
@@ -165,7 +163,7 @@ def _noticed_from(freedom: float) -> str:
     return f", and residuals are noticed only above {least} times the stated uncertainty"
 
 
-def unjudged(name: str, part: JudgedReadings) -> Finding:
+def unjudged(name: str, part: FittedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to judge residuals by."""
     text = (
         f"{part.readings.size} {part.words} without a stated uncertainty leave "
@@ -190,15 +188,16 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     own = [unknown for unknown in acting if unknown.owner]
     known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
     columns = [
-        tuple(candidates(part.readings, group.place, {one.symbol for one in acting}, known))
-        for part, group in zip(judged.values(), groups, strict=True)
+        tuple(candidates(group.readings, group.place, {one.symbol for one in acting}, known))
+        for group in groups
+        if isinstance(group.readings, Readings)
     ]
     places = list(judged)
     for one in most_followed(fit, groups, columns):
         yield places[one.group], one
 
 
-def group_of(part: JudgedReadings, place: int) -> Group:
+def group_of(part: FittedReadings, place: int) -> Group:
     """Return readings or poses as they are tested.
 
     place: Among the observations of the fit.
@@ -221,7 +220,7 @@ def group_of(part: JudgedReadings, place: int) -> Group:
 
 
 def _explained(
-    name: str, part: AccelerometerReadings, followed: Followed, general: Finding | None
+    name: str, part: FittedReadings, followed: Followed, general: Finding | None
 ) -> Finding:
     """Return the finding that residuals follow something, the best explanation first."""
     first = followed.alternatives[0]
@@ -273,7 +272,7 @@ def clause_of(other: Alternative) -> str:
     }[other.kind]
 
 
-def lone_or_many(name: str, part: JudgedReadings) -> list[Finding]:
+def lone_or_many(name: str, part: FittedReadings) -> list[Finding]:
     """Return a finding for each position that stands out, or one where many do."""
     far_off = part.outlying()
     if len(far_off) <= _most_lone(part):
@@ -286,7 +285,7 @@ def lone_or_many(name: str, part: JudgedReadings) -> list[Finding]:
     return [worst.model_copy(update={"text": text})]
 
 
-def _with_many(misfit: Finding, part: AccelerometerReadings, worst: Finding) -> Finding:
+def _with_many(misfit: Finding, part: FittedReadings, worst: Finding) -> Finding:
     """Return a misfit of known shape with the many positions that it puts off the model."""
     many = f"{len(part.outlying())} of {part.readings.size} {part.words} deviate from the model."
     said = {
@@ -297,11 +296,11 @@ def _with_many(misfit: Finding, part: AccelerometerReadings, worst: Finding) -> 
     return misfit.model_copy(update=said)
 
 
-def _most_lone(part: JudgedReadings) -> float:
+def _most_lone(part: FittedReadings) -> float:
     return max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size)
 
 
-def _outlying(part: JudgedReadings, name: str, reading: str, residual: float, z: float) -> Finding:
+def _outlying(part: FittedReadings, name: str, reading: str, residual: float, z: float) -> Finding:
     what = "pose" if part.readings.motion == "poses" else "position"
     deviations = f"{abs(z):.1f}" if abs(z) < _COUNTABLE else f"more than {_COUNTABLE}"
     return Finding(
@@ -327,11 +326,11 @@ def no_more_than_rounded(views: Sequence[AccelerometerView]) -> Iterator[str]:
                 )
 
 
-def outliers_of_means(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
+def outliers_of_means(name: str, means: Mapping[tuple[str, str], RecordMean]) -> list[Finding]:
     """Return a finding for each record whose mean is a reading and that lost many rows."""
     return [
         finding
-        for part in parts
-        for reading, mean in part.means.items()
+        for (owner, reading), mean in means.items()
+        if owner == name
         for finding in many_outliers(f"{name}.{reading}", counts_of(mean.report))
     ]

@@ -9,14 +9,15 @@ Accelerometer Parameters, J. Res. NIST 122 (2017) 32).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.readings import Fitted, FittedPoses, dof_of
+from counterspin.calibration.posed.found_poses import FoundPose
+from counterspin.calibration.readings import ReadingsAndPoses, dof_of
 from counterspin.calibration.result_parts import (
     Coefficient,
     Correlation,
@@ -27,6 +28,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import countable
+from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.identifiability import PRIOR_LEFT
 from counterspin.inference.joint.budget import budget_of, by_kind_of
 from counterspin.inference.joint.estimation import Estimate
@@ -53,11 +55,12 @@ class _Parameter:
     limit: float
 
 
-def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> TriadResult | None:
+def triad_result(
+    campaign: Campaign, estimated: Estimate, read: ReadingsAndPoses
+) -> TriadResult | None:
     """Return the campaign's triad; None if it has none."""
     if campaign.triad is None:
         return None
-    posed = [part for part in read if isinstance(part, FittedPoses)]
     names = campaign.triad.accelerometers
     places = {
         (unknown.owner, unknown.symbol): place
@@ -65,16 +68,19 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
     }
     at = _Linear.at(campaign, estimated, places)
     parameters = dict(_parameters(campaign, at, estimated))
-    found = {name: _coefficient(estimated, one, read) for name, one in parameters.items()}
+    found = {name: _coefficient(estimated, one, read.parts) for name, one in parameters.items()}
     determined = [name for name, c in found.items() if c.estimated]
     whole = all(found[name].value is not None for name in found if "." in name)
     matrix = at.inverse() if whole else None
     poses: list[PoseResult] = []
     before, after = [], []
-    for part in posed:
-        group, model = part.readings, estimated.fit.model
+    model = estimated.fit.model
+    for part in read.parts:
+        group = part.readings
+        if not isinstance(group, TriadPoses):
+            continue
         there = group.at(model, estimated.fit.solution.estimate)
-        poses += _poses(part, there)
+        poses += _poses(group, part, there, read.poses)
         nominal = np.linalg.inv(group.axes[:, 0])
         before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
         if matrix is not None:
@@ -94,7 +100,7 @@ def triad_result(campaign: Campaign, estimated: Estimate, read: Fitted) -> Triad
         rms_before=_rms(before, gravity),
         rms_after=_rms(after, gravity),
         poses=poses,
-        records=_records(posed),
+        records=_records(read.poses.values()),
     )
 
 
@@ -196,7 +202,9 @@ def _parameters(
                 yield f"{name}.{symbol}", _Parameter(value, own, TERMS[symbol].unit, limit)
 
 
-def _coefficient(estimated: Estimate, one: _Parameter, read: Fitted) -> Coefficient:
+def _coefficient(
+    estimated: Estimate, one: _Parameter, read: Sequence[FittedReadings]
+) -> Coefficient:
     """Return a parameter as a result shows it; one that is not determined has no value."""
     fit = estimated.fit
     if np.max(np.abs(one.slopes), initial=0.0) < _NOTHING:
@@ -222,7 +230,7 @@ def _coefficient(estimated: Estimate, one: _Parameter, read: Fitted) -> Coeffici
     )
 
 
-def _dof(estimated: Estimate, slopes: Array, read: Fitted) -> float:
+def _dof(estimated: Estimate, slopes: Array, read: Sequence[FittedReadings]) -> float:
     """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
     fit, of_records = estimated.fit, math.inf
     if fit.prepared:
@@ -266,11 +274,12 @@ def _u_matrix(estimated: Estimate, at: _Linear, matrix: Array) -> list[list[floa
     return found.tolist()
 
 
-def _poses(part: FittedPoses, there: PosesAt) -> Iterator[PoseResult]:
-    """Yield the poses as a result shows them."""
-    group = part.readings
+def _poses(
+    group: TriadPoses, part: FittedReadings, there: PosesAt, where: Mapping[str, FoundPose]
+) -> Iterator[PoseResult]:
+    """Yield the poses as a result shows them, and where they were found."""
     for k, name in enumerate(group.names):
-        found, z = part.found[name], part.single[k].standardised
+        found, z = where[name], part.single[k].standardised
         start = end = samples = None
         if found.record is not None:
             poses, place = found.record.poses, found.place
@@ -315,14 +324,9 @@ def _rms(parts: Sequence[Array], gravity: float) -> float | None:
     return gravity * float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def _records(posed: Sequence[FittedPoses]) -> dict[str, PosesInRecord]:
+def _records(poses: Iterable[FoundPose]) -> dict[str, PosesInRecord]:
     """Return what was found in the records with poses."""
-    records = {
-        one.record.name: one.record.poses
-        for part in posed
-        for one in part.found.values()
-        if one.record is not None
-    }
+    records = {one.record.name: one.record.poses for one in poses if one.record is not None}
     traces = {name: found.trace(_TRACE_POINTS) for name, found in records.items()}
     return {
         name: PosesInRecord(

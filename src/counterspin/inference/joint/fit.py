@@ -80,12 +80,16 @@ class JointFit:
 
     def without_run(self, run: str) -> Solution | None:
         """Return the solution without one run; None if nothing is left."""
-        kept = [
-            block
-            for block, one in zip(self.blocks, self.observations, strict=True)
-            if one.run != run
-        ]
-        return solve_blocks(kept, self.model) if kept else None
+        if run not in self._without:
+            every = zip(self.blocks, self.observations, strict=True)
+            kept = [block for block, one in every if one.run != run]
+            self._without[run] = solve_blocks(kept, self.model) if kept else None
+        return self._without[run]
+
+    @cached_property
+    def _without(self) -> dict[str, Solution | None]:
+        """The solutions that were asked for: all accelerometers ask for the same."""
+        return {}
 
     @cached_property
     def relaxed(self) -> Solution:

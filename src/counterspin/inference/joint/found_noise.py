@@ -18,7 +18,7 @@ from counterspin.inference.noise.growth import information_lost
 from counterspin.inference.noise.model import COMPONENTS, Noise
 from counterspin.inference.noise.reduced import RecordData
 from counterspin.inference.noise.search import FoundNoise, effective_dof, find_noise
-from counterspin.inference.noise.unseen_noise import lengthened
+from counterspin.inference.noise.unseen_noise import Unseen, lengthened
 
 #: Least u of a prior in the likelihood, in units of the unknown's credible limit.
 _LEAST_PRIOR_U: Final = 1e-12
@@ -134,38 +134,61 @@ def with_found_noise(
 ) -> tuple[JointFit, Array]:
     """Return a fit with what the estimates of its noise leave open, and degrees of freedom, (p,).
 
+    lost: Accelerometer -> `losses`.
+    """
+    root = fit.solution.root_of(np.eye(len(fit.model.unknowns)))
+    growth = {name: root @ own.sum(axis=0) @ root.T for name, own in lost.items()}
+    unseen = {name: one.unseen for name, one in found.items()}
+    return widened(fit, growth, uncertain(fit.noise, found), unseen)
+
+
+def widened(
+    fit: JointFit,
+    growth: Mapping[str, Array],
+    covariances: Mapping[str, Array],
+    unseen: Mapping[str, Unseen | None],
+    dof: float | Array = math.inf,
+) -> tuple[JointFit, Array]:
+    """Return a fit with what is left open of the variances of noises, and degrees of freedom, (p,).
+
     The weights are what they are. So the degrees of freedom of a variance are Satterthwaite's,
     those of several accelerometers adding up as their inverses, and a random walk that the records
     do not show but allow adds its share. Considered terms have no part in the weights: their part
     of the covariance stays as it is. Unknowns that are not determined, or known exactly, are left
     as they are.
+
+    growth: Accelerometer -> what each of `COMPONENTS` adds to the covariance per unit, (4, p, p).
+    covariances: Accelerometer -> that of the variances, (4, 4).
+    unseen: Accelerometer -> sizes that the records allow a walk which they do not show.
+    dof: Degrees of freedom from all else.
     """
     solution = fit.solution
-    variance, inverse = np.diag(solution.covariance), np.zeros(len(fit.model.unknowns))
-    root = solution.root_of(np.eye(inverse.size))
-    growth = {name: root @ lost[name].sum(axis=0) @ root.T for name in lost}
-    for name, covariance in uncertain(fit.noise, found).items():
+    variance, inverse = np.diag(solution.covariance), 1.0 / np.full(len(fit.model.unknowns), dof)
+    for name, covariance in covariances.items():
         gradient = np.diagonal(growth[name], axis1=1, axis2=2).T
         inverse += 1.0 / effective_dof(variance, gradient, covariance)
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
     known = (solution.u > 0.0) & (solution.u < limits)
-    unseen: dict[str, tuple[float, Array]] = {}
-    for name, one in found.items():
+    walks: dict[str, tuple[float, Array]] = {}
+    for name, sizes in unseen.items():
+        if sizes is None:
+            continue
         slope = np.where(np.outer(known, known), growth[name][_WALK], 0.0)
         diagonal = np.diag(slope)
-        if one.unseen is None or not diagonal.any():
+        if not diagonal.any():
             continue
         own = np.where(known, variance, 1.0)
-        level, longer = lengthened(one.unseen, own, diagonal)
-        unseen[name] = math.sqrt(level), level * slope
+        level, longer = lengthened(sizes, own, diagonal)
+        walks[name] = math.sqrt(level), level * slope
         share = own / (own + level * diagonal)
         inverse = np.where(known, share**2 * inverse + 1.0 / longer, inverse)
     with np.errstate(divide="ignore"):
-        dof = 1.0 / inverse
-    if not unseen:
-        return fit, dof
-    added = np.sum([covariance for _, covariance in unseen.values()], axis=0)
-    return replace(fit, solution=replace(solution, covariance_unseen=added), unseen=unseen), dof
+        freedom = 1.0 / inverse
+    if not walks:
+        return fit, freedom
+    added = np.sum([covariance for _, covariance in walks.values()], axis=0)
+    wider = replace(solution, covariance_unseen=added)
+    return replace(fit, solution=wider, unseen=walks), freedom
 
 
 def unseen_covariance(fit: JointFit, found: Mapping[str, FoundNoise]) -> Array:

@@ -47,14 +47,13 @@ def leave_out(estimated: Estimate, index: int) -> list[Jackknife]:
     unknown, u = estimated.fit.model.unknowns[index], float(estimated.fit.solution.u[index])
     every = list(dict.fromkeys(prepared.run for prepared in estimated.fit.prepared))
     found = {run: Jackknife(run) for run in every}
+    # What nobody asks for need not be apart.
+    fit = estimated.core or estimated.fit
     runs = [
         run
         for run in every
-        if (without := estimated.fit.without_run(run)) is not None
-        and float(without.u[index]) < unknown.limit
+        if (without := fit.without_run(run)) is not None and float(without.u[index]) < unknown.limit
     ]
-    # What nobody asks for need not be apart for the rest.
-    fit = estimated.core or estimated.fit
     variance, dof = _spread(estimated, fit, runs, index)
     for run, square, freedom in zip(runs, variance.tolist(), dof.tolist(), strict=True):
         value = float(_solution_without(fit, run).estimate[index])

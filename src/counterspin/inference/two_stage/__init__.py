@@ -5,5 +5,4 @@
 - `first_stage`: a parabola through the strobes of one run (Eq. 16-18, 31)
 - `curvatures`: a record as one row of a joint fit, its curvature
 - `second_stage`: K_II from the curvatures of all runs (Eq. 19-27, 33-34)
-- `found_noise`: what the uncertainty of noise that was found does to K_II
 """

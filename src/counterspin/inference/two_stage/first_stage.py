@@ -64,6 +64,13 @@ class Parabola:
         """Its standard uncertainty (Eq. 31), m/s^2."""
         return math.sqrt(self.covariance[2, 2])
 
+    @property
+    def by_noise(self) -> tuple[float, float]:
+        """What b2's variance grows by with the white variance and with N^2."""
+        gain, strobes = self.gain[2], self.strobes
+        white = float(np.sum((gain * strobes.noise_factor) ** 2))
+        return white, float(gain @ walk_covariance(strobes.time) @ gain)
+
 
 def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float = 0.0) -> Parabola:
     """Fit the strobes with a parabola (Eq. 16-18) and give its uncertainty (Eq. 31).

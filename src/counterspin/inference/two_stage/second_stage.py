@@ -24,10 +24,12 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import NEAR_COLLINEAR, TWIN_AGREEMENT
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
+from counterspin.inference.joint.found_noise import widened
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import COMPONENTS, Noise
+from counterspin.inference.noise.unseen_noise import Unseen
 from counterspin.inference.two_stage.curvatures import (
     LEAST_SIGMA,
     Curvature,
@@ -229,6 +231,23 @@ def resolve(
     first = model.without_inputs()
     fit = solved(columns(solved(columns(None, first), first), model), model)
     return SecondStage(fit, tuple(parabolas), _effective_dof(fit, parabolas), request.weighted)
+
+
+def with_found_noise(second: SecondStage, covariance: Array, unseen: Unseen | None) -> SecondStage:
+    """Return the second stage with what the estimate of its noise leaves open.
+
+    covariance: Of the noise's variances, (4, 4).
+    unseen: Sizes that the records allow a walk which they do not show; None: they show it.
+    """
+    gain, by_noise = second.gain, np.array([parabola.by_noise for parabola in second.parabolas])
+    if second.parabolas[0].sigma_from_residuals:
+        # The white noise has the degrees of freedom of the strobes' own residuals.
+        by_noise[:, 0] = 0.0
+    growth = np.zeros((len(COMPONENTS), len(gain), len(gain)))
+    growth[: by_noise.shape[1]] = [(gain * own) @ gain.T for own in by_noise.T]
+    name = second.fit.prepared[0].accelerometer
+    fit, dof = widened(second.fit, {name: growth}, {name: covariance}, {name: unseen}, second.dof)
+    return replace(second, fit=fit, dof=dof)
 
 
 def second_stage(
