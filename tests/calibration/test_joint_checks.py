@@ -20,7 +20,9 @@ from counterspin.simulation.simulate import simulate
 
 def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:
     """The fit as Qx sees it."""
-    return AccelerometerView(campaign, SimpleNamespace(fit=fit), None, "Qx")
+    return AccelerometerView(
+        SimpleNamespace(campaign=campaign), SimpleNamespace(fit=fit), None, "Qx"
+    )
 
 
 def walking(share: float, name: str = "Qx") -> AccelerometerView:

@@ -8,7 +8,7 @@ import pytest
 from campaigns import PLACE, SMALL, changed, runs, write
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint_problem import series_of
+from counterspin.calibration.joint_problem import JointProblem, series_of
 from counterspin.calibration.model import assumed_of, model_of
 from counterspin.calibration.observed import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
@@ -77,7 +77,7 @@ def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_p
         for one in (*asked, *perfect):
             assert one.limit == term(one.symbol).sizes(grade).limit
         accelerometer = campaign.accelerometers[name]
-        request = request_of(campaign, accelerometer, model, TwoStageOptions(), None)
+        request = request_of(JointProblem(campaign), accelerometer, TwoStageOptions())
         assert request.limit_of("K_II") == term("K_II").sizes(grade).limit
 
 

@@ -13,6 +13,7 @@ from scipy.special import chdtrc, stdtrit
 
 from counterspin.calibration import joint_parts
 from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import command_words
 from counterspin.calibration.result import Result
@@ -154,9 +155,8 @@ def test_tilt_is_held_run_by_run(tmp_path):
     tilt = modelled('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
     folder = made(tmp_path, tilt)
     campaign = read_campaign(folder)
-    outcome = two_stage(
-        campaign, list(observe(campaign)), campaign.accelerometers["Qx"], TwoStageOptions(), {}
-    )
+    problem = JointProblem(campaign, list(observe(campaign)))
+    outcome = two_stage(problem, campaign.accelerometers["Qx"], TwoStageOptions(), {})
     gain = outcome.second.gain[0]
     size = 0.5 * math.pi / 648000 * 1.002 * 9.8066 / 2
     c = outcome.result.coefficients["K_II"]
@@ -363,10 +363,10 @@ def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
 )
 def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
     campaign = read_campaign(made(tmp_path, asked))
-    observed = list(observe(campaign))
+    problem = JointProblem(campaign, list(observe(campaign)))
     for accelerometer in campaign.accelerometers.values():
-        whole = two_stage(campaign, observed, accelerometer, TwoStageOptions(), {})
-        view, second = two_stage_view(campaign, observed, accelerometer, TwoStageOptions(), {})
+        whole = two_stage(problem, accelerometer, TwoStageOptions(), {})
+        view, second = two_stage_view(problem, accelerometer, TwoStageOptions(), {})
         expected = whole.result.coefficients["K_II"]
         assert view.assessment.determined[f"{accelerometer.name}.K_II"] == expected.estimated
         assert second.estimate("K_II") == pytest.approx(whole.second.estimate("K_II"), rel=1e-9)
@@ -544,9 +544,9 @@ def test_whole_trials_scatter_as_they_claim(tmp_path):
         folder = tmp_path / str(trial)
         campaign = campaign_of(folder, changed(SMALL, ("seed = 1", f"seed = {trial}")))
         simulate(campaign, folder)
-        runs = list(observe(campaign))
+        problem = JointProblem(campaign, list(observe(campaign)))
         for name, truth in K_II.items():
-            found = two_stage(campaign, runs, campaign.accelerometers[name], TwoStageOptions(), {})
+            found = two_stage(problem, campaign.accelerometers[name], TwoStageOptions(), {})
             c = found.result.coefficients["K_II"]
             chi2 += ((c.value - truth) / c.u) ** 2
             covered += abs(c.value - truth) < 1.96 * c.u

@@ -63,14 +63,14 @@ def fit_into(there: Connection, campaign: Path) -> None:
 
     def work(_: Progress) -> dict[str, SeenRecord]:
         from counterspin.calibration.joint import estimate_campaign
-        from counterspin.calibration.model import model_of
+        from counterspin.calibration.joint_problem import JointProblem
         from counterspin.calibration.observed import observe, with_recorded_temperatures
         from counterspin.campaign.description import read_campaign
         from counterspin.workers import one_blas_thread
 
         with one_blas_thread():
             read = with_recorded_temperatures(read_campaign(campaign))
-            fit = estimate_campaign(read, list(observe(read)), model_of(read))[0].fit
+            fit = estimate_campaign(JointProblem(read, list(observe(read))))[0].fit
             runs: dict[str, list[tuple[str, str, Array, Array, Array]]] = {}
             for prepared, residuals in zip(fit.prepared, fit.residuals, strict=True):
                 one = prepared.series

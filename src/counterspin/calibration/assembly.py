@@ -11,6 +11,7 @@ from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.diagnosis.record_counts import many_outliers
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import assumed
 from counterspin.calibration.observed import ObservedRun, removed_of
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
@@ -45,11 +46,8 @@ def calibration(
 
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
-    found = (
-        joint(campaign, observed)
-        if method == "joint"
-        else in_two_stages(campaign, observed, options)
-    )
+    problem = JointProblem(campaign, observed)
+    found = joint(problem) if method == "joint" else in_two_stages(problem, options)
     findings = [
         *found.findings,
         *_asked_about(campaign),
@@ -85,7 +83,7 @@ def calibration(
             temperatures=[min(warm), max(warm)] if warm else [],
         ),
         rests_on=found.rests_on,
-        assumed=list(assumed(campaign)),
+        assumed=list(assumed(campaign, problem.model)),
         details=dict(campaign.details),
         warnings=[*_remarks(campaign), *_removed(campaign, observed), *found.remarks],
         provenance=Provenance(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from counterspin.calibration.diagnosis.attitude_findings import large_tilts, shared_findings
 from counterspin.calibration.diagnosis.credible import (
@@ -36,12 +36,11 @@ from counterspin.calibration.joint_parts import (
     residual,
     whole_correlation,
 )
-from counterspin.calibration.joint_problem import noise_of, series_of
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import SQUARES, inputs_of, model_of
+from counterspin.calibration.model import SQUARES, inputs_of
 from counterspin.calibration.notebook.residuals import residuals_of
 from counterspin.calibration.notebook.traces import traces
-from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.posed.triad import triad_result
 from counterspin.calibration.readings import (
@@ -54,12 +53,11 @@ from counterspin.calibration.readings import (
 )
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
-from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, estimate
-from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
 from counterspin.records.mean import RecordMean
@@ -71,17 +69,17 @@ def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
     return c if c.value is None else c.model_copy(update={"value": c.value - stated})
 
 
-def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
+def joint(problem: JointProblem) -> Outcome:
     """Fit all records of a campaign together."""
-    model = model_of(campaign)
-    estimated, read = estimate_campaign(campaign, observed, model)
+    campaign, observed, model = problem.campaign, problem.observed, problem.model
+    estimated, read = estimate_campaign(problem)
     assessment = assess(
         estimated.fit.solution,
         [unknown.name for unknown in model.asked],
         nominal=[unknown.nominal for unknown in model.asked],
     )
     views = [
-        AccelerometerView(campaign, estimated, assessment, name).with_parts(read.parts)
+        AccelerometerView(problem, estimated, assessment, name).with_parts(read.parts)
         for name in campaign.accelerometers
     ]
     kinds = compare_kinds(views)
@@ -100,7 +98,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
     accelerometers = {
-        view.name: _accelerometer(view, observed, kinds[view.name], read.means) for view in views
+        view.name: _accelerometer(view, kinds[view.name], read.means) for view in views
     }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
@@ -136,17 +134,16 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> Outcome:
     )
 
 
-def estimate_campaign(
-    campaign: Campaign, observed: Sequence[ObservedRun], model: Unknowns
-) -> tuple[Estimate, ReadingsAndPoses]:
+def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
     """Return the estimate from records and readings, and how the readings fit; as `joint`."""
+    campaign = problem.campaign
     read = campaign.readings or campaign.posed
     from_records = None
-    if observed or not read:
-        from_records = estimate(series_of(campaign, observed), model, noise_of(campaign))
+    if problem.observed or not read:
+        from_records = estimate(problem.series, problem.model, problem.noise)
     if from_records is not None and not read:
         return from_records, ReadingsAndPoses()
-    return with_readings(from_records, model, campaign)
+    return with_readings(from_records, problem.model, campaign)
 
 
 def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
@@ -163,7 +160,6 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
 
 def _accelerometer(
     view: AccelerometerView,
-    observed: Sequence[ObservedRun],
     kinds: Kinds,
     means: Mapping[tuple[str, str], RecordMean],
 ) -> AccelerometerResult:
@@ -187,8 +183,8 @@ def _accelerometer(
         budget=budgets,
         what_if=what_if(estimated.fit, view.places, budgets, name),
         jackknife=view.jackknife(),
-        two_stage=compare(view, observed) if observed else None,
-        traces=traces(view, observed),
+        two_stage=compare(view) if view.problem.observed else None,
+        traces=traces(view),
         readings=[line for part in view.readings for line in results_of(part, means)],
         kinds=kinds.results,
         output=in_output_units(view.campaign, name, own),

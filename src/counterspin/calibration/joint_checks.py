@@ -15,7 +15,6 @@ from counterspin.calibration.findings import (
 )
 from counterspin.calibration.joint_parts import coefficient, residual
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import Comparison, Finding
 from counterspin.calibration.two_stage import two_stage_view
@@ -92,7 +91,7 @@ def run_fits(
     return fits
 
 
-def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Comparison | None:
+def compare(view: AccelerometerView) -> Comparison | None:
     """Return the two-stage K_II beside the joint one; None where that method does not apply.
 
     Of what two stages do not estimate they are given what the joint fit found: else a drift, say,
@@ -101,12 +100,11 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     index = view.k_ii
     if index is None:
         return None
-    components = {} if walk_is_stated(view.campaign) else view.estimate.components
+    components = {} if walk_is_stated(view.problem.noise) else view.estimate.components
     found = _found(view.fit)
     try:
         beside, _ = two_stage_view(
-            view.campaign,
-            observed,
+            view.problem,
             view.accelerometer,
             TwoStageOptions(),
             components,

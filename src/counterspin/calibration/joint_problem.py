@@ -1,20 +1,51 @@
-"""From a campaign to the joint fit's problem: series and noise; its unknowns are in `model`."""
+"""From a campaign to the joint fit's problem: unknowns (of `model`), series and noise."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
+from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
+from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics import observation
+
+
+@frozen(eq=False)
+class JointProblem:
+    """A campaign and what was recorded of it, as the joint fit takes both."""
+
+    campaign: Campaign  #: The description.
+    observed: Sequence[ObservedRun] = ()  #: Its runs.
+
+    @cached_property
+    def model(self) -> Unknowns:
+        """What is unknown."""
+        return model_of(self.campaign)
+
+    @cached_property
+    def series(self) -> tuple[Series, ...]:
+        """What was recorded."""
+        return series_of(self.campaign, self.observed)
+
+    @cached_property
+    def noise(self) -> dict[str, Noise]:
+        """The noise of each accelerometer, as far as it is stated."""
+        return noise_of(self.campaign)
+
+    def series_of(self, name: str) -> list[Series]:
+        """Return what was recorded of one accelerometer."""
+        return [one for one in self.series if one.accelerometer == name]
 
 
 def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
@@ -30,12 +31,17 @@ _FEWEST_DOF: Final = 0.5
 class AccelerometerView:
     """A joint fit as one accelerometer sees it."""
 
-    campaign: Campaign  #: The description.
+    problem: JointProblem  #: The campaign, and what was recorded.
     estimate: Estimate  #: Of all accelerometers together.
     assessment: Assessment  #: Which unknowns the records determine.
     name: str  #: The accelerometer's.
     readings: tuple[FittedReadings, ...] = ()  #: Its readings, and how they fit.
     poses: tuple[FittedReadings, ...] = ()  #: Those of its triad, and how they fit.
+
+    @property
+    def campaign(self) -> Campaign:
+        """The description."""
+        return self.problem.campaign
 
     @property
     def fit(self) -> JointFit:

@@ -92,11 +92,10 @@ def assumed_of(campaign: Campaign, model: Unknowns, name: str) -> tuple[Consider
     )
 
 
-def assumed(campaign: Campaign) -> tuple[str, ...]:
+def assumed(campaign: Campaign, model: Unknowns) -> tuple[str, ...]:
     """Return the symbols of all terms and inputs that act and are assumed to be perfect."""
     if not campaign.model.assume:
         return ()
-    model = model_of(campaign)
     terms = (
         other.symbol
         for name in campaign.accelerometers

@@ -18,10 +18,9 @@ from counterspin.calibration.joint_parts import (
     hidden_walk,
     record_noise,
 )
-from counterspin.calibration.joint_problem import noise_of, series_of
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import assumed_of, model_of, prior_of
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.model import assumed_of, prior_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.result import described
@@ -68,19 +67,15 @@ class TwoStageOutcome:
 
 
 def two_stage(
-    campaign: Campaign,
-    observed: Sequence[ObservedRun],
+    problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
     found: Mapping[str, FoundNoise],
 ) -> TwoStageOutcome:
-    """Apply the two-stage method to one accelerometer.
-
-    observed: The campaign's runs.
-    """
-    view, second = two_stage_view(campaign, observed, accelerometer, options, found)
-    name, model = accelerometer.name, second.fit.model
-    records = (r for r in series_of(campaign, observed) if r.accelerometer == name)
+    """Apply the two-stage method to one accelerometer."""
+    view, second = two_stage_view(problem, accelerometer, options, found)
+    campaign, name, model = problem.campaign, accelerometer.name, second.fit.model
+    records = problem.series_of(name)
     unknowns = {
         unknown.symbol: coefficient(view.estimate, view.assessment, index)
         for index, unknown in enumerate(model.unknowns)
@@ -103,7 +98,7 @@ def two_stage(
         confounded=[*confounded(view), *sums_of_alike(view, second, coefficients)],
         residual=_residual(second.parabolas, view.estimate.components.get(name)),
         noise=from_rest(
-            _noise_lines(second.parabolas, view), campaign, noise_of(campaign)[name], "displacement"
+            _noise_lines(second.parabolas, view), campaign, problem.noise[name], "displacement"
         ),
         budget=budgets,
         what_if=what_if(second.fit, places, budgets, name),
@@ -120,14 +115,13 @@ def two_stage(
     return TwoStageOutcome(result, parabolas, second, view)
 
 
-def in_two_stages(
-    campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
-) -> Outcome:
+def in_two_stages(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Apply the two-stage method to each accelerometer of a campaign."""
+    campaign, observed = problem.campaign, problem.observed
     campaign.require_records("the two-stage method")
-    noise = noise_found(campaign, observed)
+    noise = noise_found(problem)
     found = {
-        name: two_stage(campaign, observed, accelerometer, options, noise)
+        name: two_stage(problem, accelerometer, options, noise)
         for name, accelerometer in campaign.accelerometers.items()
     }
     return Outcome(
@@ -145,8 +139,7 @@ def in_two_stages(
 
 
 def two_stage_view(
-    campaign: Campaign,
-    observed: Sequence[ObservedRun],
+    problem: JointProblem,
     accelerometer: Accelerometer,
     options: TwoStageOptions,
     found: Mapping[str, FoundNoise],
@@ -160,25 +153,25 @@ def two_stage_view(
         the records has it. Without, it has its typical size.
     """
     name, components = accelerometer.name, found.get(accelerometer.name)
-    asked_for = model_of(campaign)
-    request = request_of(campaign, accelerometer, asked_for, options, components)
-    records = [r for r in series_of(campaign, observed) if r.accelerometer == name]
-    series, strobes = zip(*map(strobed, records), strict=True)
+    request = request_of(problem, accelerometer, options, components)
+    series, strobes = zip(*map(strobed, problem.series_of(name)), strict=True)
     parabolas = [
         request.first_stage(at, record.trajectory)
         for at, record in zip(strobes, series, strict=True)
     ]
-    model = two_stage_model(_known_model(campaign, asked_for, name, known), request, series)
+    model = two_stage_model(
+        _known_model(problem.campaign, problem.model, name, known), request, series
+    )
     second = resolve(series, parabolas, model, request)
     own = {} if components is None else {name: components}
-    covariance = uncertain({name: noise_of(campaign)[name]}, own).get(name)
+    covariance = uncertain({name: problem.noise[name]}, own).get(name)
     if covariance is not None:
         unseen = None if components is None else components.unseen
         second = with_found_noise(second, covariance, unseen)
     assessment = assess(second.fit.solution, [unknown.name for unknown in model.unknowns])
     # Asked to tell it from a term that acts exactly alike, the records say nothing.
-    unknown = nothing_known(campaign, name, second)
-    asked = [symbol for symbol in campaign.model.terms if symbol in unknown]
+    unknown = nothing_known(problem.campaign, name, second)
+    asked = [symbol for symbol in problem.campaign.model.terms if symbol in unknown]
     determined = {
         other.name: assessment.determined[other.name] and not second.alike(other.symbol, asked)
         for other in model.unknowns
@@ -187,7 +180,7 @@ def two_stage_view(
         second.fit, {} if components is None else {name: components}, second.dof, series=series
     )
     assessment = replace(assessment, determined=determined)
-    return AccelerometerView(campaign, estimated, assessment, name), second
+    return AccelerometerView(problem, estimated, assessment, name), second
 
 
 def _known_model(

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-from counterspin.calibration.joint_problem import noise_of, series_of
-from counterspin.calibration.model import model_of
-from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
@@ -23,18 +20,18 @@ from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 
 
 def request_of(
-    campaign: Campaign,
+    problem: JointProblem,
     accelerometer: Accelerometer,
-    model: Unknowns,
     options: TwoStageOptions,
     components: FoundNoise | None = None,
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
-    `model` is the campaign's, of `model.model_of`; `components` is noise that was found, where the
-    campaign states none. It raises NotIdentifiableError if the record is not a displacement along
-    a horizontal axis, or the bias wanders.
+    `components` is noise that was found, where the campaign states none. It raises
+    NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
+    wanders.
     """
+    campaign, model = problem.campaign, problem.model
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
@@ -54,7 +51,7 @@ def request_of(
         if math.isfinite(other.prior[1])
         and other.symbol in (OWN_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
     }
-    noise = noise_of(campaign)[accelerometer.name]
+    noise = problem.noise[accelerometer.name]
     request = TwoStageRequest(
         model=options.model,
         priors=priors,
@@ -86,21 +83,20 @@ def _number(noise: StatedNoise | None, component: str) -> float | None:
     return size if isinstance(size, float) else None
 
 
-def walk_is_stated(campaign: Campaign) -> bool:
+def walk_is_stated(noises: Mapping[str, Noise]) -> bool:
     """Return whether the accelerometers' own noise is known, as the joint method has it.
 
     It is where [noise] states it, zero included; a [noise] that states no noise at all leaves
     all of it to be found.
     """
-    return not any("random_walk" in noise.wanted for noise in noise_of(campaign).values())
+    return not any("random_walk" in noise.wanted for noise in noises.values())
 
 
-def noise_found(campaign: Campaign, observed: Sequence[ObservedRun]) -> Mapping[str, FoundNoise]:
+def noise_found(problem: JointProblem) -> Mapping[str, FoundNoise]:
     """Return each accelerometer's noise where the random walk is not stated; else nothing.
 
     One sample a revolution tells little of it: it is that of the joint fit, from all samples.
     """
-    if walk_is_stated(campaign):
+    if walk_is_stated(problem.noise):
         return {}
-    series = series_of(campaign, observed)
-    return estimate(series, model_of(campaign), noise_of(campaign)).components
+    return estimate(problem.series, problem.model, problem.noise).components

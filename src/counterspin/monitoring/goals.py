@@ -9,6 +9,7 @@ from pathlib import Path
 
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_parts import coefficient
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
@@ -54,8 +55,9 @@ class FitSoFar:
     @cached_property
     def views(self) -> tuple[AccelerometerView, ...]:
         """The fit as each accelerometer sees it."""
+        problem = JointProblem(self.campaign)
         views = (
-            AccelerometerView(self.campaign, self.estimate, self.assessment, name)
+            AccelerometerView(problem, self.estimate, self.assessment, name)
             for name in self.campaign.accelerometers
         )
         return tuple(view for view in views if view.has_records)
@@ -63,7 +65,7 @@ class FitSoFar:
 
 def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> FitSoFar:
     """Fit runs together, as a calibration of them alone does."""
-    return FitSoFar(campaign, *estimate_campaign(campaign, observed, model_of(campaign)))
+    return FitSoFar(campaign, *estimate_campaign(JointProblem(campaign, observed)))
 
 
 def goals_of(

@@ -12,7 +12,7 @@ import numpy as np
 from counterspin._version import __version__
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import coefficient
-from counterspin.calibration.model import assumed
+from counterspin.calibration.model import assumed, model_of
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
@@ -62,7 +62,7 @@ def result_of(
         readings=planned_readings(campaign),
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
-        assumed=list(assumed(campaign)),
+        assumed=list(assumed(campaign, model_of(campaign))),
         warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
         provenance=Provenance(version=__version__, inputs={}),
     )

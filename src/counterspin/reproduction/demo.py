@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from counterspin.calibration.joint import joint
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import AccelerometerResult
@@ -83,14 +84,14 @@ def demo(folder: Path | str = FOLDER, *, overwrite: bool = False) -> Demonstrati
     _write_description(folder)
     campaign = read_campaign(folder)
     records = simulate(campaign, folder, overwrite=overwrite)
-    observed = tuple(observe(campaign))
+    problem = JointProblem(campaign, tuple(observe(campaign)))
     (accelerometer,) = campaign.accelerometers.values()
     return Demonstration(
         campaign=campaign,
         records=records,
-        joint=joint(campaign, observed).accelerometers[accelerometer.name],
-        two_stage=two_stage(campaign, observed, accelerometer, TwoStageOptions(), {}),
-        as_printed=two_stage(campaign, observed, accelerometer, _AS_PRINTED, {}),
+        joint=joint(problem).accelerometers[accelerometer.name],
+        two_stage=two_stage(problem, accelerometer, TwoStageOptions(), {}),
+        as_printed=two_stage(problem, accelerometer, _AS_PRINTED, {}),
     )
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from counterspin.calibration.joint_problem import noise_of
-from counterspin.calibration.model import model_of
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
@@ -54,8 +53,8 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
     analyses = []
     for described in study.analyses:
         name, options, campaign = described.name, described.two_stage, described.campaign
-        model = model_of(campaign)
-        joint = JointRequest(model, noise_of(campaign))
+        problem = JointProblem(campaign)
+        joint = JointRequest(problem.model, problem.noise)
         if options is None:
             analyses.append(Analysis(name, "", joint, joint))
             continue
@@ -65,6 +64,6 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
                 "angle); without it study the joint fit alone ([study.analyses])"
             )
         for owner, accelerometer in campaign.accelerometers.items():
-            request = request_of(campaign, accelerometer, model, options)
+            request = request_of(problem, accelerometer, options)
             analyses.append(Analysis(name, owner, request, joint))
     return tuple(analyses)

@@ -13,7 +13,7 @@ from results import accelerometer
 from counterspin.calibration.diagnosis import search
 from counterspin.calibration.joint_checks import residual_findings
 from counterspin.calibration.joint_parts import noise_lines, residual
-from counterspin.calibration.joint_problem import noise_of, series_of
+from counterspin.calibration.joint_problem import JointProblem, noise_of, series_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
@@ -51,7 +51,7 @@ class Campaigns:
         names = [unknown.name for unknown in self.model.asked]
         determined = assess(found.fit.solution, names)
         views = [
-            AccelerometerView(self.campaign, found, determined, name)
+            AccelerometerView(JointProblem(self.campaign), found, determined, name)
             for name in self.campaign.accelerometers
         ]
         return search.causes_of(views, {view.name: result_of(view) for view in views})
@@ -114,8 +114,9 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
     found = estimate(given.clean, given.model, noise_of(given.campaign))
     now = replace(found, fit=relax(found.fit), core=None)
     names = [unknown.name for unknown in given.model.asked]
+    determined = assess(found.fit.solution, names)
     views = [
-        AccelerometerView(given.campaign, found, assess(found.fit.solution, names), name)
+        AccelerometerView(JointProblem(given.campaign), found, determined, name)
         for name in given.campaign.accelerometers
     ]
     others = [*of_priors(now.fit), *search._others(views, now)]

@@ -22,9 +22,8 @@ from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import residual_findings
 from counterspin.calibration.joint_parts import coefficient, knowledge, noise_lines, residual
-from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of, model_of
+from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
@@ -297,7 +296,7 @@ def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[
 
 def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alternative]:
     campaign, fit = views[0].campaign, now.fit
-    model = model_of(campaign)
+    model = views[0].problem.model
     angle = campaign.angle is not None
     yield from of_unstated(fit)
     # Of what acts on readings too, the records alone tell half of it.
@@ -464,7 +463,7 @@ def _put_right(
     now: Estimate, explained: _Explained, views: Sequence[AccelerometerView]
 ) -> tuple[Estimate, _Explained]:
     """Return the estimate with a cause allowed for, and the cause as it is then."""
-    requests = noise_of(views[0].campaign)
+    requests = views[0].problem.noise
     head = explained.head
     if not head.columns:
         unknowns = list(now.fit.model.unknowns)

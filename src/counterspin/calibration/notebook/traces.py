@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -40,12 +39,9 @@ _DIGITS: Final = 4
 _ROUNDING: Final = 1e-15
 
 
-def traces(view: AccelerometerView, observed: Sequence[ObservedRun]) -> dict[str, Trace]:
-    """Return the residuals of one accelerometer by run, thinned.
-
-    observed: The campaign's runs.
-    """
-    runs = {run.run.name: run for run in observed}
+def traces(view: AccelerometerView) -> dict[str, Trace]:
+    """Return the residuals of one accelerometer by run, thinned."""
+    runs = {run.run.name: run for run in view.problem.observed}
     return {
         prepared.run: _trace(view, index, runs[prepared.run])
         for index, prepared, _ in view.records()

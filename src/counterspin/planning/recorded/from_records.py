@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from counterspin.calibration.joint import estimate_campaign
-from counterspin.calibration.model import model_of
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
@@ -40,7 +40,7 @@ def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str
     observed = list(observe(campaign))
     if not _to_be_found(campaign):
         return observed, {}
-    estimated, _ = estimate_campaign(campaign, observed, model_of(campaign))
+    estimated, _ = estimate_campaign(JointProblem(campaign, observed))
     return observed, noise_of_fit(estimated.fit)
 
 
