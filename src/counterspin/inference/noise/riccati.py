@@ -29,8 +29,9 @@ from counterspin.frozen import frozen
 #: Rows without others alike beside them up to which the filter runs row after row.
 FEW_ROWS: Final = 1000
 
-#: Fewest rows alike that are taken as such.
-_STRETCH: Final = 48
+#: Fewest rows alike that are taken as such: one, so many times doubled.
+_DOUBLINGS: Final = 6
+_STRETCH: Final = 2**_DOUBLINGS
 
 #: Steps and blocks are alike to this part: times have been rounded.
 _ALIKE: Final = 1e-9
@@ -115,12 +116,9 @@ def filter_walk(
     state = _covariance(_prefix(np.stack(_elements(*given[:, :2])))[:, 1:])[:, 0].tolist()
     seen = []
     for row, size in zip(given.T[2:].tolist(), sizes[2:].tolist(), strict=True):
-        if size < _STRETCH:
-            part, state = _in_turn(state, row, size)
-        else:
-            states = _alike(state, row, size)
-            part, state = np.vstack(_seen(states[:, :-1], row[:5])), states[:, -1].tolist()
-        seen.append(part)
+        states = _alike(state, row, size)
+        seen.append(np.vstack(_seen(states[:, :-1], row[:5])))
+        state = states[:, -1].tolist()
     found = np.hstack(seen)
     return Innovations(found[0], found[1:], ahead, step)
 
@@ -177,43 +175,50 @@ def _covariance(running: Array) -> Array:
     )
 
 
-def _in_turn(state: list[float], row: list[float], size: int) -> tuple[Array, list[float]]:
-    """Return variance and gains of rows alike, (3, size), and the covariance after them.
+def _alike(state: list[float], row: list[float], size: int) -> Array:
+    """Return the covariance before each of some rows alike, and after them, (3, size + 1).
 
-    state: The covariance before them. Numbers of Python: they are quicker than arrays of one.
+    Of the first rows one by one, in numbers of Python, which are quicker than arrays of a few; then
+    of as many more at once as there are.
+
     row: What `_elements` takes.
     """
+    first = min(size, _STRETCH)
+    states = np.empty((3, size + 1))
+    states[:, : first + 1] = _in_turn(state, row, first)
+    if first == size:
+        return states
+    stretch, done = _elements(*row), first
+    for _ in range(_DOUBLINGS):
+        stretch = _combine(stretch, stretch)
+    while done <= size:
+        more = min(done, size + 1 - done)
+        states[:, done : done + more] = _through(states[:, :more], stretch)
+        done += more
+        now, before = states[:, done - 1], states[:, done - more]
+        if np.all(np.abs(now - before) <= _SETTLED * np.abs(now)):
+            states[:, done:] = now[:, None]
+            break
+        stretch = _combine(stretch, stretch)
+    return states
+
+
+def _in_turn(state: list[float], row: list[float], size: int) -> Array:
+    """Return the covariance before each of some rows alike, and after them, (3, size + 1)."""
     p11, p12, p22 = state
     d, s, noise, cross_position, cross_velocity, q11, q12, q22 = row
-    seen = []
+    states = [state]
     for _ in range(size):
         seen_position = p11 + d * p12
         seen_velocity = p12 + d * p22
         variance = seen_position + d * seen_velocity + noise
         of_position = (seen_position + s * seen_velocity + cross_position) / variance
         of_velocity = (seen_velocity + cross_velocity) / variance
-        seen.append((variance, of_position, of_velocity))
         p11 += s * (2.0 * p12 + s * p22) + q11 - of_position**2 * variance
         p12 += s * p22 + q12 - of_position * of_velocity * variance
         p22 += q22 - of_velocity**2 * variance
-    return np.array(seen).T, [p11, p12, p22]
-
-
-def _alike(state: list[float], row: list[float], size: int) -> Array:
-    """Return the covariance before each of some rows alike, and after them, (3, size + 1)."""
-    states = np.empty((3, size + 1))
-    states[:, 0] = state
-    stretch, done = _elements(*row), 1
-    while done <= size:
-        more = min(done, size + 1 - done)
-        states[:, done : done + more] = _through(states[:, :more], stretch)
-        done += more
-        now, before = states[:, done - 1], states[:, done - more]
-        if more >= _STRETCH and np.all(np.abs(now - before) <= _SETTLED * np.abs(now)):
-            states[:, done:] = now[:, None]
-            break
-        stretch = _combine(stretch, stretch)
-    return states
+        states.append([p11, p12, p22])
+    return np.array(states).T
 
 
 def _prefix(elements: Array) -> Array:
