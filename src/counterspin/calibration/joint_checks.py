@@ -45,7 +45,8 @@ def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
     components = view.estimate.components.get(view.name)
     if components is None or "random_walk" not in components.estimated:
         return []
-    parts = slow_parts(relax(view.fit), view.name)
+    # What nobody asks for need not be apart.
+    parts = slow_parts(relax(view.estimate.core or view.fit), view.name)
     worst = min(parts, key=lambda part: part.p, default=None)
     tests = len(parts) * len(view.campaign.accelerometers)
     if worst is None or worst.p * tests >= FALSE_ALARMS:

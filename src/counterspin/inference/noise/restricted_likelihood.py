@@ -40,6 +40,7 @@ class RestrictedLikelihood:
     places: list[NDArray[np.intp]]  # of each record's columns among all unknowns
     prior: Array  # [rows | values]
     triangles: dict[Variances, tuple[Array, float]] = field(default_factory=dict)
+    scales: dict[Variances, float] = field(default_factory=dict)  # the best of each unit
 
     @classmethod
     def of(
@@ -88,6 +89,7 @@ class RestrictedLikelihood:
             self.records[index] = self.records[index].with_columns(kept)
         self.prior = self.prior[:, np.append(unknowns, self.prior.shape[1] - 1)]
         self.triangles.clear()
+        self.scales.clear()
 
     def _independent(self) -> NDArray[np.intp]:
         """Unknowns that span what can be told; the likelihood depends on their span only."""
@@ -146,7 +148,7 @@ class RestrictedLikelihood:
         if not any(map(np.any, self.added)):
             return self
         records = [record.without_added() for record in self.records]
-        return replace(self, records=records, triangles={})
+        return replace(self, records=records, triangles={}, scales={})
 
     def value(self, log_scale: float, unit: Variances) -> float:
         """Restricted log-likelihood, but for a constant of the records."""
@@ -172,6 +174,11 @@ class RestrictedLikelihood:
 
     def best_scale(self, unit: Variances) -> float:
         """Log scale at which `slope` is zero."""
+        if unit not in self.scales:
+            self.scales[unit] = self._best_scale(unit)
+        return self.scales[unit]
+
+    def _best_scale(self, unit: Variances) -> float:
         values = self._triangle(unit)[0][:, -1]
         left = self.rows - self.prior.shape[1] + 1
         # Where unknowns can follow all rows, only their priors leave anything: from above.

@@ -232,8 +232,9 @@ class Choice:
     def _start(self, base: Maximum | None) -> Array:
         """Return where to climb from: by a scan of a walk's size where nothing is known of it."""
         first = _first_guess(self.likelihood, self.noise, base)
-        if "random_walk" not in self.names or base is not None:
-            return self._logs(first)
+        only = self._logs(first)
+        if "random_walk" not in self.names or base is not None or not only.size:
+            return only
         # From what cannot show, at which none is as likely, to what hides all white noise.
         steps = np.arange(-_SCAN_STEP, self.likelihood.walk_range, _SCAN_STEP)
         points = [(first[0], size, *first[2:]) for size in (first[1] * np.exp(steps)).tolist()]
