@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, Array, in_parts, triangle_of
+from counterspin.arrays import SIGMA_OF_MAD, Array, triangle_of
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 
@@ -96,12 +96,13 @@ def white_level(part: Prepared) -> float:
 
     Third differences of what no column explains: slow noise does not show in them.
     """
-    series = part.series
-    own = np.column_stack([series.polynomials(max(series.order, 1)), part.design])
-    scale = np.linalg.norm(own, axis=0)
-    own = own / np.where(scale > 0.0, scale, 1.0)
-    triangle = triangle_of(in_parts(np.column_stack([own, series.error])))
-    left = series.error - own @ np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=None)[0]
+    series, white = part.series, part.white
+    scale = np.linalg.norm(white.factor, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found = np.linalg.lstsq(white.factor / scale, white.target, rcond=None)[0] / scale
+    left = series.error - part.design @ found
+    own = series.polynomials(max(series.order, 1))
+    left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
     rough = np.diff(left * np.sqrt(series.count), 3)
     if rough.size == 0:
         return 0.0

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.inference.joint.condensed import condense
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
@@ -47,6 +48,8 @@ def noise_of(
 
 
 def _found(prepared: Sequence[Prepared], model: Unknowns, request: Noise) -> FoundNoise:
+    # These records tell less than all of them of what nobody asks for.
+    prepared, model = condense(prepared, model, {})
     # What is considered is unknown here, or what it does to the records would be taken for noise.
     every, p = (*model.unknowns, *model.considered), len(model.unknowns)
     places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
