@@ -54,7 +54,7 @@ from counterspin.calibration.readings import (
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
@@ -73,11 +73,7 @@ def joint(problem: JointProblem) -> Outcome:
     """Fit all records of a campaign together."""
     campaign, observed, model = problem.campaign, problem.observed, problem.model
     estimated, read = estimate_campaign(problem)
-    assessment = assess(
-        estimated.fit.solution,
-        [unknown.name for unknown in model.asked],
-        nominal=[unknown.nominal for unknown in model.asked],
-    )
+    assessment = estimated.fit.assessment
     views = [
         AccelerometerView(problem, estimated, assessment, name).with_parts(read.parts)
         for name in campaign.accelerometers

@@ -19,7 +19,6 @@ from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.fitted_readings import FittedReadings
-from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.poses import TriadPoses
@@ -43,21 +42,11 @@ class FitSoFar:
         return tuple(part for part in self.read.parts if isinstance(part.readings, TriadPoses))
 
     @cached_property
-    def assessment(self) -> Assessment:
-        """Which unknowns are determined."""
-        unknowns = self.estimate.fit.model.asked
-        return assess(
-            self.estimate.fit.solution,
-            [unknown.name for unknown in unknowns],
-            nominal=[unknown.nominal for unknown in unknowns],
-        )
-
-    @cached_property
     def views(self) -> tuple[AccelerometerView, ...]:
         """The fit as each accelerometer sees it."""
         problem = JointProblem(self.campaign)
         views = (
-            AccelerometerView(problem, self.estimate, self.assessment, name)
+            AccelerometerView(problem, self.estimate, self.estimate.fit.assessment, name)
             for name in self.campaign.accelerometers
         )
         return tuple(view for view in views if view.has_records)
@@ -116,7 +105,7 @@ def reached(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
     for name in names:
         if name not in places:
             continue
-        c = coefficient(fit.estimate, fit.assessment, places[name])
+        c = coefficient(fit.estimate, fit.estimate.fit.assessment, places[name])
         found.append(
             ReachedCoefficient(
                 name=name,

@@ -23,7 +23,7 @@ from counterspin.campaign.resolved import Run, sample_count
 from counterspin.campaign.triads.grouped import all_groups
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.encoder import with_encoder
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_joint
@@ -69,12 +69,7 @@ class Forecast:
     @cached_property
     def assessment(self) -> Assessment:
         """What the records will determine, and what not."""
-        unknowns = self.fit.model.asked
-        return assess(
-            self.fit.solution,
-            [unknown.name for unknown in unknowns],
-            nominal=[unknown.nominal for unknown in unknowns],
-        )
+        return self.fit.assessment
 
     @property
     def u(self) -> dict[str, float]:

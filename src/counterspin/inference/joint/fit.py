@@ -22,6 +22,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block
+from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.observation import Observation
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
@@ -102,6 +103,16 @@ class JointFit:
         if not self.model.considered:
             return self.solution
         return solve_relaxed(self.blocks, self.model)
+
+    @cached_property
+    def assessment(self) -> Assessment:
+        """Which of the coefficients that are asked for are determined."""
+        asked = self.model.asked
+        return assess(
+            self.solution,
+            [unknown.name for unknown in asked],
+            nominal=[unknown.nominal for unknown in asked],
+        )
 
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
