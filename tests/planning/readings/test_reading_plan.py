@@ -451,6 +451,18 @@ def test_eighteen_poses_from_nothing_come_near_what_is_possible(tmp_path):
     assert all(reading.axes.startswith("up: ") for reading in result.readings)
 
 
+def test_ten_poses_are_searched_from_many_beginnings(tmp_path):
+    """Six of them ended 45 % above the bound; of sixty the best is 21 % above it.
+
+    The model has 27 terms, so ten poses are weighed beside what nobody states.
+    """
+    file = tmp_path / "plan.toml"
+    file.write_text(_poses(10, '["X.K_F", "Y.K_F", "Z.K_F"]'))
+    goal = plan(file).result.goal
+    assert goal is not None
+    assert goal.efficiency > 0.8
+
+
 @pytest.mark.parametrize(
     ("up", "words"),
     [

@@ -27,6 +27,9 @@ _EXCHANGES: Final = 400
 #: Of at most so many possible readings the search begins from so many drawn numbers too.
 _FEW: Final = 60
 _DRAWN: Final = 6
+#: Of so few readings that exchanges of one end in many places it begins from so many.
+_FEW_READINGS: Final = 12
+_DRAWN_OF_FEW: Final = 60
 _SEED: Final = 1
 
 #: A target is reached to rounding.
@@ -67,7 +70,8 @@ def _starts(possible: Possibilities, weight: Array, number: float, time: float) 
     weight: The numbers that need not be whole, shape (n,).
     """
     whole = np.floor(weight + 1e-6).astype(np.int64)
-    rng, drawn = np.random.default_rng(_SEED), _DRAWN if weight.size <= _FEW else 0
+    drawn = _DRAWN_OF_FEW if number <= _FEW_READINGS else _DRAWN
+    rng, drawn = np.random.default_rng(_SEED), drawn if weight.size <= _FEW else 0
     # Rounded; nothing, to which the best is added one by one; and drawn about the first.
     starts = [whole.copy(), np.zeros_like(whole), *(whole.copy() for _ in range(drawn))]
     for counts in (starts[0], *starts[2:]):
