@@ -141,11 +141,11 @@ def test_what_is_stated_of_inputs_is_covered(tmp_path, text):
     for symbol in ("K_F", "K_I", "K_II"):
         expected = joint.coefficients[f"Qx.{symbol}"].u
         assert calibrated.coefficient(f"Qx.{symbol}").u == pytest.approx(expected, rel=2e-3)
-    # Whole records scatter alike: 40 trials know that to 11 %.
-    whole = study(folder, trials=40, engine="full").analyses["joint"]
+    # Whole records scatter alike: 20 trials know that to 16 %.
+    whole = study(folder, trials=20, engine="full").analyses["joint"]
     for symbol in ("K_F", "K_I", "K_II"):
         found = whole.coefficients[f"Qx.{symbol}"]
-        assert found.sd / found.u == pytest.approx(1.0, abs=0.45)
+        assert found.sd / found.u == pytest.approx(1.0, abs=0.64)
 
 
 def test_each_recorder_may_have_its_own_clock(tmp_path):
@@ -215,7 +215,7 @@ assume = "all"
 K_I = "1.002 g/g"
 """
     text += "".join(on_the_arm(rate, unit) for rate in (3, 5, 7, 9, 11))
-    n = 1000 if FULL else 200
+    n = 1000 if FULL else 100
     joint = study(write(tmp_path, text), trials=n).analyses["joint"]
     k_i = joint.coefficients["A.K_I"]
     expected = np.hypot(1e-4, 2e-4 if unit == "g" else 0.0)

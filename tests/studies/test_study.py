@@ -149,7 +149,7 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
     varying = '[study.vary]\n"platform.tilt.north" = { normal = "0 ± 3 arcsec", per = "run" }\n'
     analyses = VARYING[VARYING.index("[study.analyses.exact]") :]
     folder = write(tmp_path / "a", SHORT + varying + analyses + joint)
-    n = 2000 if FULL else 80
+    n = 2000 if FULL else 40
     truth, made = engines(folder, "auto", "full")
     few, many = truth.draw(stream(3, 0, 0), n), truth.draw(stream(4, 0, 0), 20 * n)
     for fast, slow in zip(*made, strict=True):
@@ -323,12 +323,12 @@ def test_heating_that_is_held_is_covered(tmp_path):
     text = SHORT.replace('hold = ["K_IP"]', 'hold = ["K_IP", "K_F.heating"]')
     text = text.replace("[[runs]]", '[model.priors]\n"K_F.heating" = "0 ± 2e-6 g/g^2"\n[[runs]]', 1)
     varying = '\n[study.vary]\n"Qx.K_F.heating" = { normal = "0 ± 2e-6 g/g^2" }\n'
-    result = study(write(tmp_path / "heated", text + varying), trials=100)
+    result = study(write(tmp_path / "heated", text + varying), trials=50)
     for analysis in ("two-stage", "joint"):
         k_ii = coefficient(result, analysis, "Qx.K_II")
-        # u is all but that of the heating, twice: 100 trials know a scatter to 7 %.
+        # u is all but that of the heating, twice: 50 trials know a scatter to 10 %.
         assert k_ii.u == pytest.approx(4e-6, rel=0.05)
-        assert k_ii.sd / k_ii.u == pytest.approx(1.0, abs=0.28)
+        assert k_ii.sd / k_ii.u == pytest.approx(1.0, abs=0.4)
 
 
 #: The same without anything that is assumed to be perfect.
@@ -349,10 +349,10 @@ def test_what_nobody_states_is_covered(tmp_path):
     simulate(read_study(folder).campaign, tmp_path / "made")
     calibrated = calibrate(tmp_path / "made")
     assert calibrated.coefficient("Qx.K_II").u == pytest.approx(found["K_II"].u, rel=1e-4)
-    # Whole records, without any shortcut, scatter alike: 40 trials know that to 11 %.
-    whole = coefficient(study(folder, trials=40, engine="full"), "joint", "Qx.K_II")
+    # Whole records, without any shortcut, scatter alike: 20 trials know that to 16 %.
+    whole = coefficient(study(folder, trials=20, engine="full"), "joint", "Qx.K_II")
     assert whole.u == pytest.approx(found["K_II"].u, rel=1e-4)
-    assert whole.sd / whole.u == pytest.approx(1.0, abs=0.45)
+    assert whole.sd / whole.u == pytest.approx(1.0, abs=0.64)
 
 
 def test_what_is_known_is_drawn_and_what_is_true_or_asked_for_is_not(tmp_path):

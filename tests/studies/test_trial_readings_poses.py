@@ -28,7 +28,7 @@ def _campaign(folder, count=24, noise="0.3 mg", u=None):
 
 
 def test_trials_scatter_as_u_says(tmp_path):
-    trials = 100
+    trials = 50
     result = cs.study(_campaign(tmp_path / "poses"), trials=trials, seed=2)
     (analysis,) = result.analyses.values()
     (found,) = [c for name, c in analysis.coefficients.items() if name == "Z.K_I"]
