@@ -418,3 +418,15 @@ def test_poses_of_a_record_may_state_their_uncertainty(tmp_path):
     (folder / "campaign.toml").write_text(write_document(document), encoding="utf-8")
     with pytest.raises(CampaignError, match="u: must be greater than zero"):
         read_campaign(folder)
+
+
+def test_what_shows_no_test_says_so(tmp_path):
+    """Rows of a serial monitor, whose first cell has an arrow in it."""
+    counts = np.random.default_rng(2).integers(-20000, 20000, (400, 3)).tolist()
+    rows = "".join(f"14:22:{k / 10:06.3f} -> {x},{y},{z}\n" for k, (x, y, z) in enumerate(counts))
+    (tmp_path / "serial.txt").write_text(rows)
+    looks = look_at([tmp_path / "serial.txt"])
+    assert any(
+        one.startswith("no column swings as on a double turntable, and no three columns rest")
+        for one in drafted(looks, {}, guessed_test(looks)).statements
+    )

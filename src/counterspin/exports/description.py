@@ -271,11 +271,21 @@ def _statements(
         axis = f"along {signal.axis}" if signal.axis else "of an unknown axis"
         unit = f" in {signal.unit}" if signal.unit else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
+    yield from _nothing_shown(common)
     if common.signals:
         yield "pendulous axes: assumed down, or north for an upright input axis"
     if common.unused:
         yield f"not used: {', '.join(common.unused[:20])}"
     yield from (f"not read: {why}" for guess in guesses for why in guess.look.spoilt)
+
+
+def _nothing_shown(common: FileGuess) -> Iterator[str]:
+    """Yield what is said of files that show no kind of test."""
+    if not common.signals and common.rate is None:
+        yield (
+            "no column swings as on a double turntable, and no three columns rest as a sensor in "
+            "poses does: name the kind of test if it is another, and columns by their questions"
+        )
 
 
 # What follows
