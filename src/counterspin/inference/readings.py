@@ -29,7 +29,7 @@ from counterspin.inference.poses import TriadPoses
 U = TypeVar("U", bound=Unknown)
 
 #: Rounds in which derivatives and noise must settle; two or three are usual.
-_ROUNDS: Final = 50
+_ROUNDS: Final = 100
 
 #: The same for the noise alone, which may approach zero slowly.
 _NOISE_ROUNDS: Final = 200
@@ -40,6 +40,9 @@ _LEAST_BESIDE_HEAD: Final = 0.3
 
 #: Part of a standard uncertainty that is as good as none.
 _HELD: Final = 1e-6
+
+#: Rounds in which an unknown goes all the way to where it is found.
+_WHOLE_STEPS: Final = 15
 
 #: How many times its largest credible size an unknown may have where derivatives are taken.
 _FARTHEST: Final = 10.0
@@ -160,7 +163,7 @@ def _solved(
     free = sum(math.isinf(unknown.prior[1]) for unknown in everything) if alone else 0
     posed = {name for g in readings if isinstance(g, TriadPoses) for name in g.accelerometers}
     turned = [place for place, u in enumerate(model.unknowns) if u.owner in posed]
-    for _ in range(_ROUNDS):
+    for count in range(_ROUNDS):
         parts = [group.linearised(model, point, variance) for group in readings]
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
@@ -180,7 +183,9 @@ def _solved(
         estimate, u = found.estimate[: known.size], found.u[: known.size]
         place = _place(estimate, found, known, limits, farthest, turned)
         variance = u**2
-        moves, point = np.abs(place - point) / np.where(u > 0, u, 1.0), place
+        moves = np.abs(place - point) / np.where(u > 0, u, 1.0)
+        # Positions that were set by hand may turn to and fro: then half of the way is taken.
+        point = place if count < _WHOLE_STEPS else 0.5 * (point + place)
         if moves.max(initial=0.0) < _LARGEST_MOVE:
             break
     else:
