@@ -561,3 +561,101 @@ def test_what_needs_records_says_so(tmp_path, capsys):
         calibrate(tmp_path, method="two-stage", options=TwoStageOptions())
     assert main(["calibrate", str(tmp_path), "--budget", "--details"]) == 0
     assert "tumble 11" in capsys.readouterr().out
+
+
+#: Where a body's x and y point in each position; each accelerometer's input and pendulous axis.
+SET_BY_HAND = (
+    *(("up", "north"), ("down", "north"), ("north", "up"), ("north", "down"), ("east", "north")),
+    *(("north", "east"), ("up", "east"), ("down", "west"), ("east", "up")),
+)
+TRIAD = {"X": ("east", "down"), "Z": ("up", "east")}
+DIRECTIONS = {"east": (1, 0, 0), "north": (0, 1, 0), "up": (0, 0, 1)}
+OPPOSITE = {"west": "east", "south": "north", "down": "up"}
+
+
+def direction(name):
+    return -direction(OPPOSITE[name]) if name in OPPOSITE else np.array(DIRECTIONS[name], float)
+
+
+def set_by_hand(folder, repeats, sigma, spread, seed):
+    """Calibrate X and Z of one body in positions that are off; return result, dense u and truth.
+
+    The dense covariance is that of plain least squares with what two turns of each position have in
+    common; of the readings themselves all is exact.
+    """
+    rng = np.random.default_rng(seed)
+    truth = {"X": (0.002, 1.0005, 3e-4, -2e-4), "Z": (0.003, 1.001, 1e-4, 0.0)}
+    tables = [
+        'schema = 1\nsite = { gravity = "9.8066 m/s^2", latitude = "45.75 deg" }\n'
+        f'[fixture]\nposition = "0 ± {math.degrees(spread)!r} deg"\n[model]\nassume = "all"\n'
+        'terms = ["K_F", "K_I", "delta_O", "delta_P"]\n'
+    ]
+    for name, (axis, pendulous) in TRIAD.items():
+        tables.append(
+            f'[accelerometers.{name}]\ninput_axis = "{axis}"\npendulous_axis = "{pendulous}"\n'
+            'output = { unit = "g" }\n'
+        )
+    rows, turns, vertical = [], [], direction("up")
+    for k, (x, y) in enumerate(SET_BY_HAND):
+        body = np.column_stack([direction(x), direction(y), np.cross(direction(x), direction(y))])
+        turn = spread * np.append(rng.standard_normal(2), 0.0)
+        size = np.linalg.norm(turn)
+        cross = np.cross(np.eye(3), turn / size)
+        off = np.eye(3) - math.sin(size) * cross + (1.0 - math.cos(size)) * cross @ cross
+        for again in range(repeats):
+            read = []
+            for name, (axis, pendulous) in TRIAD.items():
+                axes = [body @ direction(axis), body @ direction(pendulous)]
+                axes.append(np.cross(*axes))
+                felt = [vertical @ off @ one for one in axes]
+                value = float(np.dot(truth[name], [1.0, felt[0], felt[1], -felt[2]]))
+                value += sigma * float(rng.standard_normal())
+                read.append(f'{name} = "{value!r} ± {sigma!r} g"')
+                row = np.zeros(8)
+                at = 4 * [*TRIAD].index(name)
+                row[at : at + 4] = [
+                    1.0,
+                    *(vertical @ one for one in axes[:2]),
+                    -(vertical @ axes[2]),
+                ]
+                rows.append(row)
+                turned = np.zeros(2 * len(SET_BY_HAND))
+                turned[2 * k : 2 * k + 2] = [
+                    vertical @ np.cross(direction(about), axes[0]) for about in ("east", "north")
+                ]
+                turns.append(turned)
+            tables.append(
+                f'[[runs]]\nname = "{x} {y} {again}"\nmotion = "static"\n'
+                f'attitude = {{ x = "{x}", y = "{y}" }}\nreading = {{ {", ".join(read)} }}\n'
+            )
+    (folder / "campaign.toml").write_text("".join(tables), encoding="utf-8")
+    design, common = np.array(rows), np.array(turns)
+    covariance = sigma**2 * np.eye(len(rows)) + spread**2 * common @ common.T
+    u = np.sqrt(np.diag(np.linalg.inv(design.T @ np.linalg.solve(covariance, design))))
+    return calibrate(folder), u, np.concatenate([truth[name] for name in TRIAD])
+
+
+def estimates(result):
+    found = [
+        result.accelerometers[name].coefficients[symbol]
+        for name in TRIAD
+        for symbol in ("K_F", "K_I", "delta_O", "delta_P")
+    ]
+    return np.array([c.value for c in found]), np.array([c.u for c in found])
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_what_positions_have_in_common_is_in_u_as_a_dense_covariance_has_it(tmp_path, repeats):
+    result, dense, truth = set_by_hand(tmp_path, repeats, 1e-5, math.radians(0.02), 2)
+    values, u = estimates(result)
+    np.testing.assert_allclose(u, dense, rtol=3e-3)
+    assert np.abs((values - truth) / u).max() < 4.0
+
+
+@pytest.mark.parametrize("seed", [8, 16, 23])
+def test_positions_that_are_set_to_half_a_degree_settle(tmp_path, seed):
+    """Of an axis that points up a turn is quadratic: three of 30 such fits went to and fro."""
+    result, _, truth = set_by_hand(tmp_path, 3, 2e-4, math.radians(0.5), seed)
+    values, u = estimates(result)
+    assert result.state == "good"
+    assert np.abs((values - truth) / u).max() < 4.0
