@@ -21,6 +21,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import ReadingsSettings
+from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import (
     AccelerometerSettings,
     CampaignSettings,
@@ -29,7 +30,6 @@ from counterspin.campaign.settings import (
     FixtureSettings,
     ModelSettings,
     NoiseSettings,
-    RunSettings,
     SimulationSettings,
     SiteSettings,
 )
@@ -87,7 +87,7 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "noise": NoiseSettings,
     "model": ModelSettings,
     "readings": ReadingsSettings,
-    "runs": RunSettings,
+    "runs": Run,
     "specification": SpecificationSettings,
     "simulation": SimulationSettings,
     "truth": AccelerometerTruthSettings,
@@ -163,15 +163,17 @@ def _sections(to: _Definitions) -> dict[str, Json]:
 
 
 def _run(to: _Definitions) -> Json:
-    reference = to(RunSettings)
-    properties = to.found["RunSettings"]["properties"]
+    reference = to(Run)
+    properties = to.found["Run"]["properties"]
     properties["truth"] |= to(RunTruthSettings)
     return reference
 
 
 def _truth(to: _Definitions) -> Json:
     """Return what [truth] may have: tables of its own, and one for each accelerometer."""
-    own = {name: to(model) for name, model in TRUE_TABLES.items()} | {
+    own = {
+        name: to(model) | {"description": model.__doc__} for name, model in TRUE_TABLES.items()
+    } | {
         "noise": {
             "type": "object",
             "description": "of records, with the keys of [noise]; `reading` is that of readings",
@@ -229,7 +231,7 @@ def _study() -> Json:
             "schema": {"const": 1, "description": "version of this format", "examples": [1]},
             "campaign": _TEXT
             | {"description": "folder or description of the campaign", "examples": ["campaign"]},
-            "study": _study_section(to),
+            "study": _study_section(to) | {"description": StudySettings.__doc__},
         },
         "required": ["schema", "campaign", "study"],
         "additionalProperties": False,

@@ -501,14 +501,15 @@ def test_truth_of_a_simulation(tmp_path):
     one, two = campaign.runs
     assert (one.duration, two.duration) == (pytest.approx(40.0, rel=1e-14), 60.0)
     rate = one.rate
-    assert one.truth.spindle == Spindle(
+    of_one, of_two = truth.runs.values()
+    assert of_one.spindle == Spindle(
         rate, 1e-6, (Ripple(1, 1e-5 * rate, math.pi / 2), Ripple(3, 1e-6, 0.0))
     )
-    assert two.truth.spindle == Spindle(
+    assert of_two.spindle == Spindle(
         pytest.approx(-math.pi * 1.0001, rel=1e-15), 2e-6, (), math.pi / 2
     )
     arcsec = math.pi / 648000
-    assert one.truth.shared == pytest.approx(
+    assert of_one.shared == pytest.approx(
         {
             "platform.tilt.north": arcsec,
             "platform.drift.north": 0.01 * arcsec,
@@ -516,7 +517,7 @@ def test_truth_of_a_simulation(tmp_path):
         },
         rel=1e-14,
     )
-    assert two.truth.shared["platform.tilt.north"] == pytest.approx(2 * arcsec, rel=1e-14)
+    assert of_two.shared["platform.tilt.north"] == pytest.approx(2 * arcsec, rel=1e-14)
 
 
 def test_truth_changes_nothing_that_a_calibration_reads(tmp_path):
@@ -664,10 +665,11 @@ def test_errors_of_an_encoder_need_a_recorded_angle(tmp_path):
 def test_truth_of_the_path(tmp_path):
     tables = '[truth.centrifuge]\nstretch = "4e-9 s^2/m"\nimbalance.2.sin = "3 um"\n'
     tables += '[truth.encoder]\nharmonic.1.cos = "1 arcsec"\n'
-    (first, _) = read_campaign(write(tmp_path, f"{BASE}{SIMULATED}\n{tables}")).runs
-    assert first.truth.shared["centrifuge.stretch"] == 4e-9
-    assert first.truth.shared["centrifuge.imbalance.2.sin"] == pytest.approx(3e-6, rel=1e-14)
-    assert first.truth.shared["encoder.harmonic.1.cos"] == pytest.approx(math.radians(1 / 3600))
+    campaign = read_campaign(write(tmp_path, f"{BASE}{SIMULATED}\n{tables}"))
+    (first, _) = campaign.simulation.truth.runs.values()
+    assert first.shared["centrifuge.stretch"] == 4e-9
+    assert first.shared["centrifuge.imbalance.2.sin"] == pytest.approx(3e-6, rel=1e-14)
+    assert first.shared["encoder.harmonic.1.cos"] == pytest.approx(math.radians(1 / 3600))
     wrong = tables.replace("imbalance.2", "imbalance.3")
     (problem,) = problems_of(tmp_path, f"{BASE}{SIMULATED}\n{wrong}")
     assert problem.startswith("truth.centrifuge.imbalance.3: unknown key")

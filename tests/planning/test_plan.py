@@ -279,7 +279,7 @@ def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):
     """The last block is shorter, as the reduction of a record makes it."""
     planned = plan_of(*PLANS["dense velocity records"])
     campaign = read_campaign(write_campaign(planned, tmp_path / "planned"))
-    runs = tuple(replace(run, duration=20.011) for run in campaign.runs[:2])
+    runs = tuple(run.model_copy(update={"duration": 20.011}) for run in campaign.runs[:2])
     campaign = replace(campaign, runs=runs)
     series = planned_series(campaign, campaign.runs[0], "Qx", 400.0)
     assert series.count.sum() == 8005

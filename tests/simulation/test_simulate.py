@@ -39,7 +39,7 @@ def test_without_noise_the_record_is_what_the_error_model_says(tmp_path):
     time = columns["time_s"]
     assert time.size == 20 * 2 * 20 + 1  # 40 s at 20 Hz, both ends included
     np.testing.assert_array_equal(time, np.arange(801) / 20.0)
-    spindle = run.truth.spindle
+    spindle = campaign.simulation.truth.runs[run.name].spindle
     assert spindle.drift == 1e-6
     assert spindle.ripples[0].amplitude == pytest.approx(1e-5 * math.pi, rel=1e-12)
     np.testing.assert_array_equal(columns["angle_rad"], spindle.angle(time))
@@ -74,7 +74,7 @@ def test_columns_are_in_the_units_of_the_campaign(tmp_path):
 def test_timing_offset_samples_the_angle_later(tmp_path):
     text = changed(SILENT, ("[accelerometers.Qx]", 'timing_offset = "2 ms"\n[accelerometers.Qx]'))
     campaign, columns = columns_of(tmp_path, text)
-    expected = campaign.runs[0].truth.spindle.angle(columns["time_s"] + 2e-3)
+    expected = campaign.simulation.truth.runs["slow"].spindle.angle(columns["time_s"] + 2e-3)
     np.testing.assert_array_equal(columns["angle_rad"], expected)
 
 
@@ -130,8 +130,8 @@ def test_a_run_s_own_truth_and_length_come_first(tmp_path):
     )
     campaign, columns = columns_of(tmp_path, text)
     assert columns["time_s"][-1] == 10.0
-    spindle = campaign.runs[0].truth.spindle
-    assert (spindle.drift, campaign.runs[1].truth.spindle.drift) == (5e-6, 1e-6)
+    spindle, other = (campaign.simulation.truth.runs[run.name].spindle for run in campaign.runs[:2])
+    assert (spindle.drift, other.drift) == (5e-6, 1e-6)
     _, level = columns_of(tmp_path, SILENT)
     tilt = math.radians(10 / 3600)
     change = columns["east_m"][-1] - level["east_m"][200]

@@ -19,7 +19,7 @@ from counterspin.application.folder import NotThereError
 from counterspin.arrays import Array
 from counterspin.calibration.observed import record_columns
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.resolved import Run
+from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CounterspinError
 from counterspin.records.tables import read_scaled

@@ -17,7 +17,8 @@ from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.memory.source import keep
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Accelerometer, Run
+from counterspin.campaign.resolved import Accelerometer
+from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import RecordError
@@ -196,7 +197,7 @@ def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
         {name: a.channel for name, a in campaign.accelerometers.items()},
         recording.dialect,
         run.part,
-        run.continued_in,
+        tuple(run.continued_in),
         run.pulses,
     )
 

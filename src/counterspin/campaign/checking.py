@@ -67,15 +67,7 @@ class Problems:
         if line not in self.lines:
             self.lines.append(line)
 
-    def check(
-        self,
-        model: type[M],
-        raw: Any,
-        path: Path,
-        *,
-        gravity: float | None = None,
-        output: object = None,
-    ) -> M | None:
+    def check(self, model: type[M], raw: Any, path: Path, **context: object) -> M | None:
         """Return the section as its model, or None with its mistakes noted.
 
         Parameters
@@ -86,13 +78,13 @@ class Problems:
             What does.
         path
             Where the section is.
-        gravity
-            The site's gravity in m/s^2, for quantities that may be given in m/s^2 or in g.
-        output
-            What an accelerometer's readings are in, for coefficients that may be given in its unit.
+        **context
+            What its values are read with: `gravity` of the site in m/s^2, for quantities that may
+            be given in m/s^2 or in g; `output`, in whose unit coefficients may be; `folder`, in
+            which files are.
         """
         try:
-            return model.model_validate(raw, context={"gravity": gravity, "output": output})
+            return model.model_validate(raw, context=context)
         except ValidationError as error:
             for mistake in error.errors(include_url=False):
                 loc = mistake["loc"]

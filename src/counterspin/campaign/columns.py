@@ -64,7 +64,7 @@ def spec_of(column: Any, wanted: str, gravity: float | None = None) -> ColumnSpe
 
 
 class TimeChannel(SettingsSection):
-    """The column that holds the time, or how many rows there are a second."""
+    """``time``: the column that holds it, or how many rows there are a second."""
 
     column: Text | None = described(
         "name of the column in the file", "time_s", None, absent="counted"
@@ -104,7 +104,7 @@ Sense = Literal["counterclockwise", "clockwise"]
 
 
 class AngleChannel(_Channel):
-    """The column that holds the spindle's angle, or the times of its pulses."""
+    """``angle``: the column that holds the spindle's angle, or the times of its pulses."""
 
     pulses: bool = described(
         "whether the column has the times, in `unit`, at which the arm passed `zero`", False, False
@@ -256,7 +256,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
 
 
 class DisplacementChannel(_Channel):
-    """The column that holds the displacement along the input axis."""
+    """``displacement``: the column that holds that along the input axis."""
 
     unit: Annotated[str, unit_of("m")] | None = described(
         "of its numbers", "mm", None, absent="the file's", kind="unit"
@@ -264,7 +264,7 @@ class DisplacementChannel(_Channel):
 
 
 class VelocityChannel(_Channel):
-    """The column that holds the velocity along the input axis."""
+    """``velocity``: the column that holds that along the input axis."""
 
     unit: Annotated[str, unit_of("m/s")] | None = described(
         "of its numbers", "mm/s", None, absent="the file's", kind="unit"
@@ -272,7 +272,7 @@ class VelocityChannel(_Channel):
 
 
 class ForceChannel(_Channel):
-    """The column that holds the indicated specific force, or an output such as a current."""
+    """``specific_force``: the column that holds it, or an output such as a current."""
 
     unit: Annotated[str, AfterValidator(force_or_output)] = described(
         "of its numbers", "mg", kind="unit"

@@ -11,7 +11,7 @@ import numpy as np
 
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Run
+from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.frozen import frozen
 from counterspin.inference.linear_readings import Readings

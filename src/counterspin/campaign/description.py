@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,8 +20,8 @@ from counterspin.campaign.model import Apparatus, check_conditions, refuse_encod
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading, is_reading, positioned, resolve_readings
 from counterspin.campaign.readings_table import read_table
-from counterspin.campaign.resolved import Accelerometer, ErrorModel, Run, Simulation
-from counterspin.campaign.runs import RunDefaults, resolve_runs, skipped_runs, taken_runs
+from counterspin.campaign.resolved import Accelerometer, ErrorModel, Simulation
+from counterspin.campaign.runs import Run, recorders_of, resolve_runs, skipped_runs, taken_runs
 from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
@@ -44,7 +44,6 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
 from counterspin.campaign.truth import TruthReader
-from counterspin.campaign.truth_of_inputs import recorders_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.grades import DEFAULT_GRADE, Size
@@ -380,7 +379,15 @@ class _DescriptionReader:
         self.accelerometers.check_names()
         observables = self.accelerometers.observables(noise)
         settings = problems.check(ModelSettings, table_of(self.raw, "model"), ("model",))
-        runs = self._runs()
+        turns = self._sampling().revolutions if self.simulated else None
+        placed = resolve_runs(
+            self.numbered_runs,
+            self.file.parent,
+            table_of(self.raw, "records"),
+            turns,
+            problems,
+        )
+        runs = tuple(placed.values())
         outputs = {name: table and table.output for name, table in tables.items()}
         numbered = self._numbered_readings(outputs)
         read = partial(
@@ -390,7 +397,7 @@ class _DescriptionReader:
             folder=self.file.parent,
             problems=problems,
             gravity=gravity,
-            turns=self._sampling().revolutions if self.simulated else None,
+            turns=turns,
         )
         readings = positioned(
             read([one for one in numbered if not is_pose(one[0])]), fixture.position
@@ -427,12 +434,13 @@ class _DescriptionReader:
                 refuse_encoder(model, problems)
             common = records.recording if records else NOT_RECORDED
             recorded = {run.name for run in runs if (run.recording or common).temperature}
-            check_conditions(model, self._placed(runs), recorded, reference, problems)
+            check_conditions(model, placed, recorded, reference, problems)
         simulation = None
-        if self.truth is not None:
+        if self.simulated:
             recorders = recorders_of(table_of(self.raw, "records"), runs)
-            simulation = self.truth.simulation(
-                self._sampling(), outputs, noise, readings, centrifuge, recorders
+            truth = TruthReader(table_of(self.raw, "truth"), problems, gravity)
+            simulation = truth.simulation(
+                self._sampling(), outputs, noise, placed, readings, centrifuge, recorders
             )
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(tables, mountings, observables, priors)
@@ -468,7 +476,7 @@ class _DescriptionReader:
             accelerometers=accelerometers,
             noise=noise,
             model=model,
-            runs=tuple(runs),
+            runs=runs,
             simulation=simulation,
             details=info.model_dump(exclude={"title"}, exclude_none=True),
             specifications=specifications,
@@ -521,31 +529,6 @@ class _DescriptionReader:
             if noise.rest in named:
                 self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
         return noise
-
-    @cached_property
-    def truth(self) -> TruthReader | None:
-        """What is true of a campaign that is simulated."""
-        if not self.simulated:
-            return None
-        return TruthReader(table_of(self.raw, "truth"), self.problems, self.gravity)
-
-    def _runs(self) -> list[Run]:
-        defaults = RunDefaults(
-            self.file.parent,
-            table_of(self.raw, "records"),
-            self.truth,
-            self._sampling().revolutions,
-        )
-        return resolve_runs(self.numbered_runs, defaults, self.problems)
-
-    def _placed(self, runs: Sequence[Run]) -> list[tuple[int, Run]]:
-        """Return runs with their places in the description."""
-        places = {
-            raw.get("name"): place
-            for place, raw in self.numbered_runs
-            if isinstance(raw, dict) and isinstance(raw.get("name"), str)
-        }
-        return [(places[run.name], run) for run in runs]
 
     def _sampling(self) -> SimulationSettings:
         settings = self.problems.check(

@@ -12,7 +12,7 @@ import math
 import re
 from contextlib import suppress
 from functools import partial
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
@@ -241,6 +241,16 @@ def record_file(name: str) -> str:
     return name
 
 
+def _in_folder(name: object, info: ValidationInfo) -> Path:
+    """Return a record's file, in the campaign's folder."""
+    if not isinstance(name, str):
+        raise ValueError("must be text")
+    if not name:
+        raise ValueError("must not be empty")
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder / record_file(name)
+
+
 def a_temperature(value: object) -> float:
     """Return a temperature, K."""
     if not isinstance(value, str):
@@ -360,6 +370,7 @@ Several = Annotated[list[Text], BeforeValidator(several, Text | list[Text])]
 PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
 Temperature = Annotated[float, PlainValidator(a_temperature, Text)]
 Temperatures = Annotated[tuple[float, ...], PlainValidator(temperatures, Text | list[Text])]
+RecordFile = Annotated[Path, PlainValidator(_in_folder, Text)]
 Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 
 

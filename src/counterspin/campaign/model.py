@@ -11,7 +11,8 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import EVERYTHING, ErrorModel, Run
+from counterspin.campaign.resolved import EVERYTHING, ErrorModel
+from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.terms import (
     BARE_NAMES,
@@ -168,7 +169,8 @@ def resolve_model(
 
 def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
     """Return what is taken as perfect; each name stands for a term or for a family of them."""
-    families = {".".join(s.split(".")[:n]) for s in TABLE for n in range(1, s.count(".") + 2)}
+    parts = (s.split(".")[:n] for s in TABLE for n in range(1, s.count(".") + 2))
+    families = dict.fromkeys(".".join(part) for part in parts)
     for place, name in enumerate(names):
         bare = name.removesuffix("*").removesuffix(".")
         if bare not in ("", EVERYTHING) and bare not in families and not is_term(bare):
@@ -346,13 +348,14 @@ def _resolve_sizes(
 
 def check_conditions(
     model: ErrorModel,
-    runs: Sequence[tuple[int, Run]],
+    runs: Mapping[int, Run],
     recorded: Collection[str],
     reference: float | None,
     problems: Problems,
 ) -> None:
     """Note what is missing for the slopes of a model, and slopes that nothing determines.
 
+    runs: By their places in the description.
     recorded: Names of the runs whose record has the temperature.
     reference: The reference temperature, K, if there is one.
     """
@@ -361,11 +364,11 @@ def check_conditions(
         conditions = (key, "direction") if key == "temperature" else (key,)
         asking = next((row.symbol for row in used if row.effect.condition in conditions), None)
         own = recorded if key == "temperature" else ()
-        stated = [getattr(run, key) is not None or run.name in own for _, run in runs]
+        stated = [getattr(run, key) is not None or run.name in own for run in runs.values()]
         if asking is None and (key == "temperature" or not any(stated)):
             continue
         why = f"{asking} is in the model" if asking else "other runs state theirs"
-        for (place, _), there in zip(runs, stated, strict=True):
+        for place, there in zip(runs, stated, strict=True):
             if not there:
                 example = '"23.4 degC"' if key == "temperature" else '"12 min"'
                 problems.add(
@@ -374,7 +377,9 @@ def check_conditions(
         if own or reference is not None or not runs or not all(stated):
             continue
         if asking and key == "temperature":
-            temperatures = {temperature for _, run in runs for temperature in run.temperature or ()}
+            temperatures = {
+                temperature for run in runs.values() for temperature in run.temperature or ()
+            }
             if len(temperatures) == 1:
                 problems.add(
                     ("centrifuge", "reference_temperature"),

@@ -73,7 +73,7 @@ class PosesSettings(SettingsSection):
 
 
 class ReadingRunSettings(SettingsSection):
-    """[[runs]] with a reading: one value at one station."""
+    """[[runs]]: one value at one station, or a record whose mean it is."""
 
     name: Text = described("of the run", "tumble 30")
     skip: bool = described("`true` leaves the run out, and the result says so", True, False)

@@ -79,7 +79,7 @@ class _TableFile(SettingsSection):
 
 # The fields of the last base come first.
 class MountingSettings(ReadingAxes):
-    """``[readings.mountings.NAME]``: how the axes point there, and where its readings are."""
+    """[readings.mountings.NAME]: how the axes point there, and where its readings are."""
 
     reading: Text | None = described(
         "column of its readings, where mountings stand side by side", "inward_mA", None

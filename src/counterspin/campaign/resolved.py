@@ -9,11 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import field
-from pathlib import Path
 from typing import Final
 
-from counterspin.arrays import Array
-from counterspin.campaign.columns import Recording
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import Output, StatedNoise
 from counterspin.frozen import frozen
@@ -78,39 +75,9 @@ class RunTruth:
     shared: Mapping[str, float]
 
 
-@frozen(eq=False)
-class Run:
-    """One run at constant nominal rate."""
-
-    name: str  #: Its name, unique in the campaign.
-    rate: float  #: Nominal rate, rad/s; negative for the sense from east towards south.
-    record: Path  #: Absolute path of the record file.
-    #: Where the platform's x, y, z axes point in east-north-up, as rows, shape (3, 3).
-    attitude: Array
-    #: Length of the record in s, as planned or simulated; None where it is not stated.
-    duration: float | None = None
-    #: Truth of a simulated run; None where nothing is to be simulated. A calibration does not read
-    #: it.
-    truth: RunTruth | None = None
-    #: K, several of them evenly spread over the run; None where none was taken.
-    temperature: tuple[float, ...] | None = None
-    time: float | None = None  #: s of its beginning by any clock; None where it was not recorded.
-    recording: Recording | None = None  #: How its record is read; None: as the campaign's others.
-    #: From where to where the record is used, s in its own time.
-    part: tuple[float, float] = (-math.inf, math.inf)
-    continued_in: tuple[Path, ...] = ()  #: Files in which the record goes on.
-    #: The file with the times of its pulses; None: they are in the record, if anywhere.
-    pulses: Path | None = None
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """All its files, the record first."""
-        return (self.record, *self.continued_in, *([self.pulses] if self.pulses else []))
-
-
 @frozen
 class SimulatedTruth:
-    """True values of the simulated accelerometers; platform and spindle are in `RunTruth`."""
+    """What is true of a simulated campaign; no calibration reads it."""
 
     #: Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
     coefficients: Mapping[str, Mapping[str, float]]
@@ -119,6 +86,7 @@ class SimulatedTruth:
     start_offset: Mapping[str, float]
     start_velocity: Mapping[str, float]
     noise: StatedNoise  #: True noise of records; every component a number.
+    runs: Mapping[str, RunTruth]  #: Run -> what is true of its motion and of what all share.
     #: Recorder (of its clock; else empty) and input -> true value, SI; those that are not there are
     #: what the description states.
     inputs: Mapping[tuple[str, str], float] = field(default_factory=dict)

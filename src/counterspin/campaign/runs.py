@@ -1,4 +1,4 @@
-"""Runs with records: how each is read, which part of it, and which are left out."""
+"""[[runs]] with records: how each is read, which part of it, and which are left out."""
 
 from __future__ import annotations
 
@@ -6,33 +6,132 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+from pydantic import AfterValidator, PrivateAttr
+
+from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import Recording, RecordsSettings
-from counterspin.campaign.kinds import exact
+from counterspin.campaign.kinds import (
+    Attitude,
+    PositiveRatio,
+    RecordFile,
+    Seconds,
+    SettingsSection,
+    Temperatures,
+    Text,
+    described,
+    exact,
+    read_exactly,
+    turning,
+)
 from counterspin.campaign.memory.documents import patched
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import is_reading
-from counterspin.campaign.resolved import Run, RunTruth
-from counterspin.campaign.settings import RunSettings
-from counterspin.campaign.truth import TruthReader
-from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
+from counterspin.records.formats import RECORD_FORMATS
 
 #: Keys of [records] that a run has of its own.
 _OWN: Final = ("time", "angle", "temperature", "recorder", "clock", *Dialect.__dataclass_fields__)
 
 
-@frozen
-class RunDefaults:
-    """What the sections beside ``[[runs]]`` say of each run."""
+class Run(SettingsSection):
+    """[[runs]]: one run with a record, at constant nominal rate."""
 
-    folder: Path  #: Of the record files.
-    records: Mapping[str, Any]  #: The section [records], as it stands.
-    truth: TruthReader | None  #: What [truth] says; None where nothing is simulated.
-    revolutions: float  #: Of a run that is simulated.
+    name: Text = described("unique", "run1")
+    rate: Annotated[float, read_exactly("rad/s"), AfterValidator(turning)] = described(
+        "nominal rate; negative is the other sense", "0.25 rev/s"
+    )
+    record: RecordFile = described(
+        f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}",
+        "run1.csv",
+    )
+    attitude: Attitude = described(
+        "of the platform in this run",
+        "90 deg about east",
+        absent="level",
+        kind="attitude",
+        default_factory=lambda: attitude_rows("level"),
+    )
+    duration: Seconds | None = described(
+        "for `simulate`; a finding asks about a record shorter than nine tenths of that",
+        "400 s",
+        None,
+        absent="by revolutions",
+    )
+    revolutions: PositiveRatio | None = described(
+        "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
+    )
+    temperature: Temperatures | None = described(
+        "in this run, for slopes with temperature; or in K. Several count as taken at even times "
+        "from its start to its end",
+        "23.4 degC",
+        None,
+        absent="that of its record",
+        kind="text, list of text",
+    )
+    time: Annotated[float, read_exactly("s")] | None = described(
+        "when the run began, by any clock, for `K_F.trend`",
+        "12 min",
+        None,
+        absent="after the run before",
+    )
+    continued_in: list[RecordFile] = described(
+        "further files in which the record goes on, of the same kind",
+        ["run1-2.csv", "run1-3.csv"],
+        [],
+        absent="none",
+    )
+    pulses: RecordFile | None = described(
+        "file with the column of the times of pulses",
+        "run1-index.csv",
+        None,
+        absent="in the record",
+    )
+    records: dict[str, Any] | None = described(
+        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
+        "`clock` and how the file is written",
+        {"decimal": "."},
+        None,
+        absent="as `[records]`",
+    )
+    skip: bool = described("leaves the run out, and the result says so", True, False)
+    start: Annotated[float, read_exactly("s")] | None = described(
+        "from when the record is used, in its own time", "12 s", None, absent="its first row"
+    )
+    stop: Annotated[float, read_exactly("s")] | None = described(
+        "until when", "390 s", None, absent="its last row"
+    )
+    truth: dict[str, Any] | None = described(
+        "for `simulate`: [what differs in this run](#truth)",
+        {"drift": "2e-6 1/s"},
+        None,
+        absent="that of `[truth]`",
+    )
+
+    _recording: Recording | None = PrivateAttr(None)
+
+    # An attitude is an array, which has no single truth: a run equals itself alone.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    @property
+    def recording(self) -> Recording | None:
+        """How its record is read; None: as the campaign's others."""
+        return self._recording
+
+    @property
+    def part(self) -> tuple[float, float]:
+        """From where to where its record is used, s in its own time."""
+        start = -math.inf if self.start is None else self.start
+        return start, math.inf if self.stop is None else self.stop
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All its files, the record first."""
+        return (self.record, *self.continued_in, *([self.pulses] if self.pulses else []))
 
 
 def taken_runs(runs: Sequence[Any]) -> list[tuple[int, Any]]:
@@ -50,44 +149,63 @@ def _is_skipped(run: Any) -> bool:
 
 
 def resolve_runs(
-    runs: Sequence[tuple[int, Any]], defaults: RunDefaults, problems: Problems
-) -> list[Run]:
-    """Return the runs that have records, and note every mistake in them."""
-    resolved = []
+    runs: Sequence[tuple[int, Any]],
+    folder: Path,
+    records: Mapping[str, Any],
+    turns: float | None,
+    problems: Problems,
+) -> dict[int, Run]:
+    """Return the runs that have records, by their places, and note every mistake in them.
+
+    folder: Of the record files.
+    records: The section [records], as it stands.
+    turns: Revolutions of a run that is simulated; None where nothing is.
+    """
+    resolved: dict[int, Run] = {}
     names: dict[str, int] = {}
-    records: dict[str, int] = {}
+    files: dict[str, int] = {}
     for index, raw in runs:
         path = ("runs", index)
         if isinstance(raw, dict):
             _once(raw.get("name"), names, (*path, "name"), problems)
             for key, file in _files(raw):
-                if isinstance(file, str) and not _is_elsewhere(raw, file, runs, defaults.records):
-                    _once(file, records, (*path, key), problems)
+                if isinstance(file, str) and not _is_elsewhere(raw, file, runs, records):
+                    _once(file, files, (*path, key), problems)
         if is_reading(raw):
             continue
-        settings = problems.check(RunSettings, raw, path)
-        if settings is None:
-            continue
-        _check_files(settings, path, problems)
-        duration = _duration(settings, defaults, path, problems)
-        resolved.append(
-            Run(
-                name=settings.name,
-                rate=settings.rate,
-                record=defaults.folder / settings.record,
-                attitude=settings.attitude,
-                duration=duration,
-                truth=_truth(settings, defaults, path, problems),
-                temperature=settings.temperature,
-                time=settings.time,
-                recording=_own_recording(settings, defaults, path, problems),
-                part=_part(settings, path, problems),
-                continued_in=tuple(defaults.folder / name for name in settings.continued_in),
-                pulses=defaults.folder / settings.pulses if settings.pulses else None,
-            )
-        )
-    _check_clocks(resolved, problems)
+        run = problems.check(Run, raw, path, folder=folder)
+        if run is not None:
+            _check(run, path, problems, simulated=turns is not None)
+            resolved[index] = _completed(run, records, turns, path, problems)
+    _check_clocks(list(resolved.values()), problems)
     return resolved
+
+
+def _check(run: Run, path: KeyPath, problems: Problems, *, simulated: bool) -> None:
+    """Note what contradicts itself in a run."""
+    for place, file in enumerate(run.continued_in):
+        if file.suffix.lower() != run.record.suffix.lower():
+            words = f"must end in {run.record.suffix.lower()}, as the record does"
+            problems.add((*path, "continued_in", place), words)
+    if run.duration is not None and run.revolutions is not None:
+        problems.add((*path, "duration"), "revolutions is given too; keep one")
+    if run.truth is not None and not simulated:
+        problems.add((*path, "truth"), "needs [simulation] or [truth]")
+    start, stop = run.part
+    if not start < stop:
+        problems.add((*path, "stop"), "must come after start")
+
+
+def _completed(
+    run: Run, records: Mapping[str, Any], turns: float | None, path: KeyPath, problems: Problems
+) -> Run:
+    """Return a run with its length, where its revolutions tell it, and how its record is read."""
+    turns = run.revolutions or turns
+    if run.duration is None and turns is not None:
+        run = run.model_copy(update={"duration": turns * 2.0 * math.pi / abs(run.rate)})
+    if run.records is not None:
+        run._recording = _own_recording(run.records, records, (*path, "records"), problems)
+    return run
 
 
 def _files(raw: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -95,14 +213,6 @@ def _files(raw: Mapping[str, Any]) -> list[tuple[str, Any]]:
     more = raw.get("continued_in")
     names = [("continued_in", name) for name in (more if isinstance(more, list) else [])]
     return [("record", raw.get("record")), *names, ("pulses", raw.get("pulses"))]
-
-
-def _check_files(settings: RunSettings, path: KeyPath, problems: Problems) -> None:
-    ending = Path(settings.record).suffix.lower()
-    for place, name in enumerate(settings.continued_in):
-        if Path(name).suffix.lower() != ending:
-            words = f"must end in {ending}, as the record does"
-            problems.add((*path, "continued_in", place), words)
 
 
 def _is_elsewhere(
@@ -155,52 +265,38 @@ def _once(value: Any, seen: dict[str, int], path: KeyPath, problems: Problems) -
         problems.add(path, f'"{value}" is already used by runs[{seen[value]}]')
 
 
-def _duration(
-    settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
-) -> float | None:
-    duration: float | None = settings.duration
-    if duration is not None and settings.revolutions is not None:
-        problems.add((*path, "duration"), "revolutions is given too; keep one")
-    simulated = defaults.revolutions if defaults.truth is not None else None
-    turns = settings.revolutions or simulated
-    if duration is None and turns is not None:
-        duration = turns * 2.0 * math.pi / abs(settings.rate)
-    return duration
-
-
-def _truth(
-    settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
-) -> RunTruth | None:
-    if defaults.truth is not None:
-        return defaults.truth.of_run(settings.rate, settings.truth or {}, (*path, "truth"))
-    if settings.truth is not None:
-        problems.add((*path, "truth"), "needs [simulation] or [truth]")
-    return None
-
-
 def _own_recording(
-    settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
+    own: Mapping[str, Any], common: Mapping[str, Any], path: KeyPath, problems: Problems
 ) -> Recording | None:
-    """Return how a run's record is read, where that differs from the others."""
-    if settings.records is None:
-        return None
-    path = (*path, "records")
-    for key in settings.records:
+    """Return how a run's record is read, where that differs from the others.
+
+    own, common: The run's `records`, and the section.
+    """
+    for key in own:
         if key not in _OWN:
             problems.add((*path, key), f"cannot be set for one run; known: {', '.join(_OWN)}")
-    if "angle" in settings.records and "angle" not in defaults.records:
+    if "angle" in own and "angle" not in common:
         problems.add((*path, "angle"), "state an angle in [records], for all runs")
-    own = problems.check(RecordsSettings, patched(defaults.records, settings.records), path)
-    if own is None:
+    settings = problems.check(RecordsSettings, patched(common, own), path)
+    if settings is None:
         return None
-    recording = own.recording
-    if recording.recorder == (defaults.records.get("recorder") or ""):
-        if "clock" in settings.records:
+    recording = settings.recording
+    if recording.recorder == (common.get("recorder") or ""):
+        if "clock" in own:
             problems.add(
                 (*path, "clock"), 'name the recorder to which it belongs, as in recorder = "B"'
             )
         return replace(recording, recorder="")
     return recording
+
+
+def recorders_of(records: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, str]:
+    """Return name -> what the runs call it, of each recorder: nothing where it is that of them all.
+
+    records: The section [records], as it stands.
+    """
+    own = {run.recording.recorder for run in runs if run.recording} - {""}
+    return {str(records.get("recorder", "")): "", **{name: name for name in sorted(own)}}
 
 
 def _check_clocks(runs: Sequence[Run], problems: Problems) -> None:
@@ -216,12 +312,3 @@ def _check_clocks(runs: Sequence[Run], problems: Problems) -> None:
                     f'"{first}" and "{run.name}" state two clocks of the recorder '
                     f'"{run.recording.recorder}"; state one',
                 )
-
-
-def _part(settings: RunSettings, path: KeyPath, problems: Problems) -> tuple[float, float]:
-    """Return from where to where a record is used."""
-    start = -math.inf if settings.start is None else settings.start
-    stop = math.inf if settings.stop is None else settings.stop
-    if not start < stop:
-        problems.add((*path, "stop"), "must come after start")
-    return start, stop

@@ -21,19 +21,15 @@ from pydantic import (
     create_model,
 )
 
-from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.columns import DisplacementChannel, ForceChannel, VelocityChannel
 from counterspin.campaign.kinds import (
-    Attitude,
     DateOrText,
     Direction,
     PositiveRatio,
     Schema,
-    Seconds,
     SettingsSection,
     Several,
     Temperature,
-    Temperatures,
     Text,
     a_latitude,
     an_error,
@@ -45,11 +41,9 @@ from counterspin.campaign.kinds import (
     positive,
     read_exactly,
     record_file,
-    turning,
 )
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.terms import TERMS, Term
-from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import check_unit, unit_factor
 
 #: What an accelerometer's record may hold -> its SI unit.
@@ -184,7 +178,7 @@ class FixtureSettings(SettingsSection):
 
 
 class AxesSettings(SettingsSection):
-    """The axes of an accelerometer; checked by themselves too, whatever else is wrong."""
+    """The axes of an accelerometer."""
 
     input_axis: Direction = described(
         "the sensitive axis, on the level platform", "east", kind="direction"
@@ -332,9 +326,11 @@ def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
     return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
 
 
-#: [accelerometers.NAME]: its axes, its column and, by term symbol, the priors.
 AccelerometerSettings = create_model(
-    "AccelerometerSettings", __base__=_AccelerometerKeys, **term_keys(TERMS, known)
+    "AccelerometerSettings",
+    __base__=_AccelerometerKeys,
+    __doc__="[accelerometers.NAME]: its axes, its column and, by term, what is known of it.",
+    **term_keys(TERMS, known),
 )
 
 
@@ -399,7 +395,7 @@ class NoiseSettings(StatedNoise):
 
 
 class ModelSettings(SettingsSection):
-    """[model]; names and values are resolved in `terms`."""
+    """[model]: what is asked for, and what is known of terms."""
 
     terms: list[Text] | None = described(
         "what is asked for: the rows of the result",
@@ -462,80 +458,4 @@ class SimulationSettings(SettingsSection):
     revolutions: PositiveRatio = described("of each run", 40, 100.0)
     poses: Annotated[int, Field(ge=1, le=10_000)] = described(
         "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
-    )
-
-
-class RunSettings(SettingsSection):
-    """[[runs]]: one run."""
-
-    name: Text = described("unique", "run1")
-    rate: Annotated[float, read_exactly("rad/s"), AfterValidator(turning)] = described(
-        "nominal rate; negative is the other sense", "0.25 rev/s"
-    )
-    record: Annotated[Text, AfterValidator(record_file)] = described(
-        f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}",
-        "run1.csv",
-    )
-    attitude: Attitude = described(
-        "of the platform in this run",
-        "90 deg about east",
-        absent="level",
-        kind="attitude",
-        default_factory=lambda: attitude_rows("level"),
-    )
-    duration: Seconds | None = described(
-        "for `simulate`; a finding asks about a record shorter than nine tenths of that",
-        "400 s",
-        None,
-        absent="by revolutions",
-    )
-    revolutions: PositiveRatio | None = described(
-        "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
-    )
-    temperature: Temperatures | None = described(
-        "in this run, for slopes with temperature; or in K. Several count as taken at even times "
-        "from its start to its end",
-        "23.4 degC",
-        None,
-        absent="that of its record",
-        kind="text, list of text",
-    )
-    time: Annotated[float, read_exactly("s")] | None = described(
-        "when the run began, by any clock, for `K_F.trend`",
-        "12 min",
-        None,
-        absent="after the run before",
-    )
-    continued_in: list[Annotated[Text, AfterValidator(record_file)]] = described(
-        "further files in which the record goes on, of the same kind",
-        ["run1-2.csv", "run1-3.csv"],
-        [],
-        absent="none",
-    )
-    pulses: Annotated[Text, AfterValidator(record_file)] | None = described(
-        "file with the column of the times of pulses",
-        "run1-index.csv",
-        None,
-        absent="in the record",
-    )
-    records: dict[str, Any] | None = described(
-        "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
-        "`clock` and "
-        "how the file is written",
-        {"decimal": "."},
-        None,
-        absent="as `[records]`",
-    )
-    skip: bool = described("leaves the run out, and the result says so", True, False)
-    start: Annotated[float, read_exactly("s")] | None = described(
-        "from when the record is used, in its own time", "12 s", None, absent="its first row"
-    )
-    stop: Annotated[float, read_exactly("s")] | None = described(
-        "until when", "390 s", None, absent="its last row"
-    )
-    truth: dict[str, Any] | None = described(
-        "for `simulate`: [what differs in this run](#truth)",
-        {"drift": "2e-6 1/s"},
-        None,
-        absent="that of `[truth]`",
     )

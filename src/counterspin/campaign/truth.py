@@ -26,6 +26,7 @@ from counterspin.campaign.model import less_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation
+from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import (
     CentrifugeSettings,
     Output,
@@ -70,7 +71,7 @@ _STRETCH: Final = "centrifuge.stretch"
 
 
 class RippleSettings(SettingsSection):
-    """One entry of ``ripple``: a periodic fluctuation, by ratio w_n/w0 or by amplitude."""
+    """``ripple``: a periodic fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
 
     harmonic: Annotated[int, AfterValidator(positive)] = described("times a revolution", 2, 1)
     ratio: Ratio | None = described("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
@@ -157,10 +158,10 @@ EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
 
 _TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
 
-#: ``truth`` of one run: what differs from [truth.spindle], and the run's own tilt.
 RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
+    __doc__="``truth``: what differs from [truth.spindle] in one run, and its own tilt.",
     tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
 )
 
@@ -178,10 +179,10 @@ class _AccelerometerTruthKeys(SettingsSection):
     )
 
 
-#: [truth.NAME]: the true coefficients of one accelerometer.
 AccelerometerTruthSettings = create_model(
     "AccelerometerTruthSettings",
     __base__=_AccelerometerTruthKeys,
+    __doc__="[truth.NAME]: the true coefficients of one accelerometer.",
     **term_keys(OWN_TERMS, coefficient),
 )
 
@@ -244,14 +245,13 @@ class TruthReader:
         stretch = self.problems.attempt(path, exact, text, term(_STRETCH).unit)
         self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
 
-    def of_run(self, rate: float, raw: Any, path: Path) -> RunTruth | None:
+    def _of_run(self, run: Run, path: Path) -> RunTruth | None:
         """Return the true spindle and machine of one run; its own values take precedence.
 
-        rate: The run's nominal rate, rad/s.
-        raw, path: Its `truth` as read, and where that is.
+        path: Where its `truth` is.
         """
         common = self.tables["spindle"]
-        own: Any = self.problems.check(RunTruthSettings, raw, path)
+        own: Any = self.problems.check(RunTruthSettings, run.truth or {}, path)
         shared = {family: self.tables[family] for family in _SHARED_TABLES}
         if common is None or None in shared.values() or own is None:
             return None
@@ -260,7 +260,7 @@ class TruthReader:
             values = (getattr(own, key), getattr(common, key), default)
             return next(value for value in values if value is not None)
 
-        true_rate = rate * (1.0 + first("rate_error", 0.0))
+        true_rate = run.rate * (1.0 + first("rate_error", 0.0))
         ripple_path: Path = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
         ripples = tuple(
             _ripple(entry, true_rate, ripple_path, self.problems) for entry in first("ripple", ())
@@ -281,6 +281,7 @@ class TruthReader:
         settings: SimulationSettings,
         outputs: Mapping[str, Output | None],
         noise: StatedNoise | None,
+        runs: Mapping[int, Run],
         readings: Sequence[Reading],
         centrifuge: CentrifugeSettings | None,
         recorders: Mapping[str, str],
@@ -289,6 +290,7 @@ class TruthReader:
 
         outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
             ``mA/g``.
+        runs: By their places in the description.
         centrifuge: The machine; a true radius may be given as such.
         recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
         """
@@ -298,11 +300,13 @@ class TruthReader:
             self.problems.add(("truth", name), said)
         own = {name: self._accelerometer(name, output) for name, output in outputs.items()}
         tables = {name: table for name, (table, _) in own.items() if table is not None}
+        turned = {r.name: self._of_run(r, ("runs", place, "truth")) for place, r in runs.items()}
         truth = SimulatedTruth(
             coefficients={name: own[name][1] for name in tables},
             start_offset={name: table.start_offset for name, table in tables.items()},
             start_velocity={name: table.start_velocity for name, table in tables.items()},
             noise=((self.tables["noise"] if "noise" in self.raw else noise) or StatedNoise()),
+            runs={name: of_run for name, of_run in turned.items() if of_run is not None},
             inputs=true_inputs(self.tables, recorders, self.problems),
             machine=self._of_machine(readings, centrifuge),
             reading_noise=self._of_readings(outputs),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, PlainValidator
@@ -17,7 +17,6 @@ from counterspin.campaign.kinds import (
     positive,
     read_exactly,
 )
-from counterspin.campaign.resolved import Run
 from counterspin.inference.joint.inputs import CLOCK
 
 #: Of all recorders, and the largest error of a clock.
@@ -73,22 +72,13 @@ class RecordsTruthSettings(SettingsSection):
     )
 
 
-def recorders_of(records: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, str]:
-    """Return name -> what the runs call it, of each recorder: nothing where it is that of them all.
-
-    records: The section [records], as it stands.
-    """
-    own = {run.recording.recorder for run in runs if run.recording} - {""}
-    return {str(records.get("recorder", "")): "", **{name: name for name in sorted(own)}}
-
-
 def true_inputs(
     tables: Mapping[str, Any], recorders: Mapping[str, str], problems: Problems
 ) -> dict[tuple[str, str], float]:
     """Return by recorder (of a clock; else empty) and symbol the inputs that [truth] states, SI.
 
     tables: Those of [truth], None where they have mistakes.
-    recorders: As `recorders_of` returns them.
+    recorders: As `counterspin.campaign.runs.recorders_of` returns them.
     """
     site, records, centrifuge = (tables[name] for name in ("site", "records", "centrifuge"))
     stated = {

@@ -147,7 +147,7 @@ class CertificateSettings(SettingsSection):
 
 
 class Contact(SettingsSection):
-    """A name and address."""
+    """[customer]: a name and an address."""
 
     name: Words = described("of the organisation", "Example Calibration Ltd")
     street: Words | None = described("of the address", "Main Street", None)

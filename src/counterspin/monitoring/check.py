@@ -9,7 +9,7 @@ from pathlib import Path
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.resolved import Run
+from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
@@ -222,7 +222,9 @@ def _expected(
     if judged.observed is not None and judged.fit is not None:
         seconds = float(judged.observed.record.time[-1])
         rate = 1.0 / judged.observed.record.report.step
-        runs = (replace(r, duration=seconds if r is run else r.duration) for r in campaign.runs)
+        runs = (
+            r.model_copy(update={"duration": seconds}) if r is run else r for r in campaign.runs
+        )
         noise = noise_of_fit(judged.fit.estimate.fit)
         whole = as_recorded(replace(campaign, runs=tuple(runs)), [judged.observed], noise)
     unknown = [r.name for r in whole.runs if r.duration is None]

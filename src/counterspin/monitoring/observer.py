@@ -18,7 +18,7 @@ from counterspin.calibration.observed import (
 from counterspin.calibration.posed.found_poses import FoundPose, columns_of_poses, found_in
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.resolved import Run
+from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity

@@ -139,7 +139,7 @@ def _helpful(search: Search, missing: list[str]) -> str | None:
     for words in _ATTITUDES_TRIED:
         if words in plan.attitudes:
             continue
-        added = replace(run, name=words, attitude=attitude_rows(words))
+        added = run.model_copy(update={"name": words, "attitude": attitude_rows(words)})
         campaign = replace(plan.stand_in, runs=(*plan.stand_in.runs, added))
         turns = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
         predictor = Predictor(

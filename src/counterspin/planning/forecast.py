@@ -19,7 +19,8 @@ from counterspin.calibration.model import model_of
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.noise_at_rest import said_noise, true_noise
-from counterspin.campaign.resolved import Run, sample_count
+from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.grouped import all_groups
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -258,11 +259,12 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
 
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
     """Return what is expected of unknowns, less nominal: the truth, else the prior, else none."""
-    truth = campaign.simulation.truth.coefficients if campaign.simulation else {}
-    platform = {run.name: run.truth.shared for run in campaign.runs if run.truth is not None}
+    truth = campaign.simulation.truth if campaign.simulation else None
+    coefficients = truth.coefficients if truth else {}
+    platform = {name: of_run.shared for name, of_run in truth.runs.items()} if truth else {}
     values = []
     for unknown in unknowns:
-        known = truth.get(unknown.owner, {}).get(unknown.symbol)
+        known = coefficients.get(unknown.owner, {}).get(unknown.symbol)
         if unknown.symbol not in OWN_TERMS and platform:
             of_run = platform.get(unknown.owner) or next(iter(platform.values()))
             known = of_run.get(unknown.symbol)
@@ -291,7 +293,9 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
         priors, and nothing changes from run to run, which is a bound for any estimator.
     """
     reference = campaign.reference_temperature or 0.0
-    warm = tuple(replace(run, temperature=(reference + 1.0,)) for run in campaign.runs)
+    warm = tuple(
+        run.model_copy(update={"temperature": (reference + 1.0,)}) for run in campaign.runs
+    )
     model = model_of(replace(campaign, reference_temperature=reference, runs=warm))
     # By how much it becomes warmer is assumed, as where nobody takes it: a slope is all it has.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])

@@ -231,8 +231,11 @@ def check(
     lacking = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:
         lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}
-        runs = (replace(r, duration=lengths.get(r.name, r.duration)) for r in campaign.runs)
-        campaign = replace(campaign, runs=tuple(runs))
+        runs = tuple(
+            r.model_copy(update={"duration": lengths.get(r.name, r.duration)})
+            for r in campaign.runs
+        )
+        campaign = replace(campaign, runs=runs)
     rates: float | Mapping[str, float] | None = sampling_rate
     if revolutions is None and lacks(campaign, sampling_rate):
         campaign, recorded = from_records(campaign)

@@ -219,7 +219,7 @@ class StationsSettings(SettingsSection):
 
 
 class ReadingLimitsSettings(SettingsSection):
-    """[limits] of a plan of readings."""
+    """[limits]: how many readings there may be, and in which order."""
 
     readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = described(
         "most of them", 60, None, absent="as the time"
@@ -242,7 +242,7 @@ class ReadingLimitsSettings(SettingsSection):
 
 
 class GoalSettings(SettingsSection):
-    """[goal]: what the plan is for; names and sizes are settled in `plan_file`."""
+    """[goal]: what the plan is for."""
 
     minimise: list[Text] | dict[str, Any] | None = described(
         'coefficients, as `["K_II"]`; of several in different units the sizes of u '

@@ -47,13 +47,13 @@ def simulation_problems(campaign: Campaign) -> list[str]:
             limit = campaign.limit_of(symbol, name)
             problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limit)
     for index, run in enumerate(campaign.runs):
-        if run.truth is None:
+        if (of_run := truth.runs.get(run.name)) is None:
             continue
         place = f'truth of runs[{index}] ("{run.name}")'
-        for symbol, value in run.truth.shared.items():
+        for symbol, value in of_run.shared.items():
             limit = campaign.limit_of(symbol)
             problems += _incredible(f"{place}, {symbol}", symbol, value, limit)
-        problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
+        problems += [f"{place}: {words}" for words in _unsteady(of_run.spindle, run.duration)]
     return problems
 
 

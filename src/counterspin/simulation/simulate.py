@@ -23,10 +23,10 @@ from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
     Accelerometer,
-    Run,
     SimulatedTruth,
     sample_count,
 )
+from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError
@@ -346,12 +346,13 @@ def simulate_run(
     Returns: column name -> values, shape (n,): time, angle (if the campaign has one), and one
         column for each accelerometer.
     """
-    if campaign.simulation is None or run.truth is None or run.duration is None:
+    if campaign.simulation is None or run.duration is None:
         raise ValueError("this campaign does not state what to simulate")
+    of_run = campaign.simulation.truth.runs[run.name]
     rate = campaign.simulation.sampling_rate
     true, recording = with_true_inputs(campaign), campaign.recording_of(run)
     trajectory = Trajectory(
-        run.truth.spindle,
+        of_run.spindle,
         true.radius.value,
         true.site,
         conditions=conditions_of(campaign)[run.name],
@@ -362,8 +363,8 @@ def simulate_run(
     columns = {recording.time.name: stamps / recording.time.factor}
     if recording.angle is not None:
         late = true.timing_offset.value if true.timing_offset else 0.0
-        angle = run.truth.spindle.angle(times + late)
-        angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
+        angle = of_run.spindle.angle(times + late)
+        angle = _noisy(generator, angle + encoder_error(of_run.shared, angle), noise.angle)
         columns[recording.angle.name] = recording.angle.filed(angle)
     columns |= _warm(recording.temperature, run.temperature, times)
     indicated = _indicated(true, run, trajectory, times)
@@ -390,8 +391,8 @@ def _indicated(
 ) -> dict[str, Array]:
     """Return what the navigation computer makes along each input axis, without noise."""
     assert campaign.simulation is not None
-    assert run.truth is not None
-    truth, shared = campaign.simulation.truth, run.truth.shared
+    truth = campaign.simulation.truth
+    shared = truth.runs[run.name].shared
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
         signal = simulation.recorded(

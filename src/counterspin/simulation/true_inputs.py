@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import Run
+from counterspin.campaign.runs import Run
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.linear_readings import Readings, with_input
 from counterspin.records.record import ColumnSpec

@@ -24,6 +24,7 @@ from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.kinds import SettingsSection, Several, Text, described, exact
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
+from counterspin.campaign.runs import recorders_of
 from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -31,7 +32,6 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_document,
 )
-from counterspin.campaign.truth_of_inputs import recorders_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.inputs import CLOCK
@@ -56,10 +56,7 @@ def _analysis_name(analysis: str) -> str:
 
 
 class StudySettings(SettingsSection):
-    """[study]: what varies from trial to trial, and which analyses compete.
-
-    `vary` and `analyses` are settled below.
-    """
+    """[study]: what varies from trial to trial, and which analyses compete."""
 
     trials: Annotated[int, Field(ge=2, le=10**9)] = described(
         "how many campaigns are simulated and calibrated", 2000, 10_000
@@ -117,7 +114,7 @@ class AnalysisSettings(SettingsSection):
 
 
 class DistributionSettings(SettingsSection):
-    """One entry of [study.vary]."""
+    """[study.vary.NAME]: how one quantity varies."""
 
     normal: Any = described(
         "mean ± standard deviation of a normal distribution",
@@ -240,7 +237,7 @@ def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[Va
     there = {(quantity.owner, quantity.symbol) for quantity in varying}
     there |= {(name, symbol) for name, own in truth.coefficients.items() for symbol in own}
     there |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
-    there |= {("", symbol) for run in campaign.runs if run.truth for symbol in run.truth.shared}
+    there |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
     stated = inputs_by_owner(campaign)
     model = model_of(campaign)
     for other in (*model.unknowns, *model.considered):

@@ -169,7 +169,7 @@ class StudyTruth:
             for name, coefficients in campaign.simulation.truth.coefficients.items()
             for symbol, value in coefficients.items()
         }
-        platforms = [run.truth.shared for run in campaign.runs if run.truth]
+        platforms = [run.shared for run in campaign.simulation.truth.runs.values()]
         for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
             fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
         stated = {key: known.value for key, known in inputs_by_owner(campaign).items()}
@@ -180,7 +180,7 @@ class StudyTruth:
             inputs.pop((quantity.owner, quantity.symbol), None)
         return cls(
             fixed=fixed,
-            spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
+            spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
             stated=stated,
             inputs=inputs,
             white=float(true_noise(campaign).displacement),

@@ -140,7 +140,7 @@ def world_of(campaign: Campaign) -> World:
     noise = true_noise(campaign)
     return World(
         runs=tuple(run.name for run in campaign.runs),
-        spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
+        spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
         attitudes=tuple(run.attitude for run in campaign.runs),
         durations=tuple(run.duration for run in campaign.runs if run.duration),
         mountings={name: a.mounting for name, a in campaign.accelerometers.items()},

@@ -335,6 +335,22 @@ def test_mistakes_are_told_by_their_key(changes, text, message, written):
         plan(written(text, *changes))
 
 
+@pytest.mark.parametrize(
+    ("triad", "message"),
+    [
+        ("3", "must be a list"),
+        ('["X", "Y", ["Z"]]', "must be text"),
+        ('["X"]', "at least 3 entries"),
+    ],
+)
+def test_a_triad_that_is_none_is_a_mistake(tmp_path, triad, message):
+    file = tmp_path / "plan.toml"
+    text = _poses(9, '["X.K_F"]').replace('["X", "Y", "Z"]', triad)
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError, match=rf"triad\.accelerometers.*: {message}"):
+        plan(file)
+
+
 def test_k_ii_at_one_g_is_not_determined(written):
     quadratic = ('terms = ["K_F", "K_I", "delta_O"]', 'terms = ["K_F", "K_I", "K_II"]')
     goal = (SOUGHT, 'minimise = ["K_II"]')

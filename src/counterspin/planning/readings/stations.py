@@ -21,6 +21,7 @@ from counterspin.campaign.columns import BLANK
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.toml_file import list_of, table_of
+from counterspin.campaign.triads.declared import TriadSettings
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -178,12 +179,14 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     document = {k: v for k, v in raw.items() if k not in apart}
     taken = list_of(raw, "runs")
     names = list(table_of(raw, "accelerometers"))
+    triad = problems.check(TriadSettings, raw["triad"], ("triad",)) if "triad" in raw else None
     possible: list[PossibleReading] = []
     for index, entry in enumerate(list_of(raw, "stations")):
         path_of_entry = ("stations", index)
         settings = problems.check(StationsSettings, entry, path_of_entry)
         if settings is not None:
-            possible += _possible(settings, entry, names, raw, path_of_entry, problems)
+            read = triad.accelerometers if triad and settings.attitude else names
+            possible += _possible(settings, entry, read, raw, path_of_entry, problems)
     seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
     for reading in possible:
         if reading.name in seen:
@@ -263,8 +266,6 @@ def _possible(
     problems: Problems,
 ) -> list[PossibleReading]:
     """Return the readings that an entry of [[stations]] stands for."""
-    if settings.attitude is not None:
-        names = table_of(raw, "triad").get("accelerometers") or names
     sizes = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
     values = {name: f"{BLANK} ± {u}" for name, u in sizes.items()}
     shared: dict[str, Any] = {"motion": settings.motion}
@@ -284,7 +285,9 @@ def _possible(
         if not static or settings.positions is not None or settings.attitudes is not None:
             problems.add((*path, "attitude"), "is for poses at rest: no rate, no position")
         if len(problems.lines) == before:
-            return _poses(settings, {**shared, "reading": reading}, raw, path, problems)
+            if "triad" in raw:
+                return _poses(settings, {**shared, "reading": reading}, names, path, problems)
+            problems.add((*path, "attitude"), 'is "unknown", which needs [triad]')
         return []
     if len(problems.lines) > before:
         return []
@@ -306,15 +309,11 @@ def _possible(
 def _poses(
     settings: StationsSettings,
     shared: Mapping[str, Any],
-    raw: Mapping[str, Any],
+    names: Sequence[str],
     path: KeyPath,
     problems: Problems,
 ) -> list[PossibleReading]:
-    """Return the poses that an entry of [[stations]] stands for."""
-    names = table_of(raw, "triad").get("accelerometers")
-    if not isinstance(names, list):
-        problems.add((*path, "attitude"), 'is "unknown", which needs [triad]')
-        return []
+    """Return the poses that an entry of [[stations]] stands for; `names` are those of its triad."""
     ups = every_up(names)
     if settings.up is not None:
         read = [

@@ -66,7 +66,9 @@ def as_recorded(
     noise: By accelerometer, as it was found; the largest counts, since a description has one.
     """
     seconds = {one.run.name: float(one.record.time[-1]) for one in observed}
-    runs = (replace(r, duration=seconds.get(r.name, r.duration)) for r in campaign.runs)
+    runs = tuple(
+        r.model_copy(update={"duration": seconds.get(r.name, r.duration)}) for r in campaign.runs
+    )
     found: dict[str, float] = {}
     for name, one in noise.items():
         sizes = {
@@ -82,7 +84,7 @@ def as_recorded(
     sizes = {key: found.get(key, 0.0) for key in _to_be_found(campaign)}
     if not stated.angle and angles:
         sizes["angle"] = max(angles)
-    return replace(campaign, runs=tuple(runs), noise=stated.model_copy(update=sizes))
+    return replace(campaign, runs=runs, noise=stated.model_copy(update=sizes))
 
 
 def _to_be_found(campaign: Campaign) -> set[str]:

@@ -12,7 +12,7 @@ from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.memory.source import source_of
-from counterspin.campaign.resolved import Run
+from counterspin.campaign.runs import Run
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Noise
