@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from itertools import zip_longest
 from typing import Final
 
 from counterspin._version import __version__
@@ -79,20 +80,26 @@ class CampaignError(CounterspinError):
         The file, as the user named it.
     problems
         One line per mistake, each beginning with the path of its key.
+    lines
+        Where each stands in the source, from 1, as far as that is known.
     """
 
     exit_status = 2
 
-    def __init__(self, source: str, problems: Iterable[str]) -> None:
+    def __init__(
+        self, source: str, problems: Iterable[str], lines: Iterable[int | None] = ()
+    ) -> None:
         self.source = source
         # A line end in a name that a file gave begins no further line.
         self.problems = tuple(problem.replace("\n", r"\n") for problem in problems)
-        if len(self.problems) == 1:
-            text = f"{source}: {self.problems[0]}"
+        told = [
+            problem if line is None else f"line {line}: {problem}"
+            for problem, line in zip_longest(self.problems, lines)
+        ]
+        if len(told) == 1:
+            text = f"{source}: {told[0]}"
         else:
-            text = f"{source}: {len(self.problems)} mistakes\n" + "\n".join(
-                f"  {problem}" for problem in self.problems
-            )
+            text = f"{source}: {len(told)} mistakes\n" + "\n".join(f"  {one}" for one in told)
         super().__init__(text)
 
 

@@ -8,6 +8,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `columns`: columns of files, and how these are read
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
+- `lines`: in which lines of a file its keys stand, for messages
 - `terms`: names of error terms: what each stands for, and where it acts
 - `model`: what is asked for, held and known of terms
 - `truth`, `truth_of_inputs`: the true values of a simulated campaign; a calibration does not read

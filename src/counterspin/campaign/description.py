@@ -40,6 +40,7 @@ from counterspin.campaign.toml_file import (
     description_file,
     list_of,
     load_with_checksum,
+    mistakes,
     table_of,
 )
 from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
@@ -306,7 +307,7 @@ def read_campaign(path: Path | str) -> Campaign:
     problems = Problems(raw)
     campaign = resolve_campaign(raw, file, problems)
     if campaign is None:
-        raise CampaignError(str(file), problems.lines)
+        raise mistakes(file, problems.lines)
     return keep(campaign, Source(raw, campaign.path, checksum, raw))
 
 

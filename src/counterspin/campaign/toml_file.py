@@ -6,10 +6,11 @@ import hashlib
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from counterspin.campaign.lines import lines_of_messages
 from counterspin.errors import CampaignError
 from counterspin.input import looks_like, read_file
 
@@ -123,6 +124,11 @@ def _kind_of(document: Mapping[str, Any]) -> Kind | None:
     if "laboratory" in document and "customer" in document:
         said.add("laboratory")
     return said.pop() if len(said) == 1 else None
+
+
+def mistakes(file: Path, problems: Sequence[str]) -> CampaignError:
+    """Return the error that says what is wrong in a file, each with its line."""
+    return CampaignError(str(file), problems, lines_of_messages(problems, file))
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:

@@ -22,10 +22,10 @@ from counterspin.campaign.kinds import SettingsSection, described
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.toml_file import flat_keys, list_of, load_document, table_of
+from counterspin.campaign.toml_file import flat_keys, list_of, load_document, mistakes, table_of
 from counterspin.certificates.elements import clean
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CounterspinError
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 
@@ -316,7 +316,7 @@ def read_lab(
             gravity=result.inputs.gravity,
         )
     if lab is None or problems.lines:
-        raise CampaignError(source, problems.lines)
+        raise mistakes(Path(source), problems.lines)
     return lab, specifications
 
 

@@ -21,7 +21,7 @@ from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.noise_at_rest import SI_UNITS, with_sizes_found
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
-from counterspin.campaign.toml_file import list_of, load_document, table_of
+from counterspin.campaign.toml_file import list_of, load_document, mistakes, table_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
@@ -138,7 +138,7 @@ def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
     document = _campaign_document(raw, settings)
     document["noise"] = _sizes(table_of(document, "noise"), problems)
     if _refuse_dated(document, problems):
-        raise CampaignError(str(file), problems.lines)
+        raise mistakes(file, problems.lines)
     stand_ins = [
         {"name": name, "rate": "1 rad/s", "record": f"run{i}.csv", "attitude": attitude}
         for i, (name, attitude) in enumerate(attitudes.items())
@@ -163,7 +163,7 @@ def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
                 sought,
             )
     if problems.lines or plan is None:
-        raise CampaignError(str(file), problems.lines)
+        raise mistakes(file, problems.lines)
     return plan
 
 

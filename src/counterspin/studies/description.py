@@ -31,8 +31,8 @@ from counterspin.campaign.toml_file import (
     DESCRIPTION_NAME,
     description_file,
     load_document,
+    mistakes,
 )
-from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
@@ -189,7 +189,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     section = raw.get("study", {})
     settings = problems.check(StudySettings, section, ("study",))
     if campaign is None or settings is None:
-        raise CampaignError(str(file), problems.lines)
+        raise mistakes(file, problems.lines)
     if campaign.simulation is None:
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
     else:
@@ -220,7 +220,7 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         if analysis is not None:
             analyses.append(analysis)
     if problems.lines:
-        raise CampaignError(str(file), problems.lines)
+        raise mistakes(file, problems.lines)
     varying += _known(campaign, varying)
     return StudyDescription(
         campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)

@@ -20,10 +20,9 @@ from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import BLANK
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.toml_file import list_of, table_of
+from counterspin.campaign.toml_file import list_of, mistakes, table_of
 from counterspin.campaign.triads.declared import TriadSettings
 from counterspin.campaign.triads.grouped import one_group
-from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.planning.plan_file import (
@@ -219,7 +218,7 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
         problems.add(("limits", "sampling_rate"), "is missing: that of the records in [[runs]]")
     if problems.lines or campaign is None or sought is None or limits is None:
-        raise CampaignError(str(file), problems.lines or ["stations: there are none"])
+        raise mistakes(file, problems.lines or ["stations: there are none"])
     return ReadingPlan(
         file.absolute(),
         document,
