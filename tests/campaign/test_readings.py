@@ -49,6 +49,22 @@ def test_an_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
     assert campaign.accelerometers["A"].priors["K_I"].value == pytest.approx(1.01, rel=1e-15)
 
 
+def test_a_mistake_in_an_accelerometer_makes_none_of_its_readings(tmp_path):
+    wrong = HEAD.replace('input_axis = "up"', 'input_axis = "upp"')
+    assert wrong != HEAD
+    (told,) = problems(tmp_path, wrong + RUN)
+    assert told.startswith("accelerometers.A.input_axis: unknown direction")
+    unknown = HEAD.replace('sensitivity = "1.25 mA/g"', 'sensitivty = "1.25 mA/g"')
+    told = problems(tmp_path, unknown + RUN)
+    assert all(one.startswith("accelerometers.A.output.") for one in told)
+    # What its output is in holds whatever else is wrong: the reading's own mistake is told too.
+    both = problems(tmp_path, wrong + RUN.replace("1.082532 ± 2e-6 mA", "1.08 V"))
+    assert (
+        both[1]
+        == "runs[0].reading: 'V' is not a unit of quantity in mA; use mA (run \"tumble 30\")"
+    )
+
+
 def test_an_output_that_is_not_zero_where_nothing_is_felt(tmp_path):
     """A loop of 4 mA to 20 mA: reading less zero, over the sensitivity."""
     head = HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 mA" }')

@@ -8,6 +8,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+from pydantic import ValidationError
+
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import RecordsSettings, spec_of
 from counterspin.campaign.model import about_nominal
@@ -18,6 +20,7 @@ from counterspin.campaign.settings import (
     OBSERVABLES,
     AccelerometerSettings,
     AxesSettings,
+    Output,
     StatedNoise,
 )
 from counterspin.campaign.truth import TRUTH_TABLES
@@ -103,6 +106,19 @@ class AccelerometersReader:
             if mounting is not None:
                 mountings[name] = mounting
         return mountings
+
+    def outputs(self) -> dict[str, Output | None]:
+        """Return what readings are in (None: g), of the accelerometers that say it rightly.
+
+        That is known even where something else of an accelerometer is wrong.
+        """
+        outputs: dict[str, Output | None] = {}
+        for name, table in self.raw.items():
+            with suppress(ValidationError):
+                if isinstance(table, dict):
+                    said = table.get("output")
+                    outputs[name] = None if said is None else Output.model_validate(said)
+        return outputs
 
     def check_names(self) -> None:
         """Note names that [truth] could not tell from its other tables, or TOML would quote."""

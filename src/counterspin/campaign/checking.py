@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -25,7 +26,15 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "too_short": "must have at least one entry",
     "literal_error": "this version of counterspin reads schema = 1",
     "finite_number": "must be a finite number",
+    "float_type": "must be a number",
+    "bool_type": "must be true or false",
+    "date_type": "must be a date, such as 2026-03-02",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than_equal": "must be at most {le}",
 }
+
+#: How pydantic names the one of several types as which a value was read, in a mistake's place.
+_ONE_OF_SEVERAL: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict)\[.*\]")
 
 
 def key_path(path: Path) -> str:
@@ -46,6 +55,8 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     folded = {name.lower(): name for name in names}
     from difflib import get_close_matches  # needed only where a file is wrong
 
+    if not names:
+        return ""
     near = get_close_matches(word.lower(), folded, n=1)
     hint = f'; did you mean "{folded[near[0]]}"?' if near else ""
     return f"{hint}; known: {', '.join(names)}" if not near else hint
@@ -86,8 +97,7 @@ class Problems:
         try:
             return model.model_validate(raw, context=context)
         except ValidationError as error:
-            for mistake in error.errors(include_url=False):
-                loc = mistake["loc"]
+            for loc, mistake in _told_once(error.errors(include_url=False)):
                 kind = mistake["type"]
                 if kind == "extra_forbidden":
                     known = _known_keys(model, loc[:-1])
@@ -97,8 +107,10 @@ class Problems:
                 elif kind == "value_error":
                     message = str(mistake["ctx"]["error"])
                 else:
-                    message = _PLAIN_MESSAGES.get(kind, mistake["msg"])
                     sizes = mistake.get("ctx", {})
+                    message = mistake["msg"]
+                    if kind in _PLAIN_MESSAGES:
+                        message = _PLAIN_MESSAGES[kind].format(**sizes)
                     if kind == "too_short" and sizes["min_length"] > 1:
                         message = f"must have at least {sizes['min_length']} entries"
                     elif kind == "too_long":
@@ -120,6 +132,32 @@ class Problems:
         run = self._raw["runs"][path[1]]
         name = run.get("name") if isinstance(run, Mapping) else None
         return f' (run "{name}")' if isinstance(name, str) and path[2] != "name" else ""
+
+
+def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[Path, Any]]:
+    """Yield the mistakes with their places, those of a value that may be of several types as one.
+
+    Where one of these types fits but for a mistake within, that is the one.
+    """
+    several: dict[Path, list[Any]] = {}
+    for mistake in mistakes:
+        loc = mistake["loc"]
+        at = next((i for i, part in enumerate(loc) if _is_type(part)), len(loc))
+        several.setdefault(loc[:at], []).append({**mistake, "loc": loc[:at] + loc[at + 1 :]})
+    for place, of_one in several.items():
+        within = [one for one in of_one if one["loc"] != place]
+        told = within or [one for one in of_one if not one["type"].endswith("_type")]
+        if within:
+            yield from _told_once(within)
+        elif told or len(of_one) == 1:
+            yield place, (told or of_one)[0]
+        else:
+            *some, last = (_PLAIN_MESSAGES[one["type"]].partition("must be ")[2] for one in of_one)
+            yield place, {"type": "", "msg": f"must be {', '.join(some)} or {last}"}
+
+
+def _is_type(part: str | int) -> bool:
+    return isinstance(part, str) and _ONE_OF_SEVERAL.fullmatch(part) is not None
 
 
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:

@@ -375,7 +375,8 @@ class _DescriptionReader:
         records = self._required(RecordsSettings, "records")
         fixture = self._required(FixtureSettings, "fixture") or FixtureSettings()
         noise = self._noise()
-        mountings = self.accelerometers.mountings()
+        right = self.accelerometers.mountings()
+        mountings = {name: right.get(name) for name in self.accelerometers.raw}
         tables = self.accelerometers.tables()
         self.accelerometers.check_names()
         observables = self.accelerometers.observables(noise)
@@ -389,7 +390,7 @@ class _DescriptionReader:
             problems,
         )
         runs = tuple(placed.values())
-        outputs = {name: table and table.output for name, table in tables.items()}
+        outputs = self.accelerometers.outputs()
         numbered = self._numbered_readings(outputs)
         read = partial(
             resolve_readings,
@@ -422,7 +423,7 @@ class _DescriptionReader:
         model, priors = None, given
         if settings is not None:
             apparatus = Apparatus(
-                mountings,
+                right,
                 {name: table.grade for name, table in tables.items() if table is not None},
                 [run.attitude for run in runs],
                 readings,
@@ -439,12 +440,13 @@ class _DescriptionReader:
         simulation = None
         if self.simulated:
             recorders = recorders_of(table_of(self.raw, "records"), runs)
-            truth = TruthReader(table_of(self.raw, "truth"), problems, gravity)
+            names = list(self.accelerometers.raw)
+            truth = TruthReader(table_of(self.raw, "truth"), names, problems, gravity)
             simulation = truth.simulation(
                 self._sampling(), outputs, noise, placed, readings, centrifuge, recorders
             )
         specifications = self._specifications()
-        accelerometers = self.accelerometers.accelerometers(tables, mountings, observables, priors)
+        accelerometers = self.accelerometers.accelerometers(tables, right, observables, priors)
         if records is not None:
             self.accelerometers.check_columns(records, accelerometers)
         if problems.lines:
@@ -505,7 +507,8 @@ class _DescriptionReader:
         ]
         if "readings" in self.raw:
             folder, checksums = self.file.parent, self.table_checksums
-            runs += read_table(self.raw, folder, outputs, self.problems, checksums)
+            every = {name: outputs.get(name) for name in self.accelerometers.raw}
+            runs += read_table(self.raw, folder, every, self.problems, checksums)
         return runs
 
     def _tables(self) -> tuple[Path, ...]:

@@ -10,6 +10,7 @@ import codecs
 import datetime
 import math
 import re
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePath
@@ -347,6 +348,17 @@ def an_encoding(name: str) -> str:
             f'unknown encoding "{name}"; common ones: utf-8, latin-1, utf-16'
         ) from None
     return name
+
+
+def with_units(value: Any) -> Any:
+    """Return quantities as they are written; a number alone is refused."""
+    inner = value.values() if isinstance(value, Mapping) else value
+    for one in inner if isinstance(inner, Iterable) and not isinstance(inner, str) else [inner]:
+        if isinstance(one, int | float) and not isinstance(one, bool):
+            raise ValueError(f'a number without its unit; write it as text, such as "{one!r} g"')
+        if isinstance(one, list):
+            with_units(one)
+    return value
 
 
 def several(value: Any) -> Any:

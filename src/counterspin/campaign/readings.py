@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from counterspin.arrays import Array
 from counterspin.campaign.attitude import TURN_WORDS, attitude_rows, read_direction
@@ -31,6 +31,7 @@ from counterspin.campaign.kinds import (
     positive,
     read_exactly,
     record_file,
+    with_units,
 )
 from counterspin.campaign.quantity import Quantity, last_digit, parse
 from counterspin.campaign.settings import Output
@@ -43,6 +44,8 @@ UNKNOWN: Final = "unknown"
 
 #: A reading, or repeats of one at the same setting.
 Written = Text | Annotated[list[Text], Field(min_length=1)]
+#: That of the one accelerometer there is, or of several by name.
+OfEach = Annotated[Written | dict[str, Written], BeforeValidator(with_units)]
 
 
 class ReadingAxes(SettingsSection):
@@ -78,13 +81,15 @@ class ReadingRunSettings(SettingsSection):
     name: Text = described("of the run", "tumble 30")
     skip: bool = described("`true` leaves the run out, and the result says so", True, False)
     motion: MotionKind = described("how the instrument moves", "static", "counter-rotating")
-    reading: Written | dict[str, Written] | None = described(
-        "value with its unit; `±` where its standard uncertainty is known; a list of "
-        "them: repeats at one setting, whose mean counts and whose scatter tells the "
-        "noise",
-        "1.082532 ± 2e-6 mA",
-        None,
-        absent="`record`",
+    reading: Annotated[Written | dict[str, Written] | None, BeforeValidator(with_units)] = (
+        described(
+            "value with its unit; `±` where its standard uncertainty is known; a list of "
+            "them: repeats at one setting, whose mean counts and whose scatter tells the "
+            "noise",
+            "1.082532 ± 2e-6 mA",
+            None,
+            absent="`record`",
+        )
     )
     record: Annotated[Text, AfterValidator(record_file)] | None = described(
         "in place of `reading`, at rest or on an arm: a file whose mean over whole "
@@ -191,7 +196,7 @@ def is_reading(raw: object) -> bool:
 def resolve_readings(
     runs: Sequence[tuple[Any, KeyPath]],
     *,
-    mountings: Mapping[str, Mounting],
+    mountings: Mapping[str, Mounting | None],
     outputs: Mapping[str, Output | None],
     folder: Path,
     problems: Problems,
@@ -231,7 +236,7 @@ def _with_length(reading: Reading, turns: float | None) -> Reading:
 def resolve_reading(
     raw: Any,
     path: KeyPath,
-    mountings: Mapping[str, Mounting],
+    mountings: Mapping[str, Mounting | None],
     outputs: Mapping[str, Output | None],
     *,
     folder: Path,
@@ -240,8 +245,8 @@ def resolve_reading(
 ) -> list[Reading]:
     """Return the readings of one run, one for each accelerometer that was read.
 
-    mountings, outputs: Accelerometer -> its axes in the level attitude, and what its readings are
-        in (None: g).
+    mountings: Accelerometer -> its axes in the level attitude; None where they are a mistake.
+    outputs: Accelerometer -> what its readings are in, None: g; not where that is a mistake.
     gravity: Of the site, m/s^2.
     """
     settings = problems.check(ReadingRunSettings, raw, path)
@@ -277,14 +282,14 @@ def resolve_reading(
             (*path, "reading", name) if isinstance(settings.reading, dict) else (*path, "reading")
         )
         if name not in mountings:
-            problems.add(
-                where, f'there is no accelerometer "{name}"' + did_you_mean(name, mountings)
-            )
+            said = did_you_mean(name, mountings)
+            if mountings:
+                problems.add(where, f'there is no accelerometer "{name}"{said}')
             continue
         read: _Value | None = _Value(0.0, None)
-        if settings.record is None:
+        if settings.record is None and name in outputs:
             texts = [text] if isinstance(text, str) else text
-            read = problems.attempt(where, _value, texts, outputs.get(name), gravity)
+            read = problems.attempt(where, _value, texts, outputs[name], gravity)
         axes = problems.attempt(path, _axes, settings, mountings[name], attitude)
         if read is None or axes is None or attitude is None:
             continue
@@ -422,15 +427,17 @@ def _attitude(value: Any) -> _Attitude:
     )
 
 
-def _axes(settings: ReadingRunSettings, mounting: Mounting, attitude: _Attitude | None) -> Mounting:
-    """Return the accelerometer's axes in the frame of the motion."""
+def _axes(
+    settings: ReadingRunSettings, mounting: Mounting | None, attitude: _Attitude | None
+) -> Mounting | None:
+    """Return the accelerometer's axes in the frame of the motion; None where they are a mistake."""
     if settings.axes is None:
         if settings.motion == "arm":
             raise ValueError(
                 'on an arm there is no attitude; write axes = { input = "inward", '
                 'pendulous = "up" }'
             )
-        return mounting if attitude is None else mounting.turned(attitude[0])
+        return None if mounting is None or attitude is None else mounting.turned(attitude[0])
     if settings.attitude is not None:
         raise ValueError("has axes and an attitude; keep one")
     names = FRAMES[settings.motion]

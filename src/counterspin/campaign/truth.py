@@ -208,11 +208,14 @@ class TruthReader:
     """Reads [truth]; each table is checked once, even where another one is wrong.
 
     raw: The section, as it stands.
+    names: Of the accelerometers that there are.
     gravity: The site's, m/s^2.
     """
 
-    def __init__(self, raw: Mapping[str, Any], problems: Problems, gravity: float) -> None:
-        self.raw, self.problems, self.gravity = raw, problems, gravity
+    def __init__(
+        self, raw: Mapping[str, Any], names: Sequence[str], problems: Problems, gravity: float
+    ) -> None:
+        self.raw, self.names, self.problems, self.gravity = raw, names, problems, gravity
         given = dict(raw)
         if isinstance(noise := given.get("noise"), Mapping):
             given["noise"] = {key: value for key, value in noise.items() if key != _READING}
@@ -288,14 +291,14 @@ class TruthReader:
     ) -> Simulation:
         """Return how records and readings are made, and from which truth.
 
-        outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
-            ``mA/g``.
+        outputs: Accelerometer -> what its readings are in, where that is no mistake; coefficients
+            may be in its unit, as ``mA/g``.
         runs: By their places in the description.
         centrifuge: The machine; a true radius may be given as such.
         recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
         """
-        known = [*outputs, *TRUTH_TABLES]
-        for name in [name for name in self.raw if name not in known]:
+        known = [*self.names, *TRUTH_TABLES]
+        for name in [name for name in self.raw if self.names and name not in known]:
             said = "is neither an accelerometer nor a known table" + did_you_mean(name, known)
             self.problems.add(("truth", name), said)
         own = {name: self._accelerometer(name, output) for name, output in outputs.items()}
@@ -364,8 +367,9 @@ class TruthReader:
             given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
         ).items():
             if name not in outputs:
-                said = f'there is no accelerometer "{name}"' + did_you_mean(name, outputs)
-                self.problems.add(path, said)
+                if name not in self.names:
+                    said = f'there is no accelerometer "{name}"' + did_you_mean(name, self.names)
+                    self.problems.add(path, said)
                 continue
             output = outputs[name]
             unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)

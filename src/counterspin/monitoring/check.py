@@ -72,7 +72,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
     meant = _meant(campaign, file, name)
-    own = meant if file is None else replace(meant, record=file)
+    own = meant if file is None else _read_from(meant, file)
     if file is None:
         table: MemoryTable = memory_table(f"{own.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, own.record: table})
@@ -100,6 +100,13 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
         expected=expected,
         why_not=why_not,
     )
+
+
+def _read_from(run: Recorded, file: Path) -> Recorded:
+    """Return a run, or a record of poses, whose record is another file."""
+    if isinstance(run, Run):
+        return run.model_copy(update={"record": file})
+    return replace(run, record=file)
 
 
 def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, PlainValidator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.kinds import (
@@ -19,6 +19,7 @@ from counterspin.campaign.kinds import (
     described,
     positive,
     read_exactly,
+    with_units,
 )
 from counterspin.campaign.resolved import MOST_READINGS, MOST_RECORDS
 
@@ -210,7 +211,7 @@ class StationsSettings(SettingsSection):
         "as of a run with a reading", {"input": "inward", "pendulous": "up"}, None
     )
     mounting: str = described("as of a run with a reading", "in", "")
-    u: Text | dict[str, Text] = described(
+    u: Annotated[Text | dict[str, Text], BeforeValidator(with_units)] = described(
         "standard uncertainty of one reading, in g or the unit of `output`; with "
         "several accelerometers a table by name, or one for all",
         "2e-6 mA",

@@ -86,7 +86,7 @@ def is_pose(raw: Any) -> bool:
 
 def resolve_triad(
     raw: Any,
-    mountings: Mapping[str, Mounting],
+    mountings: Mapping[str, Mounting | None],
     runs: Sequence[tuple[Any, KeyPath]],
     folder: Path,
     read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
@@ -97,7 +97,7 @@ def resolve_triad(
     """Return what [triad] and the runs at unknown attitudes say.
 
     raw: The section, None if there is none.
-    mountings: Accelerometer -> its axes in the triad's frame.
+    mountings: Accelerometer -> its axes in the triad's frame; None where they are a mistake.
     runs: Those at unknown attitudes, with where each stands.
     folder: Of records.
     read: Resolves runs with values, as if at known attitudes.
@@ -113,23 +113,9 @@ def resolve_triad(
             )
         return None
     settings = problems.check(TriadSettings, raw, ("triad",))
-    if settings is None:
-        return None
-    names = tuple(settings.accelerometers)
-    before = len(problems.lines)
-    for place, name in enumerate(names):
-        if name not in mountings:
-            said = did_you_mean(name, mountings)
-            problems.add(("triad", "accelerometers", place), f'no accelerometer is "{name}"{said}')
-        elif name in names[:place]:
-            problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')
-    if len(problems.lines) > before:
-        return None
-    axes = [mountings[name] for name in names]
-    if abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
-        problems.add(("triad", "accelerometers"), "their input axes lie (nearly) in one plane")
-        return None
-    of_frame = () if given is None else _of_frame(names, axes, problems)
+    names = () if settings is None else tuple(settings.accelerometers)
+    axes = _axes_of(names, mountings, problems)
+    of_frame = () if given is None or not axes else _of_frame(names, axes, problems)
     for name, symbol in of_frame:
         if symbol in (given or {}).get(name, {}):
             problems.add(
@@ -140,9 +126,29 @@ def resolve_triad(
     poses: list[tuple[Reading, ...]] = []
     records: list[PoseRecord] = []
     for run, path in runs:
-        for one in _resolve_pose(run, path, names, read, folder, problems):
+        for one in _resolve_pose(run, path, names if axes else (), read, folder, problems):
             (records if isinstance(one, PoseRecord) else poses).append(one)  # type: ignore[arg-type]
-    return Triad(names, tuple(poses), tuple(records), of_frame)
+    return Triad(names, tuple(poses), tuple(records), of_frame) if axes else None
+
+
+def _axes_of(
+    names: Sequence[str], mountings: Mapping[str, Mounting | None], problems: Problems
+) -> list[Mounting]:
+    """Return the axes of the three, none where they are no triad."""
+    before = len(problems.lines)
+    for place, name in enumerate(names if mountings else ()):
+        if name not in mountings:
+            said = did_you_mean(name, mountings)
+            problems.add(("triad", "accelerometers", place), f'no accelerometer is "{name}"{said}')
+        elif name in names[:place]:
+            problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')
+    axes = [own for own in map(mountings.get, names) if own is not None]
+    if len(problems.lines) > before or len(axes) < len(names):
+        return []
+    if names and abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
+        problems.add(("triad", "accelerometers"), "their input axes lie (nearly) in one plane")
+        return []
+    return axes
 
 
 def _of_frame(
@@ -178,7 +184,10 @@ def _resolve_pose(
     folder: Path,
     problems: Problems,
 ) -> Iterator[tuple[Reading, ...] | PoseRecord]:
-    """Yield the pose of a run with values, or what a record with poses is."""
+    """Yield the pose of a run with values, or what a record with poses is.
+
+    names: Of the triad's accelerometers; none where they are a mistake.
+    """
     before = len(problems.lines)
     if raw.get("motion") != "static":
         problems.add((*path, "motion"), 'an attitude can be unknown only at rest; write "static"')
@@ -191,11 +200,11 @@ def _resolve_pose(
     if "poses" in raw:
         problems.add((*path, "poses"), "are found in a record, but this is a reading")
     readings = {one.accelerometer: one for one in read([({**raw, "attitude": "level"}, path)])}
-    if readings and set(readings) != set(names):
+    if names and readings and set(readings) != set(names):
         every = ", ".join(names)
         said = f"at an unknown attitude all of {every} must be read, and no other"
         problems.add((*path, "reading"), said)
-    if len(problems.lines) == before:
+    if readings.keys() >= set(names) > set() and len(problems.lines) == before:
         yield tuple(readings[name] for name in names)
 
 

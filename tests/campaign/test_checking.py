@@ -1,0 +1,65 @@
+"""Mistakes in a document: each told once, in the user's words, and none that is not there."""
+
+import datetime
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field
+
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.kinds import SettingsSection, Text
+from counterspin.campaign.readings import OfEach
+
+
+class Inner(SettingsSection):
+    ratio: float = 1.0
+    on: bool = True
+
+
+class Section(SettingsSection):
+    count: Annotated[int, Field(ge=2, le=9)] = 3
+    day: datetime.date | None = None
+    axis: Text | list[float] = "up"
+    named: Text | list[Text] | dict[str, Text | list[Text]] = "x"
+    kind: Literal["a", "b"] = "a"
+    reading: OfEach | None = None
+    inner: Inner | None = None
+
+
+@pytest.mark.parametrize(
+    ("raw", "told"),
+    [
+        ({"count": 1}, "count: must be at least 2"),
+        ({"count": 10}, "count: must be at most 9"),
+        ({"count": "3"}, "count: must be a whole number"),
+        ({"day": "Monday"}, "day: must be a date, such as 2026-03-02"),
+        ({"axis": 3}, "axis: must be text or a list"),
+        ({"axis": ""}, "axis: must not be empty"),
+        ({"axis": [1.0, "x"]}, "axis[1]: must be a number"),
+        ({"named": True}, "named: must be text, a list or a table"),
+        ({"named": ["a", 1]}, "named[1]: must be text"),
+        ({"named": {"Qx": 1}}, "named.Qx: must be text or a list"),
+        ({"named": {"Qx": ["a", []]}}, "named.Qx[1]: must be text"),
+        ({"kind": "c"}, "kind: 'c' is none of 'a' or 'b'"),
+        ({"inner": {"on": 1}}, "inner.on: must be true or false"),
+        ({"inner": {"ratoi": 1.0}}, 'inner.ratoi: unknown key; did you mean "ratio"?'),
+        ({"reading": 1.5}, 'reading: a number without its unit; write it as text, such as "1.5 g"'),
+        ({"reading": {"Qx": ["1 g", 2]}},
+         'reading: a number without its unit; write it as text, such as "2 g"'),
+        ({"reading": []}, "reading: must have at least one entry"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_once_where_it_is(raw, told):
+    problems = Problems(raw)
+    assert problems.check(Section, raw, ()) is None
+    assert problems.lines == [told]
+
+
+def test_a_value_of_each_type_is_accepted():
+    for raw in ({"axis": [0.0, 1.0]}, {"named": {"Qx": ["a"]}}, {"reading": {"Qx": "1 g"}}):
+        assert Problems(raw).check(Section, raw, ()) is not None
+
+
+def test_where_nothing_is_known_nothing_is_meant():
+    assert did_you_mean("x", []) == ""
+    assert did_you_mean("alpah", ["alpha", "beta"]) == '; did you mean "alpha"?'
