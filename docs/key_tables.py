@@ -52,7 +52,7 @@ SECTION = re.compile(r"^(?:#+ (?P<heading>.*)|<!-- fields: (?P<part>\w+) -->)$",
 
 #: The one row that stands for all terms.
 TERMS = {
-    "AccelerometerSettings": "| `K_III` and so on | quantity ± | unknown | "
+    "AccelerometerKeys": "| `K_III` and so on | quantity ± | unknown | "
     '`K_III = "0 ± 1e-5 g/g^3"` | any [term](physics.md#accelerometer-eq-7-9) known beforehand |\n',
     "AccelerometerTruthSettings": "| `K_II` and so on | quantity | a perfect instrument's | "
     '`K_II = "2e-5 g/g^2"` | true coefficient, with an `output` also in its unit, as in '

@@ -18,19 +18,19 @@ from typing import Any, Final, Literal, get_args, get_type_hints
 from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
+from counterspin.campaign.accelerometers import AccelerometerKeys
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import ReadingsSettings
+from counterspin.campaign.resolved import Simulation
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import (
-    AccelerometerSettings,
     CampaignSettings,
     CentrifugeSettings,
     DocumentSettings,
     FixtureSettings,
     ModelSettings,
     NoiseSettings,
-    SimulationSettings,
     SiteSettings,
 )
 from counterspin.campaign.specification import SpecificationSettings
@@ -83,13 +83,13 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "fixture": FixtureSettings,
     "triad": TriadSettings,
     "records": RecordsSettings,
-    "accelerometers": AccelerometerSettings,
+    "accelerometers": AccelerometerKeys,
     "noise": NoiseSettings,
     "model": ModelSettings,
     "readings": ReadingsSettings,
     "runs": Run,
     "specification": SpecificationSettings,
-    "simulation": SimulationSettings,
+    "simulation": Simulation,
     "truth": AccelerometerTruthSettings,
     "study": StudySettings,
 }
@@ -153,7 +153,7 @@ def _sections(to: _Definitions) -> dict[str, Json]:
     limits = {"anyOf": [_TEXT, {"type": "object", "additionalProperties": _TEXT}]}
     runs = {"type": "array", "items": {"anyOf": [_run(to), to(ReadingRunSettings)]}}
     of_own_kind = {
-        "accelerometers": to.named(AccelerometerSettings) | {"minProperties": 1},
+        "accelerometers": to.named(AccelerometerKeys) | {"minProperties": 1},
         "specification": to.open(SpecificationSettings, additionalProperties=limits),
         "runs": runs,
         "truth": _truth(to),

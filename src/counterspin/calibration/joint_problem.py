@@ -10,9 +10,9 @@ import numpy as np
 
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series

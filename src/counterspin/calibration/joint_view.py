@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Final
 
 from counterspin.calibration.joint_problem import JointProblem
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.fitted_readings import FittedReadings

@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.memory.source import keep
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.triads.declared import PoseRecord

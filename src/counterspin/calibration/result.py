@@ -33,7 +33,7 @@ from counterspin.calibration.result_parts import (
     TriadResult,
 )
 from counterspin.calibration.schema_1 import upgraded
-from counterspin.campaign.resolved import Accelerometer
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.physics.observation import ORDERS

@@ -33,8 +33,8 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.calibration.two_stage_findings import findings, nothing_known, sums_of_alike
 from counterspin.calibration.two_stage_request import noise_found, request_of
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.options import TwoStageOptions
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.noise_at_rest import said_noise
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import StatedNoise
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate

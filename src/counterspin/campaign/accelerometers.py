@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
-from pydantic import ValidationError
+from pydantic import PlainValidator, PrivateAttr, ValidationError, ValidationInfo, create_model
 
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.columns import RecordsSettings, spec_of
+from counterspin.campaign.columns import (
+    DisplacementChannel,
+    ForceChannel,
+    RecordsSettings,
+    VelocityChannel,
+    spec_of,
+)
+from counterspin.campaign.kinds import Direction, SettingsSection, Text, described, known
 from counterspin.campaign.model import about_nominal
-from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import is_reading
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.campaign.settings import (
     OBSERVABLES,
-    AccelerometerSettings,
-    AxesSettings,
     Output,
     StatedNoise,
+    term_keys,
 )
 from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.physics.accelerometer import Mounting
@@ -30,6 +37,132 @@ from counterspin.records.record import ColumnSpec
 from counterspin.units import unit_factor
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+class AxesSettings(SettingsSection):
+    """The axes of an accelerometer."""
+
+    input_axis: Direction = described(
+        "the sensitive axis, on the level platform", "east", kind="direction"
+    )
+    pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
+    output_axis: Direction | None = described(
+        "only as a check", "north", None, absent="input × pendulous", kind="direction"
+    )
+
+    @cached_property
+    def mounting(self) -> Mounting:
+        """Its axes while the platform is level; `Mounting.turned` gives those of an attitude."""
+        return Mounting.from_axes(self.input_axis, self.pendulous_axis, self.output_axis)
+
+
+def _of_output(value: object, info: ValidationInfo) -> Quantity:
+    """Read what is known of a sensitivity as the prior of K_I."""
+    output = info.data.get("output")
+    if output is None:
+        if "output" in info.data:
+            raise ValueError("needs output = { unit = ..., sensitivity = ... } beside it")
+        return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
+    stated = parse(value, f"{output.unit}/g")
+    return Quantity(stated.value / output.sensitivity, stated.u / abs(output.sensitivity), "g/g")
+
+
+class Accelerometer(AxesSettings):
+    """One accelerometer under calibration; a key for each term has `AccelerometerKeys`."""
+
+    serial_number: Text | None = described("of the accelerometer", "Q-104", None)
+    grade: Literal["navigation", "tactical", "consumer"] = described(
+        "how large its terms may be, and are where nothing is stated of them: [sizes "
+        "by grade](physics.md#where-the-typical-sizes-come-from)",
+        "tactical",
+        "navigation",
+        kind='`"navigation"`, `"tactical"` or `"consumer"`',
+    )
+    output: Output | None = described(
+        "what its [readings](readings.md) are in, and the nominal sensitivity",
+        {"unit": "mA", "sensitivity": "1.25 mA/g"},
+        None,
+        absent="g",
+    )
+    sensitivity_prior: Annotated[Quantity, PlainValidator(_of_output, Text)] | None = described(
+        "K_I known beforehand, in that unit",
+        "1.25 ± 0.01 mA/g",
+        None,
+        absent="unknown",
+        kind="text",
+    )
+    bias: Annotated[Quantity, known("g")] | None = described(
+        "K_F known beforehand", "0.00503 ± 2e-6 g", None, absent="unknown"
+    )
+    scale_factor: Annotated[Quantity, known("g/g")] | None = described(
+        "K_I known beforehand; about 1, so that 1000 ppm too much is `1.001 g/g`",
+        "1.00197 ± 5e-6 g/g",
+        None,
+        absent="unknown",
+    )
+    displacement: DisplacementChannel | None = described(
+        "recorded displacement along the input axis",
+        {"column": "east_m", "unit": "m"},
+        None,
+        absent="one of three",
+        kind="column, m",
+    )
+    velocity: VelocityChannel | None = described(
+        "recorded velocity",
+        {"column": "v", "unit": "m/s"},
+        None,
+        absent="one of three",
+        kind="column, m/s",
+    )
+    specific_force: ForceChannel | None = described(
+        "indicated specific force",
+        {"column": "f", "unit": "g"},
+        None,
+        absent="one of three",
+        kind="column, m/s^2, g or `output`",
+    )
+
+    _name: str = PrivateAttr()
+    _observable: str = PrivateAttr()
+    _channel: ColumnSpec = PrivateAttr()
+    _force: ColumnSpec | None = PrivateAttr()
+    _priors: Mapping[str, Quantity] = PrivateAttr()
+
+    @property
+    def name(self) -> str:
+        """Its name in the campaign."""
+        return self._name
+
+    @property
+    def observable(self) -> str:
+        """What it records: ``displacement``, ``velocity`` or ``specific_force``."""
+        return self._observable
+
+    @property
+    def channel(self) -> ColumnSpec:
+        """The column with what it records."""
+        return self._channel
+
+    @property
+    def force(self) -> ColumnSpec | None:
+        """The column of specific force in records on an arm or at rest; None if there are none."""
+        return self._force
+
+    @property
+    def priors(self) -> Mapping[str, Quantity]:
+        """Term symbol -> what is known beforehand, in g-units, here and in [model.priors].
+
+        `bias` is K_F, `scale_factor` K_I. u = 0 means known exactly.
+        """
+        return self._priors
+
+
+AccelerometerKeys = create_model(
+    "AccelerometerKeys",
+    __base__=Accelerometer,
+    __doc__="[accelerometers.NAME]: its axes, its column and, by term, what is known of it.",
+    **term_keys(TERMS, known),
+)
 
 
 class AccelerometersReader:
@@ -56,7 +189,7 @@ class AccelerometersReader:
         """Return every accelerometer's keys, None with its mistakes noted."""
         return {
             name: self.problems.check(
-                AccelerometerSettings, table, ("accelerometers", name), gravity=self.gravity
+                AccelerometerKeys, table, ("accelerometers", name), gravity=self.gravity
             )
             for name, table in self.raw.items()
         }
@@ -70,16 +203,12 @@ class AccelerometersReader:
     ) -> dict[str, Accelerometer]:
         """Return the accelerometers whose tables are in order; their columns are checked."""
         return {
-            name: Accelerometer(
-                name,
-                mountings[name],
-                observables[name],
-                self._recorded(name, table, observables[name]),
-                priors[name],
-                table.serial_number,
-                table.output,
-                self._force(name, table),
-                table.grade,
+            name: table.completed(
+                name=name,
+                observable=observables[name],
+                channel=self._recorded(name, table, observables[name]),
+                force=self._force(name, table),
+                priors=priors[name],
             )
             for name, table in tables.items()
             if table is not None and name in mountings and name in observables
@@ -96,13 +225,7 @@ class AccelerometersReader:
             settings = self.problems.check(AxesSettings, axes, path)
             if settings is None:
                 continue
-            mounting = self.problems.attempt(
-                path,
-                Mounting.from_axes,
-                settings.input_axis,
-                settings.pendulous_axis,
-                settings.output_axis,
-            )
+            mounting = self.problems.attempt(path, getattr, settings, "mounting")
             if mounting is not None:
                 mountings[name] = mounting
         return mountings

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.accelerometers import AccelerometersReader
+from counterspin.campaign.accelerometers import Accelerometer, AccelerometersReader
 from counterspin.campaign.checking import M, Problems
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.columns import Recording, RecordsSettings
@@ -20,7 +20,7 @@ from counterspin.campaign.model import Apparatus, check_conditions, refuse_encod
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading, is_reading, positioned, resolve_readings
 from counterspin.campaign.readings_table import read_table
-from counterspin.campaign.resolved import Accelerometer, ErrorModel, Simulation
+from counterspin.campaign.resolved import ErrorModel, Simulation
 from counterspin.campaign.runs import Run, recorders_of, resolve_runs, skipped_runs, taken_runs
 from counterspin.campaign.settings import (
     CampaignSettings,
@@ -30,7 +30,6 @@ from counterspin.campaign.settings import (
     ModelSettings,
     NoiseSettings,
     Output,
-    SimulationSettings,
     SiteSettings,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
@@ -534,11 +533,11 @@ class _DescriptionReader:
                 self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
         return noise
 
-    def _sampling(self) -> SimulationSettings:
+    def _sampling(self) -> Simulation:
         settings = self.problems.check(
-            SimulationSettings, table_of(self.raw, "simulation"), ("simulation",)
+            Simulation, table_of(self.raw, "simulation"), ("simulation",)
         )
-        return settings or SimulationSettings()
+        return settings or Simulation()
 
     def _specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):

@@ -10,11 +10,11 @@ import codecs
 import datetime
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePath
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -302,9 +302,25 @@ def _whole(value: object) -> object:
 
 
 class SettingsSection(BaseModel):
-    """A table of ``campaign.toml`` in which every key must be known."""
+    """A table of ``campaign.toml`` in which every key must be known.
+
+    What other tables say of it, such as the column of an accelerometer in SI by the site's gravity,
+    are private attributes, each with a property: no key of the file, and part of the object.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
+
+    def completed(self, **others: object) -> Self:
+        """Return the table with what other tables say of it, by the properties' names."""
+        made = self.model_copy()
+        for name, value in others.items():
+            setattr(made, f"_{name}", value)
+        return made
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Yield what the object is made of: its keys, and what other tables say."""
+        yield from super().__repr_args__()
+        yield from (self.__pydantic_private__ or {}).items()
 
 
 def time_unit(unit: str) -> str:

@@ -9,15 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Final
+from typing import Annotated, Final
 
+from pydantic import AfterValidator, Field, PrivateAttr
+
+from counterspin.campaign.kinds import (
+    PositiveRatio,
+    SettingsSection,
+    described,
+    positive,
+    read_exactly,
+)
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.settings import Output, StatedNoise
+from counterspin.campaign.settings import StatedNoise
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.grades import DEFAULT_GRADE
 from counterspin.physics.spindle import Spindle
-from counterspin.records.record import ColumnSpec
 
 #: Most rows, those of all accelerometers together, that are computed at once of records that exist
 #: only on paper. A line of a description can state any length, and what is made from it takes
@@ -43,27 +49,6 @@ def sample_count(duration: float, sampling_rate: float) -> int:
     duration, sampling_rate: s, Hz. A sample that falls on the end but for rounding is within.
     """
     return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
-
-
-@frozen
-class Accelerometer:
-    """One accelerometer under calibration."""
-
-    name: str  #: Its name in the campaign.
-    #: Its axes while the platform is level; `Mounting.turned` gives those of a run's attitude.
-    mounting: Mounting
-    observable: str  #: ``displacement``, ``velocity`` or ``specific_force``.
-    channel: ColumnSpec  #: The column with it.
-    #: Term symbol -> what is known beforehand, in g-units (`bias` is K_F, `scale_factor` K_I);
-    #: those of [model.priors] that apply to this accelerometer are included. u = 0 means known
-    #: exactly. A term here that the model neither estimates nor considers has this value.
-    priors: Mapping[str, Quantity]
-    serial_number: str | None = None  #: Free text, or None.
-    output: Output | None = None  #: What its readings are in; None: g or m/s^2.
-    #: The column of specific force in records on an arm or at rest; None if there are none.
-    force: ColumnSpec | None = None
-    #: One of `counterspin.physics.grades.GRADES`: how large its terms may be.
-    grade: str = DEFAULT_GRADE
 
 
 @frozen
@@ -97,14 +82,26 @@ class SimulatedTruth:
     reading_noise: Mapping[str, float] = field(default_factory=dict)
 
 
-@frozen
-class Simulation:
-    """How `counterspin simulate` makes the records."""
+class Simulation(SettingsSection):
+    """[simulation]: how `counterspin simulate` samples."""
 
-    sampling_rate: float  #: Samples a second, Hz.
-    seed: int  #: Of the random numbers.
-    truth: SimulatedTruth  #: What it makes them from.
-    poses: int = 24  #: In a record of poses.
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
+        "rows a second", "100 Hz", 50.0, absent="50 Hz"
+    )
+    seed: Annotated[int, Field(ge=0)] = described(
+        "of the random numbers; each run has a stream of its own", 7, 1
+    )
+    revolutions: PositiveRatio = described("of each run", 40, 100.0)
+    poses: Annotated[int, Field(ge=1, le=10_000)] = described(
+        "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
+    )
+
+    _truth: SimulatedTruth = PrivateAttr()
+
+    @property
+    def truth(self) -> SimulatedTruth:
+        """What the records are made from."""
+        return self._truth
 
 
 @frozen

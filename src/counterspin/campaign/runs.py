@@ -204,7 +204,8 @@ def _completed(
     if run.duration is None and turns is not None:
         run = run.model_copy(update={"duration": turns * 2.0 * math.pi / abs(run.rate)})
     if run.records is not None:
-        run._recording = _own_recording(run.records, records, (*path, "records"), problems)
+        own = _own_recording(run.records, records, (*path, "records"), problems)
+        run = run.completed(recording=own)
     return run
 
 

@@ -11,21 +11,16 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 from pydantic import (
     AfterValidator,
-    Field,
     PlainValidator,
     ValidationInfo,
-    create_model,
 )
 
-from counterspin.campaign.columns import DisplacementChannel, ForceChannel, VelocityChannel
 from counterspin.campaign.kinds import (
     DateOrText,
-    Direction,
-    PositiveRatio,
     Schema,
     SettingsSection,
     Several,
@@ -42,8 +37,8 @@ from counterspin.campaign.kinds import (
     read_exactly,
     record_file,
 )
-from counterspin.campaign.quantity import Quantity, parse
-from counterspin.physics.terms import TERMS, Term
+from counterspin.campaign.quantity import Quantity
+from counterspin.physics.terms import Term
 from counterspin.units import check_unit, unit_factor
 
 #: What an accelerometer's record may hold -> its SI unit.
@@ -177,18 +172,6 @@ class FixtureSettings(SettingsSection):
     )
 
 
-class AxesSettings(SettingsSection):
-    """The axes of an accelerometer."""
-
-    input_axis: Direction = described(
-        "the sensitive axis, on the level platform", "east", kind="direction"
-    )
-    pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
-    output_axis: Direction | None = described(
-        "only as a check", "north", None, absent="input × pendulous", kind="direction"
-    )
-
-
 def _per_g(value: object, info: ValidationInfo) -> float:
     """Read the nominal output per g; of an output in g it needs no word."""
     unit = info.data.get("unit")
@@ -241,71 +224,6 @@ class Output(SettingsSection):
         return self.zero + self.sensitivity * force
 
 
-def _of_output(value: object, info: ValidationInfo) -> Quantity:
-    """Read what is known of a sensitivity as the prior of K_I."""
-    output = info.data.get("output")
-    if output is None:
-        if "output" in info.data:
-            raise ValueError("needs output = { unit = ..., sensitivity = ... } beside it")
-        return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
-    stated = parse(value, f"{output.unit}/g")
-    return Quantity(stated.value / output.sensitivity, stated.u / abs(output.sensitivity), "g/g")
-
-
-class _AccelerometerKeys(AxesSettings):
-    serial_number: Text | None = described("of the accelerometer", "Q-104", None)
-    grade: Literal["navigation", "tactical", "consumer"] = described(
-        "how large its terms may be, and are where nothing is stated of them: [sizes "
-        "by grade](physics.md#where-the-typical-sizes-come-from)",
-        "tactical",
-        "navigation",
-        kind='`"navigation"`, `"tactical"` or `"consumer"`',
-    )
-    output: Output | None = described(
-        "what its [readings](readings.md) are in, and the nominal sensitivity",
-        {"unit": "mA", "sensitivity": "1.25 mA/g"},
-        None,
-        absent="g",
-    )
-    sensitivity_prior: Annotated[Quantity, PlainValidator(_of_output, Text)] | None = described(
-        "K_I known beforehand, in that unit",
-        "1.25 ± 0.01 mA/g",
-        None,
-        absent="unknown",
-        kind="text",
-    )
-    bias: Annotated[Quantity, known("g")] | None = described(
-        "K_F known beforehand", "0.00503 ± 2e-6 g", None, absent="unknown"
-    )
-    scale_factor: Annotated[Quantity, known("g/g")] | None = described(
-        "K_I known beforehand; about 1, so that 1000 ppm too much is `1.001 g/g`",
-        "1.00197 ± 5e-6 g/g",
-        None,
-        absent="unknown",
-    )
-    displacement: DisplacementChannel | None = described(
-        "recorded displacement along the input axis",
-        {"column": "east_m", "unit": "m"},
-        None,
-        absent="one of three",
-        kind="column, m",
-    )
-    velocity: VelocityChannel | None = described(
-        "recorded velocity",
-        {"column": "v", "unit": "m/s"},
-        None,
-        absent="one of three",
-        kind="column, m/s",
-    )
-    specific_force: ForceChannel | None = described(
-        "indicated specific force",
-        {"column": "f", "unit": "g"},
-        None,
-        absent="one of three",
-        kind="column, m/s^2, g or `output`",
-    )
-
-
 def term_keys(
     rows: Mapping[str, Term[Any]], reader: Callable[[str], PlainValidator]
 ) -> dict[str, Any]:
@@ -324,14 +242,6 @@ def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
     if reader is known:
         return f"{row.nominal:g} ± {row.typical:g} {row.unit}".replace("e-0", "e-")
     return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
-
-
-AccelerometerSettings = create_model(
-    "AccelerometerSettings",
-    __base__=_AccelerometerKeys,
-    __doc__="[accelerometers.NAME]: its axes, its column and, by term, what is known of it.",
-    **term_keys(TERMS, known),
-)
 
 
 class StatedNoise(SettingsSection):
@@ -444,18 +354,3 @@ class ModelSettings(SettingsSection):
     def held(self) -> tuple[str, list[str]]:
         """The key that names what is known but not adjusted, new or old, and the names."""
         return ("considered", self.considered) if self.considered else ("hold", self.hold)
-
-
-class SimulationSettings(SettingsSection):
-    """[simulation]: how `counterspin simulate` samples."""
-
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
-        "rows a second", "100 Hz", 50.0, absent="50 Hz"
-    )
-    seed: Annotated[int, Field(ge=0)] = described(
-        "of the random numbers; each run has a stream of its own", 7, 1
-    )
-    revolutions: PositiveRatio = described("of each run", 40, 100.0)
-    poses: Annotated[int, Field(ge=1, le=10_000)] = described(
-        "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
-    )

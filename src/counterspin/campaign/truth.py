@@ -30,7 +30,6 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import (
     CentrifugeSettings,
     Output,
-    SimulationSettings,
     StatedNoise,
     term_keys,
 )
@@ -281,7 +280,7 @@ class TruthReader:
 
     def simulation(
         self,
-        settings: SimulationSettings,
+        sampled: Simulation,
         outputs: Mapping[str, Output | None],
         noise: StatedNoise | None,
         runs: Mapping[int, Run],
@@ -314,7 +313,7 @@ class TruthReader:
             machine=self._of_machine(readings, centrifuge),
             reading_noise=self._of_readings(outputs),
         )
-        return Simulation(settings.sampling_rate, settings.seed, truth, settings.poses)
+        return sampled.completed(truth=truth)
 
     def _accelerometer(self, name: str, output: Output | None) -> tuple[Any, dict[str, float]]:
         """Return the table of an accelerometer, and its coefficients by symbol."""

@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 
 from counterspin.arrays import Array
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign, resolved_in_memory
 from counterspin.campaign.memory.records import WRITERS, write_as_it_is
@@ -22,7 +23,6 @@ from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
-    Accelerometer,
     SimulatedTruth,
     sample_count,
 )
@@ -272,7 +272,7 @@ def _pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             accelerometer = campaign.accelerometers[name]
             channel = accelerometer.force
             assert channel is not None
-            felt = replace(accelerometer, observable="specific_force", channel=channel)
+            felt = accelerometer.completed(observable="specific_force", channel=channel)
             noisy = _measured(generator, time, signal, felt, noise)
             columns[channel.name] = channel.filed(noisy * stated_over_true(campaign, channel))
         yield pl.DataFrame(columns)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,6 +29,18 @@ _COMMON: Final = {
     "rest": "noise.from",
     "specifications": "specification",
 }
+
+#: What each accelerometer must have in common with its namesakes.
+_OF_EACH: Final = (
+    "mounting",
+    "observable",
+    "channel",
+    "priors",
+    "serial_number",
+    "output",
+    "force",
+    "grade",
+)
 
 
 def join_campaigns(
@@ -91,7 +102,7 @@ def _apart(first: Documented, other: Documented, place: int) -> Iterator[str]:
         if one is None or two is None:
             yield f"accelerometers.{name}: is not in campaign {1 if one is None else place}"
             continue
-        unequal = [f.name for f in fields(one) if getattr(one, f.name) != getattr(two, f.name)]
+        unequal = [key for key in _OF_EACH if getattr(one, key) != getattr(two, key)]
         if unequal:
             yield f"accelerometers.{name}: {words} ({', '.join(unequal)})"
     for section in ("model", "centrifuge"):

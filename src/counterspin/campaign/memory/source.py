@@ -9,8 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.memory.documents import differences
-from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
