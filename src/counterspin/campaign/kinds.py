@@ -22,10 +22,13 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     PlainValidator,
+    TypeAdapter,
     ValidationInfo,
 )
-from pydantic_core import PydanticUndefined
+from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, Quantity, parse
@@ -100,12 +103,30 @@ def _written(unit: str, *, uncertain: bool = False) -> Any:
     return Annotated[str, Field(pattern=pattern, json_schema_extra={"x-unit": unit})]
 
 
-# Each is a partial function whose first argument is the unit, so that a form can show it.
+class Quantities(PlainValidator):
+    """How quantities are read: by a partial function whose first argument is the unit.
+
+    A form shows that unit. Pydantic would build a serialiser and the schema of what is written for
+    each of a hundred keys when the first campaign is read, and ask what the function takes: here it
+    takes the `ValidationInfo`, and what is written is asked for by schemas alone.
+    """
+
+    def __get_pydantic_core_schema__(
+        self, source_type: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Return how pydantic reads a value."""
+        return core_schema.with_info_plain_validator_function(self.func)  # type: ignore[arg-type]
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Return the JSON Schema of what is written."""
+        return TypeAdapter(self.json_schema_input_type).json_schema()
 
 
 def known(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity with its uncertainty; `usual` as of `parse`."""
-    return PlainValidator(partial(_parsed, unit, usual=usual), _written(unit, uncertain=True))
+    return Quantities(partial(_parsed, unit, usual=usual), _written(unit, uncertain=True))
 
 
 def a_part(text: object, info: ValidationInfo) -> Quantity:
@@ -127,12 +148,12 @@ def a_clock(value: Quantity) -> Quantity:
 
 def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
-    return PlainValidator(partial(_parsed_exactly, unit, usual=usual), _written(unit))
+    return Quantities(partial(_parsed_exactly, unit, usual=usual), _written(unit))
 
 
 def coefficient(unit: str) -> PlainValidator:
     """Return the validator of a true coefficient, in g-units or those of the `output`."""
-    return PlainValidator(partial(_parsed_truth, unit), _written(unit))
+    return Quantities(partial(_parsed_truth, unit), _written(unit))
 
 
 def positive(value: Any) -> Any:
@@ -179,7 +200,7 @@ def turning(value: float) -> float:
 def noise_size(unit: str) -> PlainValidator:
     """Return the validator of a standard deviation, or of the wish to have it estimated."""
     written = _written(unit) | Literal["estimate"]
-    return PlainValidator(partial(_parsed_noise, unit), written)
+    return Quantities(partial(_parsed_noise, unit), written)
 
 
 def a_ratio(value: object) -> float:
