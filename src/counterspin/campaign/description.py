@@ -390,6 +390,7 @@ class _DescriptionReader:
         )
         runs = tuple(placed.values())
         outputs = self.accelerometers.outputs()
+        before = len(problems.lines)
         numbered = self._numbered_readings(outputs)
         read = partial(
             resolve_readings,
@@ -403,6 +404,7 @@ class _DescriptionReader:
         readings = positioned(
             read([one for one in numbered if not is_pose(one[0])]), fixture.position
         )
+        whole = len(problems.lines) == before
         self._check_sections(readings)
         if not self.raw_runs and "readings" not in self.raw:
             said = "must have at least one entry" if "runs" in self.raw else "is missing"
@@ -429,6 +431,7 @@ class _DescriptionReader:
                 triad.count if triad else 0,
                 centrifuge,
                 fixture.position,
+                whole,
             )
             model, priors = resolve_model(settings, given, apparatus, problems, gravity)
             if records is not None and records.angle is None:
@@ -438,12 +441,8 @@ class _DescriptionReader:
             check_conditions(model, placed, recorded, reference, problems)
         simulation = None
         if self.simulated:
-            recorders = recorders_of(table_of(self.raw, "records"), runs)
-            names = list(self.accelerometers.raw)
-            truth = TruthReader(table_of(self.raw, "truth"), names, problems, gravity)
-            simulation = truth.simulation(
-                self._sampling(), outputs, noise, placed, readings, centrifuge, recorders
-            )
+            known = readings if whole else None
+            simulation = self._simulation(outputs, noise, placed, known, centrifuge)
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(tables, right, observables, priors)
         if records is not None:
@@ -532,6 +531,22 @@ class _DescriptionReader:
             if noise.rest in named:
                 self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
         return noise
+
+    def _simulation(
+        self,
+        outputs: Mapping[str, Output | None],
+        noise: NoiseSettings | None,
+        runs: Mapping[int, Run],
+        readings: Sequence[Reading] | None,
+        centrifuge: CentrifugeSettings | None,
+    ) -> Simulation:
+        """Return how records are simulated; parameters as of `TruthReader.simulation`."""
+        recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
+        names = list(self.accelerometers.raw)
+        truth = TruthReader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
+        return truth.simulation(
+            self._sampling(), outputs, noise, runs, readings, centrifuge, recorders
+        )
 
     def _sampling(self) -> Simulation:
         settings = self.problems.check(

@@ -62,11 +62,12 @@ class Apparatus:
     #: The machine, if there is one; its stretch, droop and tilt are priors.
     centrifuge: CentrifugeSettings | None
     setting: Quantity | None  #: Error of setting a position, where one is stated.
+    whole: bool  #: Whether there are no others, with mistakes in them.
 
     @property
     def read(self) -> bool:
         """Whether there are readings, at known attitudes or unknown ones."""
-        return bool(self.readings or self.poses)
+        return bool(self.readings or self.poses or not self.whole)
 
     @cached_property
     def shown(self) -> tuple[str, ...]:
@@ -228,7 +229,7 @@ def _symbols(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[
 def _read(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[str, ...]:
     """Return what a name of the machine, or of a slope, stands for among what readings show."""
     found = expand(name, on.shown)
-    if not found:
+    if not found and on.whole:
         problems.add(path, f'no reading depends on "{name}"' + did_you_mean(name, on.shown))
     return found
 

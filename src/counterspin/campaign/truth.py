@@ -284,7 +284,7 @@ class TruthReader:
         outputs: Mapping[str, Output | None],
         noise: StatedNoise | None,
         runs: Mapping[int, Run],
-        readings: Sequence[Reading],
+        readings: Sequence[Reading] | None,
         centrifuge: CentrifugeSettings | None,
         recorders: Mapping[str, str],
     ) -> Simulation:
@@ -293,6 +293,7 @@ class TruthReader:
         outputs: Accelerometer -> what its readings are in, where that is no mistake; coefficients
             may be in its unit, as ``mA/g``.
         runs: By their places in the description.
+        readings: None where there are mistakes in them, so that nobody knows what they depend on.
         centrifuge: The machine; a true radius may be given as such.
         recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
         """
@@ -331,9 +332,11 @@ class TruthReader:
         return table, {s: value for s, value in values.items() if value is not None}
 
     def _of_machine(
-        self, readings: Sequence[Reading], centrifuge: CentrifugeSettings | None
+        self, readings: Sequence[Reading] | None, centrifuge: CentrifugeSettings | None
     ) -> dict[str, float]:
         """Return term of the machine -> true value less nominal, SI."""
+        if readings is None:
+            return {}
         known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
         machine: dict[str, float] = {}
         for key, text in self._machine().items():
