@@ -65,6 +65,17 @@ def test_a_mistake_in_an_accelerometer_makes_none_of_its_readings(tmp_path):
     )
 
 
+def test_a_mistake_in_a_reading_makes_none_of_what_it_shows(tmp_path):
+    radius = '"centrifuge.radius.in" = "0 ± 1e-5 m"\n'
+    known = f"[model.priors]\n{radius}[truth.machine]\n{radius.replace(' ± 1e-5', '')}"
+    read(tmp_path, HEAD + ARM + known + ON_ARM)
+    (told,) = problems(tmp_path, HEAD + ARM + known + ON_ARM.replace("9.9 rad/s", "9.9 rad"))
+    assert told.startswith("runs[0].rate: ")
+    other = known.replace("radius.in", "radius.out")
+    told = problems(tmp_path, HEAD + ARM + other + ON_ARM)
+    assert [one.partition(": ")[2][:24] for one in told] == ['no reading depends on "c'] * 2
+
+
 def test_an_output_that_is_not_zero_where_nothing_is_felt(tmp_path):
     """A loop of 4 mA to 20 mA: reading less zero, over the sensitivity."""
     head = HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 mA" }')
