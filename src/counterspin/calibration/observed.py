@@ -267,7 +267,8 @@ def with_recorded_temperatures(campaign: Campaign) -> Campaign:
     """
     known: _Known = {}
     runs = tuple(
-        replace(run, temperature=temperatures_of(campaign, run, known)) for run in campaign.runs
+        run.model_copy(update={"temperature": temperatures_of(campaign, run, known)})
+        for run in campaign.runs
     )
     readings = tuple(
         replace(one, temperature=temperatures_of(campaign, one, known)) for one in campaign.readings
@@ -323,7 +324,7 @@ def columns_of_temperature(
     columns = RecordColumns(campaign.time, None, {})
     if isinstance(one, Run):
         recording = campaign.recording_of(one)
-        columns = replace(columns, part=one.part, more=one.continued_in)
+        columns = replace(columns, part=one.part, more=tuple(one.continued_in))
     if recording.temperature is None:
         return None
     signals = {"temperature": recording.temperature}

@@ -439,10 +439,8 @@ class _DescriptionReader:
             common = records.recording if records else NOT_RECORDED
             recorded = {run.name for run in runs if (run.recording or common).temperature}
             check_conditions(model, placed, recorded, reference, problems)
-        simulation = None
-        if self.simulated:
-            known = readings if whole else None
-            simulation = self._simulation(outputs, noise, placed, known, centrifuge)
+        known = readings if whole else None
+        simulation = self._simulation(outputs, noise, placed, known, centrifuge)
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(tables, right, observables, priors)
         if records is not None:
@@ -539,8 +537,10 @@ class _DescriptionReader:
         runs: Mapping[int, Run],
         readings: Sequence[Reading] | None,
         centrifuge: CentrifugeSettings | None,
-    ) -> Simulation:
+    ) -> Simulation | None:
         """Return how records are simulated; parameters as of `TruthReader.simulation`."""
+        if not self.simulated:
+            return None
         recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
         names = list(self.accelerometers.raw)
         truth = TruthReader(table_of(self.raw, "truth"), names, self.problems, self.gravity)

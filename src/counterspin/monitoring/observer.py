@@ -113,7 +113,9 @@ class Observer:
                 frames[watched.run.record] = watched.table.table
         warm = {watched.run.name: watched.temperature for watched in self._watched}
         runs = tuple(
-            replace(r, temperature=warm[r.name]) for r in self._campaign.runs if r.name in lengths
+            r.model_copy(update={"temperature": warm[r.name]})
+            for r in self._campaign.runs
+            if r.name in lengths
         )
         part = replace(self._campaign, runs=runs, frames=frames)
         if part.triad is not None:

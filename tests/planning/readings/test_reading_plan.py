@@ -340,7 +340,7 @@ def test_mistakes_are_told_by_their_key(changes, text, message, written):
     [
         ("3", "must be a list"),
         ('["X", "Y", ["Z"]]', "must be text"),
-        ('["X"]', "at least 3 entries"),
+        ('["X"]', "must have at least 3 entries"),
     ],
 )
 def test_a_triad_that_is_none_is_a_mistake(tmp_path, triad, message):
