@@ -62,7 +62,7 @@ class Apparatus:
     #: The machine, if there is one; its stretch, droop and tilt are priors.
     centrifuge: CentrifugeSettings | None
     setting: Quantity | None  #: Error of setting a position, where one is stated.
-    whole: bool  #: Whether there are no others, with mistakes in them.
+    whole: bool = True  #: Whether there are no other readings, with mistakes in them.
 
     @property
     def read(self) -> bool:
