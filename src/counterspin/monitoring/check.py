@@ -20,7 +20,7 @@ from counterspin.monitoring.goals import (
     reached,
     shown_names,
 )
-from counterspin.monitoring.observer import Observer, Recorded, recorded
+from counterspin.monitoring.observer import Observer, Recorded, changed, recorded
 from counterspin.monitoring.poses import poses_state, remarks_of_poses
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.monitoring.run_state import remarks_of, run_state
@@ -72,7 +72,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
     meant = _meant(campaign, file, name)
-    own = meant if file is None else _read_from(meant, file)
+    own = meant if file is None else changed(meant, record=file)
     if file is None:
         table: MemoryTable = memory_table(f"{own.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, own.record: table})
@@ -100,13 +100,6 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
         expected=expected,
         why_not=why_not,
     )
-
-
-def _read_from(run: Recorded, file: Path) -> Recorded:
-    """Return a run, or a record of poses, whose record is another file."""
-    if isinstance(run, Run):
-        return run.model_copy(update={"record": file})
-    return replace(run, record=file)
 
 
 def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from counterspin.calibration.observed import (
     ObservedRun,
@@ -36,6 +36,11 @@ _NO_FILE: Final = "no file yet"
 
 #: What has a record of its own.
 Recorded = Run | PoseRecord
+
+
+def changed(run: Recorded, **values: Any) -> Recorded:
+    """Return a run, or a record of poses, with other values."""
+    return run.model_copy(update=values) if isinstance(run, Run) else replace(run, **values)
 
 
 def recorded(campaign: Campaign) -> tuple[Recorded, ...]:
@@ -184,7 +189,7 @@ class Observer:
             source = replace(source, frames=frames)
         try:
             watched.temperature = temperatures_of(source, watched.run, {})
-            run = replace(watched.run, temperature=watched.temperature)
+            run = changed(watched.run, temperature=watched.temperature)
             if isinstance(run, Run):
                 watched.record = read_run(source, run)
             else:
