@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from functools import cache
 from typing import Any
 
 from docutils import nodes
@@ -51,15 +52,19 @@ def _on_read(app: Sphinx, name: str, content: list[str]) -> None:  # noqa: ARG00
     content[0] = filled(content[0])
 
 
-def _short(env: BuildEnvironment, name: str) -> str | None:
-    """Return the whole name of the one object that a short one means."""
+@cache
+def _whole_names(env: BuildEnvironment) -> dict[str, str]:
+    """Return the last part of a name -> the shortest name that ends in it, of all that is known.
+
+    It is asked when all pages are read, for each of thousands of references.
+    """
     known = set(env.get_domain("py").objects)  # type: ignore[attr-defined]
     inventory = getattr(env, "intersphinx_inventory", {})
     for kind, entries in inventory.items():
         if kind.startswith("py:"):
             known |= set(entries)
-    found = sorted((whole for whole in known if whole.split(".")[-1] == name), key=len)
-    return found[0] if found else None
+    longest_first = sorted(known, key=lambda whole: (-len(whole), whole))
+    return {whole.split(".")[-1]: whole for whole in longest_first}
 
 
 def _on_missing(
@@ -70,7 +75,7 @@ def _on_missing(
         return None
     target = node["reftarget"]
     last = target.split(".")[-1]
-    whole = _short(env, last)
+    whole = _whole_names(env).get(last)
     if whole is None and last in own_words():
         return words
     if whole is None or whole == target:
