@@ -31,7 +31,9 @@ def field(form, *path):
 
 def test_every_section_is_in_the_form():
     keys = {f.alias or name for name, f in DocumentSettings.model_fields.items()}
-    (laboratory,) = re.findall(r"edited in its text: (.*?) of `LAB.toml`", sentences("application"))
+    (laboratory,) = re.findall(
+        r"Of the laboratory's file, (.*?) are edited as text", sentences("application")
+    )
     of_laboratory = set(re.findall(r"\[(\w+)\]", laboratory))
     assert keys - {"schema"} == set(SECTIONS)
     assert [one["key"] for one in campaign_form()] == list(SECTIONS)

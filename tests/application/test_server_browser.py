@@ -276,6 +276,8 @@ def test_campaigns_are_copied_renamed_found_and_put_away(opened, folder, tmp_pat
     other.write_text("\n".join(rows[:1] + rows[1::2]))
     tab.get_by_label("Add records").set_input_files(other)
     tab.get_by_text("Added as run: slower at 0.25 rev/s.").wait_for()
+    # The page is drawn again then, with its parts folded.
+    tab.locator("#view:not([aria-busy])").wait_for()
     assert read_campaign(folder / "four").runs[-1].record == folder / "four" / "slower.csv"
     tab.get_by_text("Add records, copy").click()
     tab.get_by_label("Name of the folder").fill("three")

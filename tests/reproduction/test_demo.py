@@ -25,7 +25,7 @@ def test_campaign_is_the_paper_s(shown):
     assert campaign.noise.displacement == plan.SIGMA_DISPLACEMENT
     assert [run.rate for run in campaign.runs] == pytest.approx(plan.RATES, rel=1e-15)
     for run in campaign.runs:
-        (ripple,) = run.truth.spindle.ripples
+        (ripple,) = campaign.simulation.truth.runs[run.name].spindle.ripples
         assert ripple.amplitude / run.rate == pytest.approx(plan.RIPPLE_RATIO, rel=1e-12)
         assert ripple.phase == pytest.approx(plan.RIPPLE_PHASE, rel=1e-15)
         assert run.duration * run.rate / (2 * math.pi) == pytest.approx(plan.STROBES)
