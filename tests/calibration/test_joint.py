@@ -204,6 +204,26 @@ def test_noise_that_is_not_stated_is_estimated_and_said_so(tmp_path):
         assert one.noise["acceleration"].estimated
 
 
+def test_a_run_that_is_noisier_is_weighted_with_its_own_noise(tmp_path, capsys):
+    text = without(BASE, r'^\[noise\]\ndisplacement = "0.01 m"\n')
+    folder = simulated(tmp_path / "loud", text)
+    record = folder / "run3.csv"
+    rows = pl.read_csv(record, comment_prefix="#")
+    shaken = np.random.default_rng(5).normal(0.0, 0.04, rows.height)
+    rows.with_columns(pl.col("east_m") + shaken).write_csv(record)
+    result = calibrate(read_campaign(folder / "campaign.toml"))
+    sizes = result.accelerometers["Qx"].noise["displacement"].runs
+    # As many rows as a run has tell their own size to 1/sqrt(2 x 400/2.31), 5.4 %.
+    expected = {"run1": 0.01, "run2": 0.01, "run3": math.hypot(0.01, 0.04)}
+    assert sizes == pytest.approx(expected, rel=4 * 0.054)
+    assert not result.accelerometers["Qy"].noise["displacement"].runs
+    (said,) = [remark for remark in result.warnings if "Each run is weighted" in remark]
+    assert said.startswith("Qx: the noise of run3 is ")
+    assert result.state == "good"
+    assert main(["calibrate", str(folder)]) == 0
+    assert re.search(r"by run 0\.01\d* in run1", " ".join(capsys.readouterr().out.split()))
+
+
 def test_mixed_noise_is_found_in_both_parts(tmp_path):
     text = changed(
         BASE,

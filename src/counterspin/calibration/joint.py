@@ -34,6 +34,7 @@ from counterspin.calibration.joint_parts import (
     knowledge,
     noise_lines,
     residual,
+    uneven_noise,
     whole_correlation,
 )
 from counterspin.calibration.joint_problem import JointProblem
@@ -125,7 +126,12 @@ def joint(problem: JointProblem) -> Outcome:
             *beyond_typical(rests_on),
         ],
         causes=causes_of(views, accelerometers, mountings),
-        remarks=(*unseen_axes(mountings), *no_more_than_rounded(views), *hidden_walk(views)),
+        remarks=(
+            *unseen_axes(mountings),
+            *no_more_than_rounded(views),
+            *hidden_walk(views),
+            *uneven_noise(views),
+        ),
         residuals=residuals_of(estimated.fit, units),
     )
 

@@ -25,6 +25,7 @@ from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import by_kind, kind_of
 from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
 from counterspin.inference.noise.search import FoundNoise
@@ -164,7 +165,43 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     components = view.estimate.components.get(view.name)
     noise, observable = view.fit.noise[view.name], view.accelerometer.observable
     of_records = record_noise(noise, components, observable)
+    own = _own_series(view)
+    if any(one.relative != 1.0 for one in own):
+        line = of_records[observable]
+        runs = {one.run: line.value * math.sqrt(one.relative) for one in own}
+        of_records[observable] = line.model_copy(update={"runs": runs})
+    if timing := _found_timing(view):
+        of_records["timing"] = NoiseLine(value=timing, unit="s", estimated=True)
     return from_rest(of_records, view.campaign, noise, observable) | of_readings
+
+
+def _own_series(view: AccelerometerView) -> list[Series]:
+    return [part.series for part in view.fit.prepared if part.accelerometer == view.name]
+
+
+def _found_timing(view: AccelerometerView) -> float:
+    """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
+    stated = view.campaign.noise is not None and view.campaign.noise.timing
+    return 0.0 if stated else max((one.timing for one in _own_series(view)), default=0.0)
+
+
+def uneven_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
+    """Yield a remark on each accelerometer whose records have uneven noise: weights follow it."""
+    for view in views:
+        sizes = {one.run: math.sqrt(one.relative) for one in _own_series(view)}
+        quiet, loud = (choose(sizes, key=sizes.__getitem__, default="") for choose in (min, max))
+        if sizes and sizes[loud] > sizes[quiet]:
+            ratio = sizes[loud] / sizes[quiet]
+            yield (
+                f"{view.name}: the noise of {loud} is {ratio:.2g} times that of {quiet}. Each run "
+                "is weighted with its own. Find out why, and whether more than noise differs."
+            )
+        if timing := _found_timing(view):
+            yield (
+                f"{view.name}: the noise follows the slope of the signal, as time stamps that "
+                f"scatter by {timing * 1e6:.2g} us make it, and rows are weighted accordingly. "
+                "If that is what they do, state it as timing in [noise]."
+            )
 
 
 def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:

@@ -169,6 +169,8 @@ class NoiseLine(ResultPart):
     estimated: bool  #: Whether it was estimated from the residuals; else as given.
     #: The record at rest that it was found in; None where it was stated or estimated.
     record: str | None = None
+    #: By run: its own size, where runs differ; `value` is then the rms over the rows of all.
+    runs: dict[str, float] = {}
 
 
 class Comparison(ResultPart):

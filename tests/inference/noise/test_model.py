@@ -12,6 +12,7 @@ from counterspin.inference.noise.model import (
     Noise,
     make_whitener,
     solve_banded_factor,
+    whitener_of,
 )
 
 HALF = sympy.Rational(1, 2)
@@ -234,13 +235,15 @@ def test_a_singular_factor_is_refused():
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_white_noise_of_another_size_in_each_row_is_whitened(order):
+@pytest.mark.parametrize("relative", [1.0, 4.0])
+def test_white_noise_of_another_size_in_each_row_is_whitened(order, relative):
     """Beside a walk: its covariance is that of white acceleration integrated once or twice."""
     t = 0.5 * np.arange(1.0, 9.0)
     added = np.linspace(0.5, 3.0, 8)
-    whiten = make_whitener(t, order, Noise(1.0, 0.7), sample_spacing=0.5, added=added)
+    differences = Differences.of(t, order, None, 0.5, relative)
+    whiten = whitener_of(differences, Noise(1.0, 0.7), 0.0, added)
     early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
     walk = (np.eye(8) / 0.5, early, early**2 * (3.0 * late - early) / 6.0)[order]
     rows = whiten.apply(np.eye(8))
-    covariance = rows @ (np.diag(1.0 + added) + 0.7**2 * walk) @ rows.T
+    covariance = rows @ (relative * np.diag(1.0 + added) + 0.7**2 * walk) @ rows.T
     np.testing.assert_allclose(covariance, np.eye(8 - order), atol=1e-12)

@@ -252,13 +252,19 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
             # The campaign file, and every data sheet, says it in micro-g.
             scale = 1e6 / gravity
             value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"
-        words = name.replace("_", " ")
+        elif name == "timing":
+            value, unit = value * 1e6, "us"
+        words = {"timing": "time stamps"}.get(name, name.replace("_", " "))
         if line.estimated and value == 0.0:
             lines.append(f"{words} none (the records show none)")
             continue
         given = f"from {line.record}" if line.record else "as given"
         how = "estimated from the residuals" if line.estimated else given
-        lines.append(f"{words} {format_estimate(value, u or None, unit)} ({how})")
+        about = line.estimated and u is None
+        size = f"{format_number(value, 2)} {unit}" if about else format_estimate(value, u, unit)
+        own = [f"{format_number(of_run, 2)} in {run}" for run, of_run in line.runs.items()]
+        by_run = f", by run {', '.join(own)}" if own else ""
+        lines.append(f"{words} {size} ({how}){by_run}")
     return f"Noise: {'; '.join(lines)}."
 
 

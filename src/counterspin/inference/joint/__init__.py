@@ -9,6 +9,7 @@
 - `estimation`: the joint estimate, stage by stage
 - `outliers`, `cleaning`: samples that noise does not explain, left out round by round
 - `found_noise`: noise found in the records, and what its own uncertainty leaves open
+- `uneven_noise`: white noise that differs from run to run, or follows the slope of the signal
 - `rotation`: how runs without angles turned
 - `condensed`: what nobody asks for, in as few columns as the records can tell from nothing
 - `budget`, `what_if`: where the uncertainty of a coefficient comes from, and what it would be if

@@ -106,7 +106,10 @@ def standing_out(
         known = requests[part.accelerometer].known
         if part.series.jitter > 0.0:
             weight = weight / _jittered(
-                left * weight, known.white, part.series.jitter, series[index].jitter_variance
+                left * weight,
+                known.white,
+                part.series.jitter,
+                series[index].jitter_variance * series[index].relative,
             )
         further.append(outlying(left, weight, known.quantisation / math.sqrt(12.0), time))
     return tuple(further)

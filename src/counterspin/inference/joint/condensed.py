@@ -103,7 +103,7 @@ def white_level(part: Prepared) -> float:
     left = series.error - part.design @ found
     own = series.polynomials(max(series.order, 1))
     left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
-    rough = np.diff(left * np.sqrt(series.count), 3)
+    rough = np.diff(left * np.sqrt(series.count / series.relative), 3)
     if rough.size == 0:
         return 0.0
     return SIGMA_OF_MAD * float(np.median(np.abs(rough))) / math.sqrt(20.0)

@@ -28,6 +28,7 @@ from counterspin.inference.joint.found_noise import (
 )
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.uneven_noise import Uneven, uneven_noise
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
@@ -38,6 +39,10 @@ _SCALE_TOLERANCE: Final = 1e-4
 #: A change of a coefficient by so many of its standard uncertainties changes no input's column
 #: noticeably: of its effect it changes a part as large as the input's own uncertainty.
 _FAR: Final = 20.0
+
+#: How often weights of uneven noise are looked for: noise of the time stamps, then that of the
+#: runs beside it, and both once more.
+_ROUNDS_OF_WEIGHTS: Final = 3
 
 
 @frozen
@@ -93,6 +98,22 @@ class _State:
             fit=fit,
             anew=True,
         )
+
+    def with_uneven(self, uneven: Mapping[str, Uneven]) -> _State:
+        """Return the state with noise of the records that differs; nothing is fitted anew."""
+        series = tuple(
+            uneven[one.accelerometer].of(one) if one.accelerometer in uneven else one
+            for one in self.series
+        )
+
+        def noisy(prepared: Sequence[Prepared]) -> tuple[Prepared, ...]:
+            return tuple(
+                replace(part, series=part.series.as_noisy_as(whole.without(mask)))
+                for part, whole, mask in zip(prepared, series, self.outliers, strict=True)
+            )
+
+        fit = replace(self.fit, observations=noisy(self.fit.prepared))
+        return replace(self, series=series, prepared=noisy(self.prepared), fit=fit)
 
     def with_noise(self) -> _State:
         """Return the state with noise found in what the fit leaves, where it is not given."""
@@ -175,6 +196,16 @@ def find_noise(state: _State) -> _State:
     return state.with_noise()
 
 
+def weigh_uneven_noise(state: _State) -> _State:
+    """Weigh each run by its own white noise, and rows by that of their time stamps, where found."""
+    for _ in range(_ROUNDS_OF_WEIGHTS):
+        uneven = uneven_noise(state.fit, state.series, state.requests)
+        if not uneven:
+            break
+        state = state.with_uneven(uneven).with_noise()
+    return state
+
+
 def find_encoder_waves(state: _State) -> _State:
     """Take along what the encoder has not shown of the rotation, where the weights let it count."""
     series = [part.series for part in state.prepared]
@@ -230,7 +261,14 @@ def take_back_outliers(state: _State) -> _State:
     return replace(state, fit=fit, outliers=outliers, prepared=kept).with_noise()
 
 
-STAGES: Final = (reject_outliers, find_noise, find_encoder_waves, rescale, take_back_outliers)
+STAGES: Final = (
+    reject_outliers,
+    find_noise,
+    weigh_uneven_noise,
+    find_encoder_waves,
+    rescale,
+    take_back_outliers,
+)
 
 
 def _finished(

@@ -65,6 +65,7 @@ def _found(prepared: Sequence[Prepared], model: Unknowns, request: Noise) -> Fou
             [used.index(index) for index in own],
             part.series.trajectory.conditions.start,
             part.series.jitter_variance,
+            part.series.relative,
         )
         for part, own in zip(prepared, places, strict=True)
     ]

@@ -50,9 +50,12 @@ class Series:
     #: Whether the record is in g, so that its size depends on the gravity assumed.
     in_g: bool = False
     recorder: str = ""  #: The one whose clock its times have, where there are several.
-    #: White noise of each sample, in the error's unit, that comes from noise of the time stamps,
-    #: its rms; it is added to the accelerometer's own.
+    timing: float = 0.0  #: Standard deviation of its time stamps, s.
+    #: White noise of each sample that comes from it, in the error's unit, its rms; it is added to
+    #: the accelerometer's own.
     jitter: float = 0.0
+    #: Variance of its white noise, that of the time stamps apart, over that of the accelerometer's.
+    relative: float = 1.0
     #: How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
     angle_error: AngleError | None = None
     #: To which the run is integrated, s, if that is beyond its rows; 0: to the last.
@@ -152,7 +155,8 @@ class Series:
 
     def total(self, noise: Noise) -> Noise:
         """Return the noise of an accelerometer with what the time stamps' noise adds here."""
-        return replace(noise, white=math.hypot(noise.white, self.jitter))
+        white = math.sqrt(self.relative) * noise.white
+        return replace(noise, white=math.hypot(white, self.jitter))
 
     def with_timing(self, timing: float) -> Series:
         """Return the series with what noise of its time stamps adds: it goes with the slope.
@@ -166,8 +170,19 @@ class Series:
         least = math.sqrt(LEAST_SHARE * float(np.mean(ideal**2)))
         return replace(
             self,
+            timing=timing,
             moved=timing * np.maximum(np.abs(slope), least),
             jitter=timing * math.sqrt(float(np.mean(slope**2))),
+        )
+
+    def as_noisy_as(self, other: Series) -> Series:
+        """Return the series with the noise of another one of the same rows."""
+        return replace(
+            self,
+            relative=other.relative,
+            timing=other.timing,
+            jitter=other.jitter,
+            moved=other.moved,
         )
 
     def slopes(self) -> tuple[Array, Array]:
@@ -190,13 +205,13 @@ class Series:
 
     @property
     def jitter_variance(self) -> Array:
-        """Variance of a sample's jitter in each row, (n,); () without any."""
-        return np.zeros(()) if self.moved is None else self.moved**2
+        """Variance of a sample's jitter in each row, (n,), over `relative`; () without any."""
+        return np.zeros(()) if self.moved is None else self.moved**2 / self.relative
 
     @cached_property
     def differences(self) -> Differences:
         """The differences of the rows in which start offset and velocity do not show."""
-        return Differences.of(self.time, self.order, self.count, self.block_spacing)
+        return Differences.of(self.time, self.order, self.count, self.block_spacing, self.relative)
 
     def whitener(self, noise: Noise) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""

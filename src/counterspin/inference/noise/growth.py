@@ -34,12 +34,13 @@ def information_lost(
     rows = solve_banded_factor(bands, differences.apply(columns))
     shown: list[Array] = []
     if noise.wanders:
-        variances = (float(np.mean(white)), *noise.variances[1:])
+        variances = (float(np.mean(white)) * differences.relative, *noise.variances[1:])
         every, *shown = differences.wander(differences.order, variances, before)
         wander = LowRank.of(solve_banded_factor(bands, every))
         rows = wander.apply(wander.apply(rows))
     weighted = solve_banded_factor(bands, rows, transposed=True)
-    sample = differences.back(weighted) / np.sqrt(differences.blocks.count)[:, None]
+    size = np.sqrt(differences.relative / differences.blocks.count)
+    sample = differences.back(weighted) * size[:, None]
     parts = [sample, _upper(differences.factor(0.0, 1.0)[0], weighted)]
     parts += [one.T @ weighted for one in shown]
     lost = np.zeros((len(COMPONENTS), columns.shape[1], columns.shape[1]))

@@ -132,6 +132,8 @@ class Differences:
     order: int  #: 2, 1 or 0: how many rows fewer, and how many off-diagonals.
     blocks: BlockSpans  #: The samples of each row.
     spacing: Array  #: (n,) time between the samples of a block, s.
+    #: Variance of this record's white noise over that of the accelerometer's.
+    relative: float = 1.0
 
     @classmethod
     def of(
@@ -140,6 +142,7 @@ class Differences:
         order: int,
         count: ArrayLike | None = None,
         sample_spacing: ArrayLike | None = None,
+        relative: float = 1.0,
     ) -> Differences:
         """Differences for rows at `times`; arguments and errors as in `make_whitener`."""
         if order not in (DISPLACEMENT, VELOCITY, SPECIFIC_FORCE):
@@ -169,7 +172,7 @@ class Differences:
                 f"blocks {row} and {row + 1} overlap: {counts[row]:g} and {counts[row + 1]:g} "
                 f"samples {spacing[row]:g} s apart do not fit in {steps[row]:g} s"
             )
-        return cls(order, blocks, spacing)
+        return cls(order, blocks, spacing, relative)
 
     @property
     def rows(self) -> int:
@@ -228,8 +231,10 @@ class Differences:
     def factor(self, white: float | Array, walk: float) -> tuple[Array, float]:
         """Banded Cholesky factor of the differences' covariance, and its log-determinant.
 
+        white: Variance per sample where records are alike: this one has `relative` times as much.
         walk: N^2; not both zero.
         """
+        white = white * self.relative
         if self.order == SPECIFIC_FORCE:
             # A sample is taken as the mean over its own spacing: variance N^2/h.
             bands = np.sqrt((white + walk / self.spacing) / self.blocks.count)[None, :]
@@ -340,11 +345,11 @@ def whitener_of(
     order, polynomials = differences.order, 0
     if walk == 0:
         polynomials = order
-        differences = Differences(SPECIFIC_FORCE, differences.blocks, differences.spacing)
+        differences = replace(differences, order=SPECIFIC_FORCE)
     bands, log_det = differences.factor(white, walk)
     if not noise.wanders:
         return Whitener(differences, bands, log_det, polynomials)
-    variances = (float(np.mean(white)), *noise.variances[1:])
+    variances = (float(np.mean(white)) * differences.relative, *noise.variances[1:])
     shown = differences.wander(order, variances, before)[0]
     wander = LowRank.of(solve_banded_factor(bands, shown))
     return Whitener(differences, bands, log_det + wander.log_det, polynomials, wander)

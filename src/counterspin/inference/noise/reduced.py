@@ -48,10 +48,13 @@ class RecordData:
     before: float = 0.0  #: For how long a bias had walked when the record began, s.
     #: (n,) or a number: a variance of each row's samples that is known, beside what is estimated.
     added: float | Array = 0.0
+    relative: float = 1.0  #: Its white variance over that of records that are alike.
 
     def reduced(self) -> DifferencedRecord:
         """Return its differences."""
-        differences = Differences.of(self.times, self.order, self.count, self.spacing)
+        differences = Differences.of(
+            self.times, self.order, self.count, self.spacing, self.relative
+        )
         rows = [np.asarray(self.design, float), np.asarray(self.observations, float)]
         stack = differences.apply(np.column_stack(rows))
         return DifferencedRecord(differences, stack, self.order, self.before, self.added)
@@ -106,7 +109,7 @@ class DifferencedRecord:
         if not any(unit[2:]):
             bands, log_det = self.differences.factor(unit[0] + self.added, unit[1])
             return solve_banded_factor(bands, self.stack), log_det
-        beside = float(unit[0] + np.mean(self.added))
+        beside = float(unit[0] + np.mean(self.added)) * self.differences.relative
         length = spanned(self.length)
         count = functions_needed((beside, *unit[1:]), self.spacing, length, self.order)
         scale = self._scale(unit)
@@ -123,9 +126,14 @@ class DifferencedRecord:
         log_det += self.rows * math.log(scale) + 2.0 * float(np.log(np.diagonal(factor)).sum())
         return rows, log_det
 
+    @property
+    def _uneven(self) -> bool:
+        """Whether its white noise is in no proportion to what else is white in a sample."""
+        return bool(np.any(self.added)) or self.differences.relative != 1.0
+
     def _scale(self, unit: Variances) -> float:
         """Return a size of the noise beside a wander, by which it becomes one of few."""
-        if np.any(self.added):
+        if self._uneven:
             return 1.0
         spacing = self.differences.spacing
         if self.order == SPECIFIC_FORCE and np.ptp(spacing) == 0.0:
@@ -135,7 +143,7 @@ class DifferencedRecord:
     def _triangle(self, white: float, walk: float, count: int) -> tuple[Array, float]:
         """Triangle of [cosines | stack], whitened without the wander, and the log-determinant."""
         even = self.order == SPECIFIC_FORCE and np.ptp(self.differences.spacing) == 0.0
-        if even and not np.any(self.added):
+        if even and not self._uneven:
             white, walk = 1.0, 0.0  # what is white in a sample cannot be told from it
         key = (white, walk, count)
         if key not in self.triangles:

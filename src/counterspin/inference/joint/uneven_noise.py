@@ -1,0 +1,179 @@
+"""White noise that is found in records and differs from row to row.
+
+The noise of an accelerometer is found as one for all of its records. Two things often make it
+uneven: a run that is noisier than the others, as vibration makes a fast one, and time stamps that
+scatter, whose noise follows the slope of the signal. Weights that do not know of it waste the quiet
+rows, and u of what rests on the noisy ones is too small.
+
+Both are looked for in third differences of the whitened residuals, in which nothing slow is left:
+a misfit of the model is not taken for noise. Where the noise is even, their squares have the mean
+1. Of independent rows, a third difference has correlations of -3/4, 3/10 and -1/20 with the next
+ones, so that n of them tell as much as n/2.31 rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.series import Series
+from counterspin.inference.noise.model import Noise
+
+#: Squared weights of a third difference, over their sum: whose rows' variances it has.
+_WEIGHTS: Final = np.array([1.0, 9.0, 9.0, 1.0]) / 20.0
+
+#: Sum of the squared correlations of third differences: so many tell as much as one row.
+_ALIKE: Final = 1.0 + 2.0 * (0.75**2 + 0.3**2 + 0.05**2)
+
+#: Fewest differences of a series from which its noise is taken.
+_FEWEST: Final = 40
+
+#: Probability at which even noise is taken for uneven, and the least ratio of two standard
+#: deviations that counts: weights that are off by less cost nothing.
+_P: Final = 1e-6
+_LEAST_RATIO: Final = 1.1
+
+#: Trial sizes of the time stamps' noise: its largest variance in a row over the white one.
+_TRIALS: Final = np.geomspace(0.1, 1e6, 57)
+
+
+@frozen
+class Uneven:
+    """How the white noise of an accelerometer's records differs."""
+
+    #: Run -> its standard deviation over that of the accelerometer; empty: they are alike.
+    runs: Mapping[str, float]
+    timing: float  #: Standard deviation of a time stamp that would explain it, s; 0: none.
+
+    def of(self, series: Series) -> Series:
+        """Return a series with this noise."""
+        changed = series.with_timing(self.timing)
+        return replace(changed, relative=series.relative * self.runs.get(series.run, 1.0) ** 2)
+
+
+def uneven_noise(
+    fit: JointFit, series: Sequence[Series], requests: Mapping[str, Noise]
+) -> dict[str, Uneven]:
+    """Return what is uneven of the white noise that is found, by accelerometer.
+
+    series: With all rows, for the slopes of their signals.
+    """
+    found = {}
+    for name, request in requests.items():
+        places = [i for i, part in enumerate(fit.prepared) if part.accelerometer == name]
+        if "white" not in request.wanted or fit.noise[name].sample_variance == 0.0:
+            continue
+        roughs = {i: np.diff(fit.residuals[i].whitened, 3) / math.sqrt(20.0) for i in places}
+        roughs = {i: rough for i, rough in roughs.items() if rough.size >= _FEWEST}
+        if roughs and (one := _uneven(fit, series, roughs, fit.noise[name])) is not None:
+            found[name] = one
+    return found
+
+
+def _uneven(
+    fit: JointFit, series: Sequence[Series], roughs: Mapping[int, Array], noise: Noise
+) -> Uneven | None:
+    """Return what explains the sizes of third differences best, if anything does."""
+    squares = {i: rough**2 for i, rough in roughs.items()}
+    every = np.concatenate(list(squares.values()))
+    mean = float(np.mean(every))
+    # Tails longer than a Gaussian's make every sum of squares less certain.
+    tails = max(1.0, float(np.mean((every / mean - 1.0) ** 2)) / 2.0)
+    part = 1.0 / (_ALIKE * tails)
+    by_run = _by_run(fit, squares, mean, part)
+    if by_run is None and not _uneven_within(fit, squares, part):
+        return None
+    by_slope = _by_slope(fit, series, squares, noise, part)
+    candidates = [one for one in (by_run, by_slope) if one is not None]
+    return max(candidates, key=lambda one: one[0])[1] if candidates else None
+
+
+def _by_run(
+    fit: JointFit, squares: Mapping[int, Array], mean: float, part: float
+) -> tuple[float, Uneven] | None:
+    """Return the runs' own sizes and how far their gain is beyond that of chance; None: alike.
+
+    Bartlett's test, Proc. R. Soc. A 160 (1937) 268.
+    """
+    from scipy.special import chdtri
+
+    sizes = {i: float(np.mean(own)) for i, own in squares.items()}
+    ratio = math.sqrt(max(sizes.values()) / min(sizes.values()))
+    if len(sizes) < 2 or ratio < _LEAST_RATIO:
+        return None
+    gain = part * sum(-squares[i].size * math.log(size / mean) for i, size in sizes.items())
+    beyond = gain - float(chdtri(len(sizes) - 1, _P))
+    runs = {fit.prepared[i].run: math.sqrt(size) for i, size in sizes.items()}
+    return (beyond, Uneven(runs, 0.0)) if beyond > 0.0 else None
+
+
+def _uneven_within(fit: JointFit, squares: Mapping[int, Array], part: float) -> bool:
+    """Return whether squares follow twice the angle or the time, as slopes do, in any run."""
+    from scipy.special import chdtrc
+
+    smallest = 1.0
+    for i, own in squares.items():
+        series = fit.prepared[i].series
+        time = series.time[-own.size :]
+        twice = 2.0 * series.trajectory.spindle.angle(time)
+        shape = np.column_stack([np.ones(own.size), np.cos(twice), np.sin(twice), time])
+        found = np.linalg.lstsq(shape, own, rcond=None)[0]
+        explained = np.sum((shape @ found - own.mean()) ** 2) / (2.0 * own.mean() ** 2)
+        smallest = min(smallest, float(chdtrc(3, part * explained)))
+    return smallest < _P
+
+
+def _by_slope(
+    fit: JointFit,
+    series: Sequence[Series],
+    squares: Mapping[int, Array],
+    noise: Noise,
+    part: float,
+) -> tuple[float, Uneven] | None:
+    """Return noise of the time stamps and how far its gain is beyond that of chance; None: none.
+
+    The likelihood of the squares where their means go with 1 + (timing x slope)^2/white^2.
+    """
+    from scipy.special import chdtri
+
+    if any(fit.prepared[i].series.jitter > 0.0 for i in squares):
+        return None
+    slopes = {
+        i: _slope_squared(fit.prepared[i].series, series[i], len(own)) for i, own in squares.items()
+    }
+    largest = max(float(one.max()) for one in slopes.values())
+    if largest == 0.0:
+        return None
+    slope = np.concatenate(list(slopes.values())) / largest
+    every = np.concatenate(list(squares.values()))
+
+    def gained(size: float) -> float:
+        """Return twice the gain in log-likelihood over even noise."""
+        shape = 1.0 + size * slope
+        level = math.log(np.mean(every / shape)) - math.log(np.mean(every))
+        return -part * (float(np.sum(np.log(shape))) + every.size * level)
+
+    size = float(max(_TRIALS, key=gained))
+    fine = size * np.geomspace(0.75, 1.33, 21)
+    size = float(max(fine, key=gained))
+    beyond = gained(size) - float(chdtri(1, _P))
+    if beyond <= 0.0 or math.sqrt(1.0 + size) < _LEAST_RATIO:
+        return None
+    level = float(np.mean(every / (1.0 + size * slope))) * noise.sample_variance
+    return beyond, Uneven({}, math.sqrt(size * level / largest))
+
+
+def _slope_squared(kept: Series, whole: Series, count: int) -> Array:
+    """Return the mean square of the slope in the rows of each third difference, (count,)."""
+    ideal, of_error = whole.slopes()
+    squared = ((ideal + of_error) ** 2)[np.isin(whole.time, kept.time)]
+    mean = np.convolve(squared, _WEIGHTS, mode="valid")
+    # Whitened differences belong to the later rows.
+    return np.asarray(mean[mean.size - count :])
