@@ -510,6 +510,16 @@ def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path):
     assert known.coefficients["K_II"].u_stated > 1e-9
 
 
+def test_what_is_held_may_be_off_by_as_much_as_is_stated_of_it(tmp_path):
+    """Tilts of 5 arcsec, as stated, move K_F by 24 ug: 12 times the u of its prior."""
+    truth = ("[truth.Qx]", '[truth.platform]\ntilt = { north = "5 arcsec" }\n[truth.Qx]')
+    for u, codes in (("5", set()), ("0.05", {"lack-of-fit", "prior-conflict"})):
+        stated = modelled(f'priors = {{ "platform.tilt" = "0 ± {u} arcsec" }}')
+        found = qx(result_of(tmp_path / u, PRIORS, truth, stated))
+        assert bool(codes) == bool({finding.code for finding in found.findings} & codes)
+        assert (found.state == "good") == (not codes)
+
+
 def test_runs_that_do_not_agree_are_named(tmp_path):
     # An exact value is no prior that could be held to them.
     wrong = (PRIORS[0], 'bias = "0.00501 g"\nscale_factor = "1.002 g/g"')
