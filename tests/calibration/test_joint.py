@@ -222,6 +222,13 @@ def test_a_run_that_is_noisier_is_weighted_with_its_own_noise(tmp_path, capsys):
     assert result.state == "good"
     assert main(["calibrate", str(folder)]) == 0
     assert re.search(r"by run 0\.01\d* in run1", " ".join(capsys.readouterr().out.split()))
+    stated = (folder / "campaign.toml").read_text() + '\n[noise]\ndisplacement = "0.01 m"\n'
+    (folder / "campaign.toml").write_text(stated)
+    (first,) = calibrate(read_campaign(folder / "campaign.toml")).findings
+    assert (first.code, first.subject) == ("wrong-noise", "Qx")
+    assert re.search(r"is [34]\.\d times the stated one in run3, and as", first.text)
+    assert first.size == pytest.approx(math.hypot(1.0, 4.0), rel=4 * 0.054)
+    assert "lack-of-fit" in {below.code for below in first.explains}
 
 
 def test_mixed_noise_is_found_in_both_parts(tmp_path):

@@ -2,6 +2,7 @@
 
 - `search`: the likely causes of a misfit, each tried on the records
 - `causes`: one finding for each cause, the others below it
+- `stated_noise`: whether the stated noise is that of all runs, or of some
 - `words`: what is said of a cause
 - `mountings`: whether an accelerometer is mounted as it is stated
 - `credible`: estimates that no instrument has, whatever the fit

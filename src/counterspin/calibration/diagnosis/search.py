@@ -18,6 +18,7 @@ import numpy as np
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
 from counterspin.calibration.diagnosis.credible import beyond_typical, incredible
 from counterspin.calibration.diagnosis.mountings import OtherMounting, better, wrong_mounting
+from counterspin.calibration.diagnosis.stated_noise import with_noise_by_run, wrong_noise
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import residual_findings
@@ -28,7 +29,6 @@ from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import (
-    CHI_SQUARE_SIGNIFICANCE,
     SIGNIFICANCE,
     normal_equivalent,
 )
@@ -51,7 +51,6 @@ from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.gravity import gravity_range, latitudes_with
 from counterspin.physics.terms import INPUTS, OWN_TERMS
-from counterspin.reports.numbers import format_number
 
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
 _FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
@@ -139,7 +138,8 @@ def _causes(
     turned: A mounting that fits better than the stated one; it has no parameter that could fit.
     """
     campaign = views[0].campaign
-    causes: list[Cause] = []
+    now, off = with_noise_by_run(views, now)
+    causes = [Cause(one, (one.subject,), _remaining(views, now)) for one in off]
     first = 0.0
     if turned is not None:
         explained = _best(now, priors, others, given)
@@ -174,32 +174,8 @@ def _causes(
         now = after
     if given:
         seen = (replace(view, estimate=now) for view in views if view.has_records)
-        causes += [cause for view in seen for cause in _noise(view)]
+        causes += [Cause(one, (one.subject,), {}) for view in seen for one in wrong_noise(view)]
     return tuple(causes)
-
-
-def _noise(view: AccelerometerView) -> Iterator[Cause]:
-    """Yield the cause that the noise is stated wrongly, where nothing else is wrong with it.
-
-    Residuals of another size than the noise, alike in every run and independent of each other.
-    """
-    tests, name, fits = view.diagnostics, view.name, len(view.campaign.accelerometers)
-    p = tests.lack_of_fit_p
-    if CHI_SQUARE_SIGNIFICANCE / fits < p < 1.0 - CHI_SQUARE_SIGNIFICANCE / fits:
-        return
-    ratio, least = tests.chi2 / tests.dof, SIGNIFICANCE / (3.0 * len(tests.runs))
-    for run in tests.runs.values():
-        off = (run.chi2 / ratio - run.dof) / math.sqrt(2.0 * run.dof)
-        if min(run.sign_p, run.peak_p, math.erfc(abs(off) / math.sqrt(2.0))) < least:
-            return
-    times = math.sqrt(ratio)
-    text = (
-        f"Noise {format_number(times, 4)} times as large as stated would fit: the residuals have "
-        f"this size in every run and are independent of each other. Check the stated noise, "
-        "or have it estimated."
-    )
-    finding = Finding(code="wrong-noise", subject=name, text=text, size=max(times, 1.0 / times))
-    yield Cause(finding, (name,), {})
 
 
 # Whether to look for causes at all

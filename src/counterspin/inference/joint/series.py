@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Final
@@ -174,6 +174,10 @@ class Series:
             moved=timing * np.maximum(np.abs(slope), least),
             jitter=timing * math.sqrt(float(np.mean(slope**2))),
         )
+
+    def louder(self, runs: Mapping[str, float]) -> Series:
+        """Return the series with its white noise as many times as large as is said of its run."""
+        return replace(self, relative=self.relative * runs.get(self.run, 1.0) ** 2)
 
     def as_noisy_as(self, other: Series) -> Series:
         """Return the series with the noise of another one of the same rows."""

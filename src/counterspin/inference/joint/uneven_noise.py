@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -54,8 +53,7 @@ class Uneven:
 
     def of(self, series: Series) -> Series:
         """Return a series with this noise."""
-        changed = series.with_timing(self.timing)
-        return replace(changed, relative=series.relative * self.runs.get(series.run, 1.0) ** 2)
+        return series.with_timing(self.timing).louder(self.runs)
 
 
 def uneven_noise(
@@ -67,37 +65,53 @@ def uneven_noise(
     """
     found = {}
     for name, request in requests.items():
-        places = [i for i, part in enumerate(fit.prepared) if part.accelerometer == name]
         if "white" not in request.wanted or fit.noise[name].sample_variance == 0.0:
             continue
-        roughs = {i: np.diff(fit.residuals[i].whitened, 3) / math.sqrt(20.0) for i in places}
-        roughs = {i: rough for i, rough in roughs.items() if rough.size >= _FEWEST}
-        if roughs and (one := _uneven(fit, series, roughs, fit.noise[name])) is not None:
+        squares = _squares(fit, name)
+        if squares and (one := _uneven(fit, series, squares, fit.noise[name])) is not None:
             found[name] = one
     return found
 
 
+def noise_by_run(fit: JointFit, accelerometer: str) -> Mapping[str, float]:
+    """Return each run's white noise over what the fit takes it for; empty where runs are alike."""
+    squares = _squares(fit, accelerometer)
+    found = _by_run(fit, squares) if squares else None
+    return {} if found is None else found[1].runs
+
+
+def _squares(fit: JointFit, accelerometer: str) -> dict[int, Array]:
+    """Return the squares of third differences, of mean 1 where the noise is even, by series."""
+    squares = {
+        i: np.diff(fit.residuals[i].whitened, 3) ** 2 / 20.0
+        for i, part in enumerate(fit.prepared)
+        if part.accelerometer == accelerometer
+    }
+    return {i: own for i, own in squares.items() if own.size >= _FEWEST}
+
+
 def _uneven(
-    fit: JointFit, series: Sequence[Series], roughs: Mapping[int, Array], noise: Noise
+    fit: JointFit, series: Sequence[Series], squares: Mapping[int, Array], noise: Noise
 ) -> Uneven | None:
     """Return what explains the sizes of third differences best, if anything does."""
-    squares = {i: rough**2 for i, rough in roughs.items()}
-    every = np.concatenate(list(squares.values()))
-    mean = float(np.mean(every))
-    # Tails longer than a Gaussian's make every sum of squares less certain.
-    tails = max(1.0, float(np.mean((every / mean - 1.0) ** 2)) / 2.0)
-    part = 1.0 / (_ALIKE * tails)
-    by_run = _by_run(fit, squares, mean, part)
-    if by_run is None and not _uneven_within(fit, squares, part):
+    by_run = _by_run(fit, squares)
+    if by_run is None and not _uneven_within(fit, squares):
         return None
-    by_slope = _by_slope(fit, series, squares, noise, part)
+    by_slope = _by_slope(fit, series, squares, noise)
     candidates = [one for one in (by_run, by_slope) if one is not None]
     return max(candidates, key=lambda one: one[0])[1] if candidates else None
 
 
-def _by_run(
-    fit: JointFit, squares: Mapping[int, Array], mean: float, part: float
-) -> tuple[float, Uneven] | None:
+def _certainty(every: Array) -> float:
+    """Return how many independent rows a third difference tells as much as.
+
+    Tails longer than a Gaussian's make every sum of squares less certain.
+    """
+    tails = max(1.0, float(np.mean((every / np.mean(every) - 1.0) ** 2)) / 2.0)
+    return 1.0 / (_ALIKE * tails)
+
+
+def _by_run(fit: JointFit, squares: Mapping[int, Array]) -> tuple[float, Uneven] | None:
     """Return the runs' own sizes and how far their gain is beyond that of chance; None: alike.
 
     Bartlett's test, Proc. R. Soc. A 160 (1937) 268.
@@ -108,13 +122,15 @@ def _by_run(
     ratio = math.sqrt(max(sizes.values()) / min(sizes.values()))
     if len(sizes) < 2 or ratio < _LEAST_RATIO:
         return None
-    gain = part * sum(-squares[i].size * math.log(size / mean) for i, size in sizes.items())
+    every = np.concatenate(list(squares.values()))
+    lost = sum(squares[i].size * math.log(size / np.mean(every)) for i, size in sizes.items())
+    gain = -_certainty(every) * lost
     beyond = gain - float(chdtri(len(sizes) - 1, _P))
     runs = {fit.prepared[i].run: math.sqrt(size) for i, size in sizes.items()}
     return (beyond, Uneven(runs, 0.0)) if beyond > 0.0 else None
 
 
-def _uneven_within(fit: JointFit, squares: Mapping[int, Array], part: float) -> bool:
+def _uneven_within(fit: JointFit, squares: Mapping[int, Array]) -> bool:
     """Return whether squares follow twice the angle or the time, as slopes do, in any run."""
     from scipy.special import chdtrc
 
@@ -126,7 +142,7 @@ def _uneven_within(fit: JointFit, squares: Mapping[int, Array], part: float) -> 
         shape = np.column_stack([np.ones(own.size), np.cos(twice), np.sin(twice), time])
         found = np.linalg.lstsq(shape, own, rcond=None)[0]
         explained = np.sum((shape @ found - own.mean()) ** 2) / (2.0 * own.mean() ** 2)
-        smallest = min(smallest, float(chdtrc(3, part * explained)))
+        smallest = min(smallest, float(chdtrc(3, _certainty(own) * explained)))
     return smallest < _P
 
 
@@ -135,7 +151,6 @@ def _by_slope(
     series: Sequence[Series],
     squares: Mapping[int, Array],
     noise: Noise,
-    part: float,
 ) -> tuple[float, Uneven] | None:
     """Return noise of the time stamps and how far its gain is beyond that of chance; None: none.
 
@@ -153,6 +168,7 @@ def _by_slope(
         return None
     slope = np.concatenate(list(slopes.values())) / largest
     every = np.concatenate(list(squares.values()))
+    part = _certainty(every)
 
     def gained(size: float) -> float:
         """Return twice the gain in log-likelihood over even noise."""
