@@ -71,6 +71,16 @@ def test_something_periodic_left_out():
     assert "a peak at 3 Hz" in result.verdict
 
 
+def test_a_wave_that_is_much_of_the_residuals_comes_first():
+    """A drift of run a is said after the tone of run b, and its own tone before its signs."""
+    slow = white(1) + np.linspace(-1.0, 1.0, 2000)
+    tone = white(2) + np.sin(0.3 * np.arange(2000.0))
+    said = diagnose({"a": slow, "b": tone}, 3990, noise_given=False).findings
+    assert said[0].startswith("b: a peak")
+    assert said[0].endswith("they contain a periodic effect, such as a vibration.")
+    assert any(one.startswith("a: ") for one in said[1:])
+
+
 def test_sign_test_against_all_orders():
     """Mean and variance of the number of runs over every arrangement of 4 plus and 5 minus."""
     counts, z = [], []

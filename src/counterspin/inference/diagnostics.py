@@ -171,6 +171,10 @@ def _diagnose_run(rows: Array, dof: float, interval: float, noise_dof: float) ->
     )
 
 
+#: Share of the residuals' variance above which a wave is named first.
+_LARGE: Final = 0.1
+
+
 def _findings(
     runs: Mapping[str, RunDiagnostics],
     whole: tuple[float, float, float],
@@ -194,23 +198,27 @@ def _findings(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
             "noise: the noise is stated too large."
         )
-    for name, run in runs.items():
+    # A wave that is most of what is wrong says more than what it does to the signs.
+    waves = [name for name, run in runs.items() if run.peak_p < limit and run.peak_share > _LARGE]
+    waves.sort(key=lambda name: -runs[name].peak_share)
+    for name in [*waves, *(name for name in runs if name not in waves)]:
+        run = runs[name]
         if noise_given and run.chi2_p < limit and len(runs) > 1:
             found.append(
                 f"{name}: the residuals are {math.sqrt(run.chi2 / run.dof):.3g} times as large as "
                 "the stated noise."
+            )
+        if run.peak_p < limit:
+            found.append(
+                f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains "
+                f"{run.peak_share:.2%} of the residuals' variance: they contain a periodic "
+                f"effect{', such as a vibration' if run.peak_share > _LARGE else ''}."
             )
         if run.sign_p < limit:
             found.append(
                 f"{name}: the residuals change sign too {'seldom' if run.sign_z < 0 else 'often'} "
                 f"({run.sign_z:+.1f} standard deviations): successive residuals are not "
                 f"independent."
-            )
-        if run.peak_p < limit:
-            found.append(
-                f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains "
-                f"{run.peak_share:.2%} of "
-                "the residuals' variance: they contain a periodic effect."
             )
     return tuple(found)
 
