@@ -171,8 +171,10 @@ def _diagnose_run(rows: Array, dof: float, interval: float, noise_dof: float) ->
     )
 
 
-#: Share of the residuals' variance above which a wave is named first.
+#: Share of the residuals' variance above which a wave is named first, and the fewest periods in a
+#: run that are no bend of it.
 _LARGE: Final = 0.1
+_PERIODS: Final = 8
 
 
 def _findings(
@@ -199,7 +201,7 @@ def _findings(
             "noise: the noise is stated too large."
         )
     # A wave that is most of what is wrong says more than what it does to the signs.
-    waves = [name for name, run in runs.items() if run.peak_p < limit and run.peak_share > _LARGE]
+    waves = [name for name, run in runs.items() if run.peak_p < limit and _is_large(run)]
     waves.sort(key=lambda name: -runs[name].peak_share)
     for name in [*waves, *(name for name in runs if name not in waves)]:
         run = runs[name]
@@ -208,19 +210,24 @@ def _findings(
                 f"{name}: the residuals are {math.sqrt(run.chi2 / run.dof):.3g} times as large as "
                 "the stated noise."
             )
-        if run.peak_p < limit:
-            found.append(
-                f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains "
-                f"{run.peak_share:.2%} of the residuals' variance: they contain a periodic "
-                f"effect{', such as a vibration' if run.peak_share > _LARGE else ''}."
-            )
-        if run.sign_p < limit:
-            found.append(
-                f"{name}: the residuals change sign too {'seldom' if run.sign_z < 0 else 'often'} "
-                f"({run.sign_z:+.1f} standard deviations): successive residuals are not "
-                f"independent."
-            )
+        signs = (
+            f"{name}: the residuals change sign too {'seldom' if run.sign_z < 0 else 'often'} "
+            f"({run.sign_z:+.1f} standard deviations): successive residuals are not "
+            f"independent."
+        )
+        wave = (
+            f"{name}: a peak at {run.peak_frequency:.4g} {unit} contains "
+            f"{run.peak_share:.2%} of the residuals' variance: they contain a periodic "
+            f"effect{', such as a vibration' if _is_large(run) else ''}."
+        )
+        tested = [(run.sign_p, signs), (run.peak_p, wave)]
+        tested = tested[::-1] if _is_large(run) else tested
+        found += [words for p, words in tested if p < limit]
     return tuple(found)
+
+
+def _is_large(run: RunDiagnostics) -> bool:
+    return run.peak_share > _LARGE and int(np.argmax(run.periodogram)) >= _PERIODS
 
 
 def agreement_of(differences: int) -> float:
