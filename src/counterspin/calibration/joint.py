@@ -33,8 +33,8 @@ from counterspin.calibration.joint_parts import (
     hidden_walk,
     knowledge,
     noise_lines,
+    other_noise,
     residual,
-    uneven_noise,
     whole_correlation,
 )
 from counterspin.calibration.joint_problem import JointProblem
@@ -130,7 +130,7 @@ def joint(problem: JointProblem) -> Outcome:
             *unseen_axes(mountings),
             *no_more_than_rounded(views),
             *hidden_walk(views),
-            *uneven_noise(views),
+            *other_noise(views),
         ),
         residuals=residuals_of(estimated.fit, units),
     )

@@ -185,9 +185,15 @@ def _found_timing(view: AccelerometerView) -> float:
     return 0.0 if stated else max((one.timing for one in _own_series(view)), default=0.0)
 
 
-def uneven_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
-    """Yield a remark on each accelerometer whose records have uneven noise: weights follow it."""
+def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
+    """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
     for view in views:
+        if thinned := {one.run: one.every for one in _own_series(view) if one.every > 1}:
+            which = ", ".join(f"every {every}th of {run}" for run, every in thinned.items())
+            yield (
+                f"{view.name}: rows beside each other have nearly the same error, as a filter of "
+                f"the recorder or coarse steps make it. Only independent rows are used: {which}."
+            )
         sizes = {one.run: math.sqrt(one.relative) for one in _own_series(view)}
         quiet, loud = (choose(sizes, key=sizes.__getitem__, default="") for choose in (min, max))
         if sizes and sizes[loud] > sizes[quiet]:

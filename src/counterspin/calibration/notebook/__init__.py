@@ -6,4 +6,5 @@
 - `packages`: values for GTC and uncertainties, with their correlations
 - `instrument`: the accelerometer that a result describes; `prediction`: what it indicates
 - `residuals`: whole residuals as arrays and as pictures; `traces`: residuals thinned for pictures
+- `thinning`: few points that show what many would
 """

@@ -9,14 +9,14 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.observed import ObservedRun
-from counterspin.calibration.result_parts import Fold, Quantiles, Spectrum, Trace
-from counterspin.inference.joint.thinning import (
+from counterspin.calibration.notebook.thinning import (
     normal_quantiles,
     over_revolution,
     smoothed_spectrum,
     stretches,
 )
+from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.result_parts import Fold, Quantiles, Spectrum, Trace
 from counterspin.physics import observation
 
 #: Stretches of all traces of a result together, and the most and the fewest of one.

@@ -8,6 +8,7 @@
 - `fit`: one weighted fit of everything
 - `estimation`: the joint estimate, stage by stage
 - `outliers`, `cleaning`: samples that noise does not explain, left out round by round
+- `correlated`: rows that are not independent, and are left out
 - `found_noise`: noise found in the records, and what its own uncertainty leaves open
 - `uneven_noise`: white noise that differs from run to run, or follows the slope of the signal
 - `rotation`: how runs without angles turned
@@ -21,5 +22,4 @@
 - `turned`: an accelerometer turned about its input axis
 - `plausible`: which of several explanations is the likelier one
 - `slow_parts`: whether noise that was found is alike in all runs
-- `thinning`: residuals for pictures
 """

@@ -19,6 +19,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import cleaning, encoder, rotation
 from counterspin.inference.joint.cleaning import Rows
 from counterspin.inference.joint.condensed import condense
+from counterspin.inference.joint.correlated import independent
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.found_noise import (
     losses,
@@ -191,6 +192,15 @@ def reject_outliers(state: _State) -> _State:
     )
 
 
+def leave_correlated_rows(state: _State) -> _State:
+    """Fit anew without rows that tell nothing which those beside them do not tell."""
+    kept = tuple(one.without(mask) for one, mask in zip(state.series, state.outliers, strict=True))
+    series = independent(state.fit, kept)
+    if all(one is before for one, before in zip(series, kept, strict=True)):
+        return state
+    return first_fit(series, state.model, state.requests)
+
+
 def find_noise(state: _State) -> _State:
     """Weigh the records."""
     return state.with_noise()
@@ -263,6 +273,7 @@ def take_back_outliers(state: _State) -> _State:
 
 STAGES: Final = (
     reject_outliers,
+    leave_correlated_rows,
     find_noise,
     weigh_uneven_noise,
     find_encoder_waves,

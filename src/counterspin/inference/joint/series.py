@@ -54,6 +54,7 @@ class Series:
     #: White noise of each sample that comes from it, in the error's unit, its rms; it is added to
     #: the accelerometer's own.
     jitter: float = 0.0
+    every: int = 1  #: One of so many rows of the record, for those between are not independent.
     #: Variance of its white noise, that of the time stamps apart, over that of the accelerometer's.
     relative: float = 1.0
     #: How far the run may have turned otherwise than `trajectory` says; None where nobody knows.

@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
 
-from counterspin.inference.diagnostics import periodogram
-from counterspin.inference.joint.thinning import (
+from counterspin.calibration.notebook.thinning import (
     normal_quantiles,
     over_revolution,
     smoothed_spectrum,
     stretches,
 )
+from counterspin.inference.diagnostics import periodogram
 
 
 @given(st.integers(1, 300), st.integers(1, 50), st.integers(0, 2**32 - 1))

@@ -1,0 +1,60 @@
+"""Rows behind a filter: found, thinned until they are independent, and nothing else is."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import noisy, three_rates, unknowns
+from scipy.signal import lfilter
+
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import WANTED, Noise
+
+TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5}
+MODEL = Unknowns(unknowns(TRUTH))
+TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
+
+
+def filtered(series, size, memory, rng):
+    """The series with noise whose correlation falls by e over a time, in s."""
+    rho = math.exp(-series.spacing / memory)
+    white = size * math.sqrt(1.0 - rho**2) * rng.standard_normal(series.time.size + 200)
+    return replace(series, error=series.error + lfilter([1.0], [1.0, -rho], white)[200:])
+
+
+@pytest.mark.parametrize("request_", [Noise(WANTED, WANTED), Noise(0.01)], ids=["found", "stated"])
+def test_rows_behind_a_filter_are_thinned(request_):
+    """u holds, where it was 2 to 4 times too small of rows that are taken as independent."""
+    clean = three_rates(TRUTH, revolutions=40)
+    rng = np.random.default_rng(1)
+    trials, z = 30, []
+    for _ in range(trials):
+        drawn = [filtered(one, 0.01, 0.25, rng) for one in clean]
+        found = estimate(drawn, MODEL, {"Qx": request_})
+        apart = {one.every * one.spacing for one in found.series}
+        assert min(apart) == pytest.approx(max(apart), rel=0.3)
+        assert min(apart) >= 0.5
+        z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
+    squared = np.mean(np.square(z), axis=0)
+    # Two memories apart rows still have a correlation of 13 %: up to 30 % of the variance.
+    assert (squared < 1.3 + 4.0 * math.sqrt(2.0 / trials)).all()
+    # K_F has room for noise of the accelerometer that does not show.
+    assert (squared[1:] > 1.0 - 4.0 * math.sqrt(2.0 / trials)).all()
+
+
+@pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
+@pytest.mark.parametrize("walk", [0.0, 2e-3, 2e-2])
+def test_independent_rows_noise_of_the_accelerometer_and_vibrations_stay(observable, walk):
+    rng = np.random.default_rng(2)
+    clean = three_rates(TRUTH, observable=observable, revolutions=40)
+    noise = Noise(0.01, walk if observable != "specific_force" else 0.0)
+    for trial in range(4):
+        drawn = [noisy(one, noise, rng) for one in clean]
+        if trial % 2:
+            shaken = 0.02 * np.sin(7.3 * drawn[1].time)
+            drawn[1] = replace(drawn[1], error=drawn[1].error + shaken)
+        want = Noise(WANTED, 0.0 if observable == "specific_force" else WANTED)
+        found = estimate(drawn, MODEL, {"Qx": want})
+        assert {one.every for one in found.series} == {1}
