@@ -39,6 +39,9 @@ _SIGMAS: Final = 8.0
 _PARTS: Final = (1.0, 1.25, 1.5, 1.75, 2.0)
 _STAYS: Final = 1.4
 
+#: Ratio of the first two variances below which rows are independent, whatever comes later.
+_GROWS: Final = 1.1
+
 #: Standard deviations beyond which a third difference is an outlier's.
 _CLIP: Final = 5.0
 
@@ -55,9 +58,12 @@ def independent(fit: JointFit, series: Sequence[Series]) -> tuple[Series, ...]:
     thinned = list(series)
     for name in dict.fromkeys(one.accelerometer for one in series):
         places = [i for i, one in enumerate(series) if one.accelerometer == name]
-        left = {i: _noise(series[i], fit.residuals[i].plain) for i in places}
         spacing = {i: float(np.median(np.diff(series[i].time))) for i in places}
-        memory = _memory(left, spacing)
+        plain = {i: fit.residuals[i].plain * np.sqrt(series[i].count) for i in places}
+        if _grows(plain, spacing):
+            memory = _memory({i: _noise(series[i], plain[i]) for i in places}, spacing)
+        else:
+            memory = 0.0
         for i in places if memory else ():
             step = min(round(memory / spacing[i]), series[i].time.size // _FEWEST_OF_ONE)
             thinned[i] = _every(series[i], max(step, 1))
@@ -70,14 +76,21 @@ def _every(series: Series, step: int) -> Series:
     return replace(series.without(np.arange(series.time.size) % step > 0), every=step)
 
 
+def _grows(left: Mapping[int, Array], spacing: Mapping[int, float]) -> bool:
+    """Return whether third differences grow at all from the shortest lag to its double."""
+    lag = max(spacing.values())
+    steps = {i: max(round(lag / spacing[i]), 1) for i in left}
+    return any(_size(one, 2 * steps[i]) > _GROWS * _size(one, steps[i]) for i, one in left.items())
+
+
 def _noise(series: Series, residual: Array) -> Array:
-    """Return residuals per sample without what is slow or goes with the spindle, shape (n,)."""
+    """Return residuals without what is slow or goes with the spindle, shape (n,)."""
     time = series.time / series.time[-1]
     angle = series.trajectory.spindle.angle(series.time)
     waves = [f(j * angle) for j in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
     shapes = np.column_stack([*np.vander(time, _POWERS).T, *waves])
     found = np.linalg.lstsq(shapes, residual, rcond=None)[0]
-    return np.asarray((residual - shapes @ found) * np.sqrt(series.count))
+    return np.asarray(residual - shapes @ found)
 
 
 def _memory(left: Mapping[int, Array], spacing: Mapping[int, float]) -> float:
