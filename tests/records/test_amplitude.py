@@ -21,6 +21,32 @@ def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
     assert abs(found - 2 - place) <= 2
 
 
+@pytest.mark.parametrize("length", [80, 100, 170])
+@pytest.mark.parametrize("filler", [0.0, -9999.0])
+def test_a_channel_that_is_dead_for_a_while_is_left_out_and_counted(tmp_path, length, filler):
+    """Longer than a window of the search for outliers, in which they would be the most."""
+    columns = table(n=4000)
+    columns[SIGNAL] += 0.02 * columns[TIME] ** 2 + 100.0
+    dead = slice(1500, 1500 + length)
+    columns[SIGNAL][dead] = filler
+    record = read(write(tmp_path / "run.csv", columns))
+    found = np.flatnonzero(np.isnan(record.signals["Qx"]))
+    assert set(found) >= set(range(1500, 1500 + length))
+    assert len(found) <= length + 20
+    assert record.report.outliers[SIGNAL] == len(found)
+
+
+def test_a_channel_that_is_dead_for_too_long_is_refused(tmp_path):
+    for dead, words in (
+        (slice(1500, 1750), "between 30.24 s and 34.88 s after its start"),
+        (slice(2500, None), "its wave of one period a revolution stops"),
+        (slice(None, 250), "its wave of one period a revolution only begins"),
+    ):
+        columns = table(n=4000)
+        columns[SIGNAL][dead] = 0.0
+        assert words in refusal(write(tmp_path / "run.csv", columns))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -27,6 +27,11 @@ _CHANGE_RATIO = 2.0
 #: Standard deviations of a noisy wave by which it may miss the motion's beside that.
 _DEVIATIONS = 5.0
 
+#: Part of a wave's amplitude, and standard deviations beside it, by which the samples of a channel
+#: that is dead for a while are off its wave; the joint fit judges finer.
+_LOST_PART = 0.05
+_LOST_SDS = 50.0
+
 #: Amplitudes of three revolutions differ by less than this factor where they are steady.
 _STEADY_RATIO = 1.2
 
@@ -135,6 +140,18 @@ class UnitChange:
     words: str
 
 
+def _odd_turns(fitted: Waves) -> np.ndarray:
+    """Return (m,) bool: revolutions whose amplitude is another than the usual one by a factor."""
+    size = np.abs(fitted.amplitude)
+    if len(size) < 3:
+        return np.zeros(len(size), dtype=bool)
+    # One of the amplitudes, not the middle of two: half the record may be in either unit.
+    usual = float(np.sort(size)[len(size) // 2])
+    clear = _CHANGE_SDS * float(np.median(fitted.u_amplitude))
+    odd = (size > _CHANGE_RATIO * usual) | (size < usual / _CHANGE_RATIO)
+    return odd & (np.abs(size - usual) > clear) & (usual > clear)
+
+
 def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
     """Find where the amplitude of a signal's wave changes by a factor.
 
@@ -144,32 +161,50 @@ def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
     may_grow: Whether the wave may be that of errors, which grows with time: only a sudden change
         between steady amplitudes is one of the unit then.
     """
-    size = np.abs(fitted.amplitude)
-    if len(size) < 3:
-        return None
-    # One of the amplitudes, not the middle of two: half the record may be in either unit.
-    usual = float(np.sort(size)[len(size) // 2])
-    clear = _CHANGE_SDS * float(np.median(fitted.u_amplitude))
-    if not usual > clear:
-        return None
-    ratio = size / usual
-    odd = (ratio > _CHANGE_RATIO) | (ratio < 1 / _CHANGE_RATIO)
-    odd &= np.abs(size - usual) > clear
+    odd = _odd_turns(fitted)
     if not odd.any():
         return None
+    size = np.abs(fitted.amplitude)
     turn = int(np.flatnonzero(odd != odd[0])[0])
     if may_grow and not (_steady(size[:turn][-4:-1]) and _steady(size[turn + 1 : turn + 4])):
         return None
     # The revolution in which the unit changes is a mixture of both: take those beside it.
     before, after = max(turn - 2, 0), min(turn + 1, len(size) - 1)
-    factor = float(size[after] / size[before])
+    factor = float(size[after] / size[before]) if size[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
         return None
+    words = "its wave of one period a revolution "
+    if not 1e-9 < factor < 1e9:
+        return UnitChange(before, after, words + ("stops" if factor < 1.0 else "only begins"))
+    words += f"changes by a factor of {factor:.4g}"
     near, off = _nearest_units(factor)
-    words = f"its wave of one period a revolution changes by a factor of {factor:.4g}"
     if off < 0.02:
         words += f", as between {near}"
     return UnitChange(before, after, words)
+
+
+def lost_samples(fitted: Waves, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """Return which of (n,) samples have left the wave, where it is afterwards what it was before.
+
+    A channel that is dead for a while, a filler or a burst: all from the first to the last sample
+    that is off the waves of both the revolution before and the one after.
+    """
+    odd = _odd_turns(fitted)
+    if not odd.any() or odd[0] or odd[-1]:
+        return np.empty(0, dtype=int)
+    edges = np.flatnonzero(np.diff(odd))
+    lost = []
+    for first, last in zip(edges[::2], edges[1::2] + 1, strict=True):
+        beside = (max(int(first) - 1, 0), min(int(last) + 1, len(odd) - 1))
+        samples = np.arange(fitted.first[beside[0]], fitted.last[beside[1]] + 1)
+        off = np.ones(len(samples), dtype=bool)
+        for turn in beside:
+            least = _LOST_PART * abs(fitted.amplitude[turn]) + _LOST_SDS * fitted.deviation[turn]
+            off &= np.abs(signal[samples] - fitted.value(turn, angle[samples])) > least
+        if off.any():
+            # Between them the wave crosses what a dead channel shows.
+            lost.append(np.arange(samples[off][0], samples[off][-1] + 1))
+    return np.concatenate([np.empty(0, dtype=int), *lost])
 
 
 def _steady(sizes: np.ndarray) -> bool:

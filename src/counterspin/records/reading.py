@@ -22,6 +22,7 @@ from counterspin.records.amplitude import (
     Waves,
     against_reference,
     change_of_unit,
+    lost_samples,
     noise_of,
     switch,
     waves,
@@ -364,7 +365,7 @@ class _RecordReader:
             if self._block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
             if not self._motion.steady:
-                fitted = self._check_amplitude(name, blocks.time, phase, signal)
+                signal, fitted = self._check_amplitude(place, name, blocks, phase, signal)
                 noise = noise_of(fitted) * np.sqrt(np.median(blocks.count))
                 ends = self._polynomials.ends(place)
                 own = np.append(self._polynomials.of(place), ends)
@@ -416,20 +417,42 @@ class _RecordReader:
             )
 
     def _check_amplitude(
-        self, accelerometer: str, time: np.ndarray, phase: np.ndarray, signal: np.ndarray
-    ) -> Waves:
-        """Return a signal's waves; refuse those that change their size or are not the motion's."""
+        self,
+        place: int,
+        accelerometer: str,
+        blocks: Blocks,
+        phase: np.ndarray,
+        signal: np.ndarray,
+    ) -> tuple[np.ndarray, Waves]:
+        """Return a signal without what a dead channel recorded, and its waves.
+
+        Refuses waves that change their size or are not the motion's.
+        """
         expected = self._motion.swings.get(accelerometer)
         fitted = waves(phase, signal)
+        dead = lost_samples(fitted, phase, signal) if expected is not None else ()
+        if len(dead) > MOST_EMPTY * len(signal):
+            begin, end = blocks.time[dead[0]], blocks.time[dead[-1]]
+            raise RecordError(
+                f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does not "
+                f"follow the rotation for {len(dead) / len(signal):.2g} of the record, between "
+                f"{begin:.6g} s and {end:.6g} s after its start, and does so again after that, as "
+                f"where a channel is dead; at most {MOST_EMPTY:.0%} may be. Cut the record here."
+            )
+        if len(dead):
+            self._outliers[place] += int(blocks.count[dead].sum())
+            signal = signal.copy()
+            signal[dead] = np.nan
+            fitted = waves(phase, signal)
         change = change_of_unit(fitted, may_grow=expected is None)
         if change is not None:
-            raise self._changed(accelerometer, fitted, change, time, phase)
+            raise self._changed(accelerometer, fitted, change, blocks.time, phase)
         if expected is not None:
             wrong = against_reference(fitted, expected, self._columns.angle is not None)
             if wrong is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
-        return fitted
+        return signal, fitted
 
     def _changed(
         self,
