@@ -148,8 +148,9 @@ def _odd_turns(fitted: Waves) -> np.ndarray:
     # One of the amplitudes, not the middle of two: half the record may be in either unit.
     usual = float(np.sort(size)[len(size) // 2])
     clear = _CHANGE_SDS * float(np.median(fitted.u_amplitude))
-    odd = (size > _CHANGE_RATIO * usual) | (size < usual / _CHANGE_RATIO)
-    return odd & (np.abs(size - usual) > clear) & (usual > clear)
+    odd: np.ndarray = (size > _CHANGE_RATIO * usual) | (size < usual / _CHANGE_RATIO)
+    odd &= (np.abs(size - usual) > clear) & (usual > clear)
+    return odd
 
 
 def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:

@@ -430,7 +430,8 @@ class _RecordReader:
         """
         expected = self._motion.swings.get(accelerometer)
         fitted = waves(phase, signal)
-        dead = lost_samples(fitted, phase, signal) if expected is not None else ()
+        none = np.empty(0, dtype=int)
+        dead = none if expected is None else lost_samples(fitted, phase, signal)
         if len(dead) > MOST_EMPTY * len(signal):
             begin, end = blocks.time[dead[0]], blocks.time[dead[-1]]
             raise RecordError(
