@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
 import pypdf
@@ -32,6 +33,18 @@ def test_every_command_explains_itself(command, capsys):
     assert cli.main([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"Usage: counterspin {command}")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_breaks_lines_where_the_terminal_ends_alone(command, monkeypatch, capsys):
+    """Not where the source does: of two lines of one text the first has no room for a word more."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert cli.main([command, "--help"]) == 0
+    lines = [line.strip("│").rstrip() for line in capsys.readouterr().out.splitlines()]
+    for line, after in pairwise(lines):
+        begin = len(line) - len(line.lstrip())
+        if begin > 8 and after.startswith(" " * begin) and after[begin] not in " [":
+            assert len(line) + 1 + len(after.split()[0]) > 77, line
 
 
 @pytest.mark.parametrize("command", COMMANDS)

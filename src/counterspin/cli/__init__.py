@@ -43,7 +43,7 @@ from counterspin.cli import (
     validate,
     watch,
 )
-from counterspin.cli.words import complain, spoken
+from counterspin.cli.words import complain, in_one_line, spoken
 from counterspin.errors import CampaignError, CounterspinError, CounterspinWarning
 
 
@@ -88,6 +88,7 @@ for _command in (
     reproduce.reproduce,
     validate.validate,
 ):
+    _command.__doc__ = in_one_line(_command.__doc__ or "")
     app.command(_command)
 
 

@@ -6,9 +6,10 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from inspect import cleandoc
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Final, TextIO
+from typing import TYPE_CHECKING, Annotated, Final, TextIO, TypeVar
 
 from cyclopts import App, Parameter
 
@@ -20,6 +21,8 @@ from counterspin.reports.characters import Lines, encodable, escape_controls
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
 
+Options = TypeVar("Options")
+
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
@@ -27,8 +30,30 @@ JsonFile = Annotated[Path | None, Parameter(name="--json")]
 #: What is on, or found out, unless ``--no-...`` turns it off; nothing else has such a word.
 OnOff = Annotated[bool, Parameter(negative_bool="no-")]
 
-#: Makes each field of a class an option of the command that has it as a parameter.
-group = Parameter(name="*")
+
+def in_one_line(docstring: str) -> str:
+    """Return a docstring with each paragraph of it, and each parameter's, in a line of its own.
+
+    The help breaks lines itself, and would keep the breaks of the source beside its own.
+    """
+    lines: list[str] = []
+    sections = False
+    for line in cleandoc(docstring).splitlines():
+        sections |= line.startswith("---")
+        before = lines[-1] if lines else ""
+        of_parameter = line.startswith("    ") and before.startswith("    ")
+        of_prose = not sections and line and before
+        if (of_prose or of_parameter) and line.strip() and not line.startswith("---"):
+            lines[-1] += " " + line.strip()
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def group(options: type[Options]) -> type[Options]:
+    """Make each field of a class an option of the command that has it as a parameter."""
+    options.__doc__ = in_one_line(options.__doc__ or "")
+    return Parameter(name="*")(options)
 
 
 @group
