@@ -16,13 +16,17 @@ from pydantic.fields import FieldInfo
 
 from counterspin import schemas
 from counterspin.calibration.result import Result
-from counterspin.campaign.kinds import known
-from counterspin.campaign.truth import TRUE_TABLES
+from counterspin.campaign.checking import Section
+from counterspin.campaign.kinds import SettingsSection, known
+from counterspin.campaign.truth_tables import AccelerometerTruthSettings
+from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
 from counterspin.monitoring.result import CheckedRun, WatchState
 from counterspin.monitoring.result_noise import NoiseResult
 from counterspin.physics.terms import OWN_TERMS
+from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
+from counterspin.studies.description import StudiedDocument, StudyDocument
 from counterspin.toml_text import write_value
 from counterspin.validation.result import Dossier
 
@@ -30,6 +34,16 @@ HERE = Path(__file__).parent
 PLACE = re.compile(r"^<!-- (keys|fields): (\w+) -->\n(?:\|.*\n)*", re.MULTILINE)
 HEAD = "| key | kind | default | example | meaning |\n|---|---|---|---|---|\n"
 FIELDS_HEAD = "| key | kind | meaning |\n|---|---|---|\n"
+
+#: What has tables of keys.
+DOCUMENTS = (
+    StudiedDocument,
+    StudyDocument,
+    PlanDocument,
+    ReadingPlanDocument,
+    Lab,
+    AccelerometerTruthSettings,
+)
 
 #: Name -> class, of every part of the results that have a page of their own.
 PARTS = {
@@ -45,6 +59,14 @@ PARTS = {
         Dossier,
     )
     for name, part in schemas.parts_of(result).items()
+}
+
+#: Classes that have a table of keys.
+SHOWN = {
+    name
+    for page in HERE.glob("*.md")
+    for kind, name in PLACE.findall(page.read_text("utf-8"))
+    if kind == "keys"
 }
 
 #: A heading, or the place of a table of fields below it.
@@ -140,26 +162,23 @@ def table(name: str) -> str:
 def keys(name: str) -> dict[str, FieldInfo]:
     """Return key -> field, without terms and without those of a class that has a table itself."""
     model = model_of(name)
-    bases = [b for b in model.__bases__ if b.__name__ in _shown()]
+    bases = [b for b in model.__bases__ if b.__name__ in SHOWN]
     told = {key for base in bases for key in base.model_fields} | set(OWN_TERMS)
     named = {field.alias or name: field for name, field in model.model_fields.items()}
     return {key: field for key, field in named.items() if key not in told}
 
 
-def _shown() -> dict[str, type]:
-    """Return name -> class of the tables that a schema names."""
-    tables = (*vars(schemas).values(), *TRUE_TABLES.values())
-    return {one.__name__: one for one in tables if isinstance(one, type)}
-
-
 def model_of(name: str) -> type[BaseModel]:
-    """Return the class of a table, wherever a schema has it from."""
-    found = _shown()
-    waiting = [one for one in found.values() if issubclass(one, BaseModel)]
+    """Return the class of a table, wherever a document has it."""
+    waiting: list[type[BaseModel]] = [*DOCUMENTS]
+    found: dict[str, type[BaseModel]] = {}
     while name not in found:
-        inner = {m for f in waiting.pop().model_fields.values() for m in _models(f.annotation)}
-        waiting += [one for one in inner if one.__name__ not in found]
-        found |= {one.__name__: one for one in inner}
+        model = waiting.pop()
+        found[model.__name__] = model
+        for field in model.model_fields.values():
+            apart = [said.written for said in field.metadata if isinstance(said, Section)]
+            waiting += [m for one in (field.annotation, *apart) for m in _models(one)]
+        waiting += [base for base in model.__bases__ if issubclass(base, SettingsSection)]
     return found[name]
 
 

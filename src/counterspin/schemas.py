@@ -18,44 +18,12 @@ from typing import Any, Final, Literal, get_args, get_type_hints
 from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
-from counterspin.campaign.accelerometers import AccelerometerKeys
-from counterspin.campaign.columns import RecordsSettings
-from counterspin.campaign.readings import ReadingRunSettings
-from counterspin.campaign.readings_table import ReadingsSettings
-from counterspin.campaign.resolved import Simulation
-from counterspin.campaign.runs import Run
-from counterspin.campaign.settings import (
-    CampaignSettings,
-    CentrifugeSettings,
-    DocumentSettings,
-    FixtureSettings,
-    ModelSettings,
-    NoiseSettings,
-    SiteSettings,
-)
-from counterspin.campaign.specification import SpecificationSettings
-from counterspin.campaign.triads.declared import TriadSettings
-from counterspin.campaign.truth import (
-    TRUE_TABLES,
-    AccelerometerTruthSettings,
-    RunTruthSettings,
-)
+from counterspin.campaign.checking import model_inside, sections_of
 from counterspin.certificates.lab import Lab
 from counterspin.monitoring.result_noise import NoiseResult
-from counterspin.planning.plan_sections import (
-    GoalSettings,
-    LimitsSettings,
-    PlanDocument,
-    ReadingLimitsSettings,
-    ReadingPlanDocument,
-    StationsSettings,
-)
+from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.results import ResultFile
-from counterspin.studies.description import (
-    AnalysisSettings,
-    DistributionSettings,
-    StudySettings,
-)
+from counterspin.studies.description import StudiedDocument, StudyDocument
 
 #: What there is a schema of.
 SchemaName = Literal["campaign", "plan", "study", "lab", "result", "noise"]
@@ -70,28 +38,14 @@ _OF_TABLE: Final = re.compile(r"(\[+.*?\]+|``\w+``)(?: of [^:]*)?: (.*)", re.DOT
 #: JSON Schema.
 Json = dict[str, Any]
 
-_TEXT: Final[Json] = {"type": "string"}
-
 #: Kind of result that has a schema -> its class.
 RESULTS: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "noise": NoiseResult}
 
-#: Section of ``campaign.toml`` -> the class of its table, or of each of its tables.
+#: Section of ``campaign.toml`` -> the class of its table, or the first of each of its tables.
 SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
-    "campaign": CampaignSettings,
-    "site": SiteSettings,
-    "centrifuge": CentrifugeSettings,
-    "fixture": FixtureSettings,
-    "triad": TriadSettings,
-    "records": RecordsSettings,
-    "accelerometers": AccelerometerKeys,
-    "noise": NoiseSettings,
-    "model": ModelSettings,
-    "readings": ReadingsSettings,
-    "runs": Run,
-    "specification": SpecificationSettings,
-    "simulation": Simulation,
-    "truth": AccelerometerTruthSettings,
-    "study": StudySettings,
+    key: table
+    for key, written in sections_of(StudiedDocument).items()
+    if (table := model_inside(written)) is not None
 }
 
 
@@ -110,108 +64,13 @@ def schema_text(name: SchemaName) -> str:
     return json.dumps(schema_of(name), indent=1, ensure_ascii=False) + "\n"
 
 
-class _Definitions:
-    """Collects the schemas of tables; a call returns the reference to one."""
-
-    def __init__(self) -> None:
-        self.found: Json = {}
-
-    def __call__(self, model: type[BaseModel]) -> Json:
-        if model.__name__ not in self.found:
-            made = model.model_json_schema(ref_template="#/$defs/{model}")
-            self.found |= made.pop("$defs", {})
-            self.found[model.__name__] = made
-        return {"$ref": f"#/$defs/{model.__name__}"}
-
-    def open(self, model: type[BaseModel], **more: Any) -> Json:
-        """Return the reference to a table that may have more keys than its class."""
-        reference = self(model)
-        self.found[model.__name__] |= more
-        return reference
-
-    def named(self, model: type[BaseModel]) -> Json:
-        """Return what is a table of tables by name."""
-        return {"type": "object", "additionalProperties": self(model)}
-
-
-def _document(
-    model: type[BaseModel], sections: Mapping[str, Json], definitions: _Definitions
-) -> Json:
-    """Return the schema of a document whose sections are checked by classes of their own."""
-    whole = model.model_json_schema(ref_template="#/$defs/{model}")
-    for key, section in sections.items():
-        if key in whole["properties"]:
-            said = whole["properties"][key]
-            kept = {word: said[word] for word in ("title", "description") if word in said}
-            whole["properties"][key] = kept | section
-    whole["description"] = "All tables; a key that is not here is a mistake."
-    return whole | {"$defs": whole.pop("$defs", {}) | definitions.found}
-
-
-def _sections(to: _Definitions) -> dict[str, Json]:
-    """Return section of a campaign -> what may stand in it."""
-    limits = {"anyOf": [_TEXT, {"type": "object", "additionalProperties": _TEXT}]}
-    runs = {"type": "array", "items": {"anyOf": [_run(to), to(ReadingRunSettings)]}}
-    of_own_kind = {
-        "accelerometers": to.named(AccelerometerKeys) | {"minProperties": 1},
-        "specification": to.open(SpecificationSettings, additionalProperties=limits),
-        "runs": runs,
-        "truth": _truth(to),
-        "study": _study_section(to),
-    }
-    return {key: of_own_kind.get(key) or to(model) for key, model in SECTIONS.items()}
-
-
-def _run(to: _Definitions) -> Json:
-    reference = to(Run)
-    properties = to.found["Run"]["properties"]
-    properties["truth"] |= to(RunTruthSettings)
-    return reference
-
-
-def _truth(to: _Definitions) -> Json:
-    """Return what [truth] may have: tables of its own, and one for each accelerometer."""
-    own = {
-        name: to(model) | {"description": model.__doc__} for name, model in TRUE_TABLES.items()
-    } | {
-        "noise": {
-            "type": "object",
-            "description": "of records, with the keys of [noise]; `reading` is that of readings",
-            "examples": [{"displacement": "0.01 m"}],
-        },
-        "machine": {
-            "type": "object",
-            "description": "terms of the machine that readings show",
-            "examples": [{"centrifuge.radius.in": "1.00001 m"}],
-        },
-    }
-    each = to(AccelerometerTruthSettings)
-    return {"type": "object", "properties": own, "additionalProperties": each}
-
-
-def _study_section(to: _Definitions) -> Json:
-    reference = to(StudySettings)
-    properties = to.found["StudySettings"]["properties"]
-    properties["vary"] |= to.named(DistributionSettings)
-    properties["analyses"] |= to.named(AnalysisSettings)
-    return reference
-
-
-def _campaign() -> Json:
-    to = _Definitions()
-    return _document(DocumentSettings, _sections(to), to)
+def _document(model: type[BaseModel]) -> Json:
+    return model.model_json_schema(ref_template="#/$defs/{model}")
 
 
 def _plan() -> Json:
     """Return the schema of both kinds of plan: of records, and of readings."""
-    to = _Definitions()
-    shared = _sections(to) | {"goal": to(GoalSettings)}
-    records = _document(PlanDocument, shared | {"limits": to(LimitsSettings)}, to)
-    of_readings = {
-        "limits": to(ReadingLimitsSettings),
-        "stations": {"type": "array", "minItems": 1, "items": to(StationsSettings)},
-    }
-    readings = _document(ReadingPlanDocument, shared | of_readings, to)
+    records, readings = _document(PlanDocument), _document(ReadingPlanDocument)
     defined = records.pop("$defs") | readings.pop("$defs")
     return {
         "description": "What a plan is for, and what the machine allows.",
@@ -220,31 +79,6 @@ def _plan() -> Json:
         "else": records,
         "$defs": defined,
     }
-
-
-def _study() -> Json:
-    to = _Definitions()
-    return {
-        "description": "A study in a file of its own, beside the campaign that it names.",
-        "type": "object",
-        "properties": {
-            "schema": {"const": 1, "description": "version of this format", "examples": [1]},
-            "campaign": _TEXT
-            | {"description": "folder or description of the campaign", "examples": ["campaign"]},
-            "study": _study_section(to) | {"description": StudySettings.__doc__},
-        },
-        "required": ["schema", "campaign", "study"],
-        "additionalProperties": False,
-        "$defs": to.found,
-    }
-
-
-def _lab() -> Json:
-    to = _Definitions()
-    whole = Lab.model_json_schema(ref_template="#/$defs/{model}")
-    whole["properties"]["specification"] |= _sections(to)["specification"]
-    whole["$defs"]["SpecificationSettings"] = to.found["SpecificationSettings"]
-    return whole
 
 
 def _result(result: type[ResultFile]) -> Json:
@@ -317,10 +151,10 @@ def _comments(source: str, fields: set[str]) -> dict[str, str]:
 
 
 _SCHEMAS: Final[Mapping[SchemaName, tuple[str, Callable[[], Json]]]] = {
-    "campaign": ("campaign.toml: a campaign", _campaign),
+    "campaign": ("campaign.toml: a campaign", partial(_document, StudiedDocument)),
     "plan": ("PLAN.toml: a plan", _plan),
-    "study": ("A study of a campaign", _study),
-    "lab": ("LAB.toml: a laboratory's data for certificates", _lab),
+    "study": ("A study of a campaign", partial(_document, StudyDocument)),
+    "lab": ("LAB.toml: a laboratory's data for certificates", partial(_document, Lab)),
     "result": ("The result of a calibration", partial(_result, Result)),
     "noise": ("The noise of a record at rest", partial(_result, NoiseResult)),
 }

@@ -5,10 +5,10 @@ import re
 from prose import sentences
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_kinds
+from counterspin.campaign.document import CampaignDocument
 from counterspin.campaign.kinds import COMPASS
-from counterspin.campaign.settings import DocumentSettings
 from counterspin.campaign.terms import BARE_NAMES
-from counterspin.campaign.truth import TRUTH_TABLES
+from counterspin.campaign.truth_tables import TRUTH_TABLES
 from counterspin.certificates.lab import Lab
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.physics.terms import OWN_TERMS, TERMS, is_term
@@ -30,7 +30,7 @@ def field(form, *path):
 
 
 def test_every_section_is_in_the_form():
-    keys = {f.alias or name for name, f in DocumentSettings.model_fields.items()}
+    keys = {f.alias or name for name, f in CampaignDocument.model_fields.items()}
     (laboratory,) = re.findall(
         r"Of the laboratory's file, (.*?) are edited as text", sentences("application")
     )

@@ -9,7 +9,7 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import MOST_ROWS, MOST_SIMULATED_ROWS
+from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
 from counterspin.application.manual import address, explained
+from counterspin.campaign.checking import model_inside
 from counterspin.campaign.kinds import (
     OUTPUTS,
     STAMPS,
@@ -25,7 +26,7 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.terms import BARE_NAMES
-from counterspin.campaign.truth import TRUE_TABLES
+from counterspin.campaign.truth_tables import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.schemas import SECTIONS, unlinked
@@ -75,6 +76,7 @@ def campaign_form() -> tuple[Field, ...]:
             section["of_names"] = _limits()
             section["fields"] = section["of_names"] + section["fields"]
         if key == "truth":
+            section["fields"] = _fields(AccelerometerTruthSettings, "campaign")
             section["of_tables"] = {
                 name: _fields(model, "campaign") for name, model in TRUE_TABLES.items()
             }
@@ -87,7 +89,7 @@ def lab_form() -> tuple[Field, ...]:
     """Return the sections of ``LAB.toml``, each with its fields."""
     sections = []
     for name, field in Lab.model_fields.items():
-        model = _model_inside(field.annotation)
+        model = model_inside(field.annotation)
         if model is not None:
             sections.append(_section(field.alias or name, model, "certificate"))
     return tuple(sections)
@@ -262,9 +264,3 @@ def _units_wanted(check: Any) -> tuple[str, ...]:
     if isinstance(check, partial):
         return tuple(check.args)
     return _UNITS_WANTED.get(check, ())
-
-
-def _model_inside(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_model_inside, typing.get_args(annotation))), None)

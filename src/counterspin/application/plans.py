@@ -16,7 +16,7 @@ from counterspin.application.desk import Desk
 from counterspin.application.editing import changed
 from counterspin.application.jobs import Job
 from counterspin.application.processes import Progress, report_progress
-from counterspin.campaign.resolved import MOST_ROWS
+from counterspin.campaign.runs import MOST_ROWS
 from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen

@@ -22,8 +22,8 @@ from counterspin.campaign.conditions import (
     temperatures_of,
 )
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.model import EVERYTHING
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import EVERYTHING
 from counterspin.campaign.terms import acts, shows, symbols_shown
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns

@@ -6,14 +6,13 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `attitude`: directions and platform attitudes
 - `kinds`: kinds of values: how each is read, and what its schema says
 - `columns`: columns of files, and how these are read
-- `settings`: the keys of ``campaign.toml``, section by section
+- `document`: the sections of ``campaign.toml``, each with the class of its table
+- `settings`: the keys of the sections that all campaigns have
 - `checking`: mistakes in the file, collected and reported with their keys
 - `terms`: names of error terms: what each stands for, and where it acts
 - `model`: what is asked for, held and known of terms
-- `truth`, `truth_of_inputs`: the true values of a simulated campaign; a calibration does not read
-  them
+- `truth_tables`, `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
-- `resolved`: the parts of a campaign as the calculation sees them, in SI
 - `toml_file`: files in TOML, read; the lines in which their keys stand
 - `accelerometers`: the tables of the accelerometers: axes, columns, priors
 - `description`: the `Campaign`, and `read_campaign`, from the file to it

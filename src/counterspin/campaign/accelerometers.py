@@ -30,7 +30,7 @@ from counterspin.campaign.settings import (
     StatedNoise,
     term_keys,
 )
-from counterspin.campaign.truth import TRUTH_TABLES
+from counterspin.campaign.truth_tables import TRUTH_TABLES
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.record import ColumnSpec

@@ -7,7 +7,8 @@ import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationError
+from pydantic_core import CoreSchema, core_schema
 
 Path = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
@@ -60,6 +61,33 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     near = get_close_matches(word.lower(), folded, n=1)
     hint = f'; did you mean "{folded[near[0]]}"?' if near else ""
     return f"{hint}; known: {', '.join(names)}" if not near else hint
+
+
+class Section:
+    """What may stand in a table of a document that is checked apart, whatever else is wrong there.
+
+    written: A class with the table's keys; a dictionary of such tables by name, or a list of them.
+    """
+
+    def __init__(self, written: Any) -> None:
+        self.written = written
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Return the JSON Schema of what is written: of one class, the reference to it."""
+        written = TypeAdapter(self.written).core_schema
+        return handler(core_schema.definitions_schema(written, []))
+
+
+def sections_of(document: type[BaseModel]) -> dict[str, Any]:
+    """Return key -> what may stand there, of the tables of a document that are checked apart."""
+    return {
+        field.alias or name: said.written
+        for name, field in document.model_fields.items()
+        for said in field.metadata
+        if isinstance(said, Section)
+    }
 
 
 class Problems:
@@ -171,18 +199,18 @@ def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
         fields = current.model_fields
         by_key = {field.alias or name: field.annotation for name, field in fields.items()}
         named = typing.get_origin(by_key.get(part)) is dict
-        current = _model_inside(by_key.get(part))
+        current = model_inside(by_key.get(part))
     if current is None:
         return []
     return [field.alias or name for name, field in current.model_fields.items()]
 
 
-def _model_inside(annotation: Any) -> type[BaseModel] | None:
+def model_inside(annotation: Any) -> type[BaseModel] | None:
     """Return the model in ``Model``, ``Model | None``, ``tuple[Model, ...]`` and the like."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in typing.get_args(annotation):
-        model = _model_inside(inner)
+        model = model_inside(inner)
         if model is not None:
             return model
     return None

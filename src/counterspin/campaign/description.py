@@ -12,20 +12,25 @@ from counterspin.campaign.accelerometers import Accelerometer, AccelerometersRea
 from counterspin.campaign.checking import M, Problems
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.columns import Recording, RecordsSettings
+from counterspin.campaign.document import CampaignDocument
 from counterspin.campaign.memory.changes import change_campaign
 from counterspin.campaign.memory.joining import join_campaigns
 from counterspin.campaign.memory.source import Source, keep, source_of
 from counterspin.campaign.memory.writing import write_campaign
-from counterspin.campaign.model import Apparatus, check_conditions, refuse_encoder, resolve_model
+from counterspin.campaign.model import (
+    Apparatus,
+    ErrorModel,
+    check_conditions,
+    refuse_encoder,
+    resolve_model,
+)
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading, is_reading, positioned, resolve_readings
 from counterspin.campaign.readings_table import read_table
-from counterspin.campaign.resolved import ErrorModel, Simulation
 from counterspin.campaign.runs import Run, recorders_of, resolve_runs, skipped_runs, taken_runs
 from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
-    DocumentSettings,
     FixtureSettings,
     ModelSettings,
     NoiseSettings,
@@ -44,6 +49,7 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
 from counterspin.campaign.truth import TruthReader
+from counterspin.campaign.truth_tables import Simulation
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.grades import DEFAULT_GRADE, Size
@@ -348,7 +354,7 @@ class _DescriptionReader:
         self.raw = raw
         self.file = file
         self.problems = problems
-        problems.check(DocumentSettings, raw, ())
+        problems.check(CampaignDocument, raw, ())
         self.site = self._required(SiteSettings, "site")
         # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
         self.gravity = self.site.gravity.value if self.site else 9.80665

@@ -11,7 +11,6 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import EVERYTHING, ErrorModel
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.terms import (
@@ -43,11 +42,47 @@ DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 _TERMS_AT_REST: Final = ("K_F", "K_I")
 TERMS_ON_A_MACHINE: Final = (*_TERMS_AT_REST, "K_II")
 
+#: In ``assume``: whatever is not stated.
+EVERYTHING: Final = "all"
+
 #: Fewest poses by which angles between axes are asked for: they are three of nine unknowns.
 _POSES_FOR_ANGLES: Final = 9
 
 #: A radius that is given below this part of the machine's is a deviation from it.
 _DEVIATION_PART: Final = 0.5
+
+
+@frozen
+class ErrorModel:
+    """Which terms are asked for, which are held, and which are taken as perfect.
+
+    Everything else that acts is an unknown beside what is asked for.
+    """
+
+    #: Symbols asked for, those of mountings with their names; bare names are resolved to the
+    #: components that act.
+    terms: tuple[str, ...]
+    #: Symbols that are held: known but not adjusted, their prior's u is carried.
+    considered: tuple[str, ...]
+    #: Symbol of a shared term -> prior, less nominal, SI (tilt: one of each run). Those of
+    #: accelerometer terms are in `Accelerometer.priors`.
+    priors: Mapping[str, Quantity]
+    #: Symbol -> largest credible size, and standard uncertainty to assume where none is stated, in
+    #: the table's unit: where the campaign states them. `Campaign.limit_of` and
+    #: `Campaign.typical_of` know all.
+    limits: Mapping[str, float]
+    typical: Mapping[str, float]
+    #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
+    assume: tuple[str, ...] = ()
+    setting: Quantity | None = None  #: Error of setting a position at rest, where one is stated.
+
+    def assumes(self, symbol: str) -> bool:
+        """Return whether a term, or an input, is taken as perfect where nothing is stated."""
+        names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
+        return any(
+            name in ("", EVERYTHING) or symbol == name or symbol.startswith(f"{name}.")
+            for name in names
+        )
 
 
 @frozen(eq=False)

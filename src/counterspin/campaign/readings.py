@@ -39,6 +39,11 @@ from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES, MotionKind
 
+#: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
+#: forecast or a study is made.
+MOST_READINGS: Final = 10_000
+MOST_RECORDS: Final = 60
+
 #: Written for an attitude that nobody knows.
 UNKNOWN: Final = "unknown"
 

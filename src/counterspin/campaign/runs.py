@@ -12,7 +12,7 @@ from pydantic import AfterValidator, PrivateAttr
 
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems
+from counterspin.campaign.checking import Problems, Section
 from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.kinds import (
     Attitude,
@@ -30,11 +30,29 @@ from counterspin.campaign.kinds import (
 from counterspin.campaign.memory.documents import patched
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import is_reading
+from counterspin.campaign.truth_tables import RunTruthSettings
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
 
+#: Most rows, those of all accelerometers together, that are computed at once of records that exist
+#: only on paper. A line of a description can state any length, and what is made from it takes
+#: memory and time in proportion: at the bound, below 2 GB and about a minute. What is read from
+#: files has no such bound.
+MOST_ROWS: Final = 1_500_000
+
+#: Most rows of a simulated run; runs are made one after the other, and written.
+MOST_SIMULATED_ROWS: Final = 5_000_000
+
 #: Keys of [records] that a run has of its own.
 _OWN: Final = ("time", "angle", "temperature", "recorder", "clock", *Dialect.__dataclass_fields__)
+
+
+def sample_count(duration: float, sampling_rate: float) -> int:
+    """Return the samples of a record from t = 0 to the last one within its duration.
+
+    duration, sampling_rate: s, Hz. A sample that falls on the end but for rounding is within.
+    """
+    return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
 
 
 class Run(SettingsSection):
@@ -104,7 +122,7 @@ class Run(SettingsSection):
     stop: Annotated[float, read_exactly("s")] | None = described(
         "until when", "390 s", None, absent="its last row"
     )
-    truth: dict[str, Any] | None = described(
+    truth: Annotated[dict[str, Any] | None, Section(RunTruthSettings)] = described(
         "for `simulate`: [what differs in this run](#truth)",
         {"drift": "2e-6 1/s"},
         None,

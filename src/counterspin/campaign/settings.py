@@ -21,7 +21,6 @@ from pydantic import (
 
 from counterspin.campaign.kinds import (
     DateOrText,
-    Schema,
     SettingsSection,
     Several,
     Temperature,
@@ -43,52 +42,6 @@ from counterspin.units import check_unit, unit_factor
 
 #: What an accelerometer's record may hold -> its SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
-
-
-class DocumentSettings(SettingsSection):
-    """The sections that there may be; each is checked by its own model afterwards."""
-
-    schema_version: Schema = described("version of this format", 1, kind="number", alias="schema")
-    campaign: dict[str, Any] = described("[what a report says](#campaign)", {}, {})
-    site: dict[str, Any] = described("[where](#site)", {})
-    centrifuge: dict[str, Any] | None = described(
-        "[its size](#centrifuge); required unless all is [read or recorded at rest](readings.md)",
-        {},
-        None,
-    )
-    fixture: dict[str, Any] | None = described("[how well positions are set](#fixture)", {}, None)
-    triad: dict[str, Any] | None = described(
-        "[three accelerometers of one sensor](triads.md)", {}, None
-    )
-    records: dict[str, Any] | None = described(
-        "[how to read the files](#records); required where a run has a record", {}, None
-    )
-    readings: dict[str, Any] | None = described("[a table of single values](readings.md)", {}, None)
-    accelerometers: dict[str, Any] = described(
-        "[one for each accelerometer](#accelerometersname)", {"Qx": {}}, kind="tables", min_length=1
-    )
-    noise: dict[str, Any] | None = described(
-        "[noise of the records](#noise)", {}, None, absent="estimated"
-    )
-    model: dict[str, Any] | None = described(
-        "[what is asked for, and what is known](#model)", {}, None, absent="the paper's terms"
-    )
-    specification: dict[str, Any] | None = described(
-        "[limits that coefficients shall meet](#specification)", {}, None
-    )
-    runs: list[Any] = described(
-        "[one for each run](#runs), or [reading](readings.md)",
-        [{}],
-        [],
-        kind="list of tables",
-    )
-    simulation: dict[str, Any] | None = described(
-        "[sampling, for `simulate`](#simulation)", {}, None
-    )
-    truth: dict[str, Any] | None = described("[true values, for `simulate`](#truth)", {}, None)
-    study: dict[str, Any] | None = described(
-        "[what varies and what competes, for `study`](study.md)", {}, None
-    )
 
 
 class CampaignSettings(SettingsSection):

@@ -10,7 +10,7 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Annotated, Any, Final, get_args
 
-from pydantic import AfterValidator, PlainValidator
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.kinds import SettingsSection, described, exact
@@ -67,8 +67,12 @@ def _probability(value: float) -> float:
 class SpecificationSettings(SettingsSection):
     """[specification]: limits that coefficients shall meet, and how that is decided.
 
-    These are the keys of the decision rule; all others are terms.
+    These are the keys of the decision rule; all others are terms, or tables of them by
+    accelerometer.
     """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, str | dict[str, str]] = Field(init=False)
 
     decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = described(
         "by which a coefficient passes or fails", "simple", "guarded"

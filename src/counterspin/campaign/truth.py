@@ -7,200 +7,40 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Final
-
-from pydantic import AfterValidator, create_model
+from typing import Any, Final
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.kinds import (
-    Ratio,
-    SettingsSection,
-    coefficient,
-    described,
-    exact,
-    positive,
-    read_exactly,
-    small_rate_error,
-)
+from counterspin.campaign.kinds import exact
 from counterspin.campaign.model import less_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import RunTruth, SimulatedTruth, Simulation
 from counterspin.campaign.runs import Run
-from counterspin.campaign.settings import (
-    CentrifugeSettings,
-    Output,
-    StatedNoise,
-    term_keys,
-)
+from counterspin.campaign.settings import CentrifugeSettings, Output, StatedNoise
 from counterspin.campaign.terms import expand, symbols_shown
 from counterspin.campaign.toml_file import flat_keys, table_of
-from counterspin.campaign.truth_of_inputs import (
-    RecordsTruthSettings,
-    SiteTruthSettings,
-    TrueRadius,
-    true_inputs,
+from counterspin.campaign.truth_tables import (
+    ALL_RECORDERS,
+    TRUE_TABLES,
+    TRUTH_TABLES,
+    AccelerometerTruthSettings,
+    RippleSettings,
+    RunTruth,
+    RunTruthSettings,
+    SimulatedTruth,
+    Simulation,
 )
+from counterspin.inference.joint.inputs import CLOCK
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import (
-    COMMON_NAMES,
-    OWN_TERMS,
-    SHARED_TERMS,
-    term,
-)
+from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, SHARED_TERMS, term
 
-#: Tables of [truth] that are not accelerometers, and so no names for one.
-TRUTH_TABLES: Final = (
-    "spindle",
-    "platform",
-    "centrifuge",
-    "encoder",
-    "noise",
-    "machine",
-    "site",
-    "records",
-)
+#: Tables of the errors that all accelerometers share.
+_SHARED: Final = ("platform", "centrifuge", "encoder")
 
-#: The machine's table of [truth], and the key of [truth.noise] that readings have.
+#: The machine's table of [truth].
 _MACHINE: Final = "machine"
-_READING: Final = "reading"
 
 #: Term that records show too, and its place in [truth.centrifuge].
 _STRETCH: Final = "centrifuge.stretch"
-
-
-class RippleSettings(SettingsSection):
-    """``ripple``: a periodic fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
-
-    harmonic: Annotated[int, AfterValidator(positive)] = described("times a revolution", 2, 1)
-    ratio: Ratio | None = described("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
-    amplitude: Annotated[float, read_exactly("rad/s")] | None = described("w_n", "1e-6 rad/s", None)
-    phase: Annotated[float, read_exactly("rad", "deg")] = described("at time zero", "30 deg", 0.0)
-
-
-class SpindleTruthSettings(SettingsSection):
-    """[truth.spindle]: how the spindle really turns."""
-
-    drift: Annotated[float, read_exactly("1/s")] | None = described(
-        "relative drift C of the rate", "1e-6 1/s", None
-    )
-    ripple: list[RippleSettings] | None = described(
-        "fluctuations of the rate within a revolution",
-        [{"ratio": "0.5 ppm"}],
-        None,
-        kind="list of tables",
-    )
-    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = described(
-        "at time zero", "30 deg", None, absent="0"
-    )
-    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = described(
-        "of the true rate, relative to the nominal one",
-        "5 ppm",
-        None,
-        absent="0",
-        kind="number, or in ppm",
-    )
-
-
-#: What a table of [truth] for a family of terms has: meaning, and an example.
-_FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
-    "platform.tilt": ("about `east`, `north`, `up`", {"north": "0.2 arcsec"}),
-    "platform.drift": ("of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
-    "platform.g_sensitivity": (
-        "of gyro z to force along x, and so on",
-        {"zx": "0.01 deg/h/g"},
-    ),
-    "platform.g2_sensitivity": (
-        "of the gyros about `east`, `north`, `up` to the square of the force",
-        {"north": "1e-4 deg/h/g^2"},
-    ),
-    "platform.compliance": ("turn about z by force along y, and so on", {"zy": "0.1 arcsec/g"}),
-    "centrifuge.imbalance": (
-        "change of the radius with the cosine or sine of 1 or 2 times the angle",
-        {"1": {"cos": "1 um"}},
-    ),
-    "centrifuge.axis_tilt": (
-        "tilt of the spindle's axis about `east` or `north`",
-        {"east": "5 arcsec"},
-    ),
-    "encoder.harmonic": (
-        "what the encoder records too much, with the cosine or sine of 1 to 4 times the angle",
-        {"1": {"sin": "1 arcsec"}},
-    ),
-}
-
-
-def _truth_table(
-    name: str, family: str, base: type[SettingsSection] = SettingsSection
-) -> type[SettingsSection]:
-    """Return a table with a key for each term of a family; of a name with dots, tables in it."""
-    within = {
-        symbol.removeprefix(f"{family}."): row
-        for symbol, row in SHARED_TERMS.items()
-        if symbol.startswith(f"{family}.")
-    }
-    fields = term_keys({key: row for key, row in within.items() if "." not in key}, read_exactly)
-    for inner in dict.fromkeys(key.partition(".")[0] for key in within if "." in key):
-        words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
-        table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
-        fields[inner] = (table | None, described(words, example, None))
-    words = f"[truth.{family}]: what is true of it."
-    return create_model(name, __base__=base, __doc__=words, **fields)
-
-
-#: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
-PlatformTruthSettings = _truth_table("PlatformTruthSettings", "platform")
-#: [truth.centrifuge]: ``radius``, ``stretch``, ``imbalance.1.cos`` and so on.
-CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge", TrueRadius)
-#: [truth.encoder]: ``harmonic.1.cos`` and so on.
-EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
-
-_TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
-
-RunTruthSettings = create_model(
-    "RunTruthSettings",
-    __base__=SpindleTruthSettings,
-    __doc__="``truth``: what differs from [truth.spindle] in one run, and its own tilt.",
-    tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
-)
-
-
-class _AccelerometerTruthKeys(SettingsSection):
-    start_offset: Annotated[float, read_exactly("m")] = described(
-        "error of the displacement at the start of each run", "0.02 m", 0.0
-    )
-    start_velocity: Annotated[float, read_exactly("m/s")] = described(
-        "error of the velocity there", "-1e-4 m/s", 0.0
-    )
-    bias: Annotated[float, coefficient("g")] | None = described("the same as K_F", "5 mg", None)
-    scale_factor: Annotated[float, coefficient("g/g")] | None = described(
-        "the same as K_I", "1.002 g/g", None
-    )
-
-
-AccelerometerTruthSettings = create_model(
-    "AccelerometerTruthSettings",
-    __base__=_AccelerometerTruthKeys,
-    __doc__="[truth.NAME]: the true coefficients of one accelerometer.",
-    **term_keys(OWN_TERMS, coefficient),
-)
-
-
-#: Table of [truth] -> its keys, of the errors that all accelerometers share.
-_SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
-    "platform": PlatformTruthSettings,
-    "centrifuge": CentrifugeTruthSettings,
-    "encoder": EncoderTruthSettings,
-}
-
-#: Tables of [truth] that are no accelerometer's -> their classes.
-TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
-    "spindle": SpindleTruthSettings,
-    **_SHARED_TABLES,
-    "site": SiteTruthSettings,
-    "records": RecordsTruthSettings,
-    "noise": StatedNoise,
-}
 
 
 class TruthReader:
@@ -215,17 +55,9 @@ class TruthReader:
         self, raw: Mapping[str, Any], names: Sequence[str], problems: Problems, gravity: float
     ) -> None:
         self.raw, self.names, self.problems, self.gravity = raw, names, problems, gravity
-        given = dict(raw)
-        if isinstance(noise := given.get("noise"), Mapping):
-            given["noise"] = {key: value for key, value in noise.items() if key != _READING}
         #: Table -> what it says; None with its mistakes noted.
         self.tables: dict[str, Any] = {
-            name: problems.check(
-                model,
-                given.get(name, {}),
-                ("truth", name),
-                gravity=gravity if name == "noise" else None,
-            )
+            name: problems.check(model, raw.get(name, {}), ("truth", name), gravity=gravity)
             for name, model in TRUE_TABLES.items()
         }
         self._take_stretch()
@@ -254,7 +86,7 @@ class TruthReader:
         """
         common = self.tables["spindle"]
         own: Any = self.problems.check(RunTruthSettings, run.truth or {}, path)
-        shared = {family: self.tables[family] for family in _SHARED_TABLES}
+        shared = {family: self.tables[family] for family in _SHARED}
         if common is None or None in shared.values() or own is None:
             return None
 
@@ -308,7 +140,7 @@ class TruthReader:
             coefficients={name: own[name][1] for name in tables},
             start_offset={name: table.start_offset for name, table in tables.items()},
             start_velocity={name: table.start_velocity for name, table in tables.items()},
-            noise=((self.tables["noise"] if "noise" in self.raw else noise) or StatedNoise()),
+            noise=self._of_records(noise),
             runs={name: of_run for name, of_run in turned.items() if of_run is not None},
             inputs=true_inputs(self.tables, recorders, self.problems),
             machine=self._of_machine(readings, centrifuge),
@@ -358,12 +190,18 @@ class TruthReader:
             machine[_STRETCH] = path_errors.stretch
         return machine
 
+    def _of_records(self, stated: StatedNoise | None) -> StatedNoise:
+        """Return the true noise of records: that of [noise] where nothing else is said."""
+        own = self.tables["noise"]
+        noise = stated if "noise" not in self.raw else own and own.of_records
+        return noise or StatedNoise()
+
     def _of_readings(self, outputs: Mapping[str, Output | None]) -> dict[str, float]:
         """Return the true noise of the readings of each accelerometer, g."""
-        given = table_of(self.raw, "noise").get(_READING)
+        given = self.tables["noise"] and self.tables["noise"].reading
         if given is None:
             return {}
-        path: Path = ("truth", "noise", _READING)
+        path: Path = ("truth", "noise", "reading")
         sizes = {}
         for name, text in (
             given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
@@ -397,3 +235,36 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
         problems.add(path, "give each ripple either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
     return Ripple(entry.harmonic, amplitude, entry.phase)
+
+
+def true_inputs(
+    tables: Mapping[str, Any], recorders: Mapping[str, str], problems: Problems
+) -> dict[tuple[str, str], float]:
+    """Return by recorder (of a clock; else empty) and symbol the inputs that [truth] states, SI.
+
+    tables: Those of [truth], None where they have mistakes.
+    recorders: As `counterspin.campaign.runs.recorders_of` returns them.
+    """
+    site, records, centrifuge = (tables[name] for name in ("site", "records", "centrifuge"))
+    stated = {
+        ("", "site.gravity"): site and site.gravity,
+        ("", "site.latitude"): site and site.latitude,
+        ("", "centrifuge.radius"): centrifuge and centrifuge.radius,
+        ("", "records.timing_offset"): records and records.timing_offset,
+    }
+    clocks = _by_recorder((records and records.clock) or {}, recorders, problems)
+    return {key: value for key, value in stated.items() if value is not None} | clocks
+
+
+def _by_recorder(
+    clocks: Mapping[str, float], recorders: Mapping[str, str], problems: Problems
+) -> dict[tuple[str, str], float]:
+    if ALL_RECORDERS in clocks:
+        return {(owner, CLOCK): clocks[ALL_RECORDERS] for owner in recorders.values()}
+    for name in sorted(clocks.keys() - recorders.keys()):
+        path: Path = ("truth", "records", "clock", name)
+        problems.add(
+            path,
+            f'no run names this recorder; in [records] or in a run\'s own: recorder = "{name}"',
+        )
+    return {(recorders[name], CLOCK): part for name, part in clocks.items() if name in recorders}

@@ -17,11 +17,15 @@ from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems, did_you_mean, key_path
+from counterspin.campaign.checking import Problems, Section, did_you_mean, key_path
 from counterspin.campaign.kinds import SettingsSection, described
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.specification import Specifications, resolve_specifications
+from counterspin.campaign.specification import (
+    Specifications,
+    SpecificationSettings,
+    resolve_specifications,
+)
 from counterspin.campaign.toml_file import flat_keys, list_of, load_document, mistakes, table_of
 from counterspin.certificates.elements import clean
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
@@ -247,7 +251,7 @@ class Lab(SettingsSection):
         {},
         absent="none",
     )
-    specification: dict[str, Any] | None = described(
+    specification: Annotated[dict[str, Any] | None, Section(SpecificationSettings)] = described(
         "limits that coefficients shall meet, as in a campaign",
         {"K_II": "abs <= 5e-5 g/g^2"},
         None,

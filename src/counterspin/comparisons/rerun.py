@@ -18,7 +18,7 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.memory.source import keep, source_of
-from counterspin.campaign.resolved import EVERYTHING
+from counterspin.campaign.model import EVERYTHING
 from counterspin.comparisons.changes import changes
 from counterspin.comparisons.result import RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.resolved import MOST_READINGS
+from counterspin.campaign.readings import MOST_READINGS
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile

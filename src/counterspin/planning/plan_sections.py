@@ -10,6 +10,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.checking import Section
+from counterspin.campaign.columns import RecordsSettings
+from counterspin.campaign.document import Accelerometers, Runs
 from counterspin.campaign.kinds import (
     PositiveRatio,
     Schema,
@@ -21,7 +24,18 @@ from counterspin.campaign.kinds import (
     read_exactly,
     with_units,
 )
-from counterspin.campaign.resolved import MOST_READINGS, MOST_RECORDS
+from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
+from counterspin.campaign.readings_table import ReadingsSettings
+from counterspin.campaign.settings import (
+    CampaignSettings,
+    CentrifugeSettings,
+    FixtureSettings,
+    ModelSettings,
+    NoiseSettings,
+    SiteSettings,
+)
+from counterspin.campaign.triads.declared import TriadSettings
+from counterspin.campaign.truth_tables import TruthSettings
 
 #: Most attitudes among which is searched, which takes seconds, not minutes.
 MOST_ATTITUDES: Final = 24
@@ -49,63 +63,6 @@ Duration = Annotated[float, read_exactly("s"), AfterValidator(_not_negative)]
 def _attitude(value: object) -> object:
     attitude_rows(value)
     return value
-
-
-class _Sections(SettingsSection):
-    """The sections of either kind of plan; each is checked by its own model afterwards."""
-
-    schema_version: Schema = described("version of this format", 1, alias="schema")
-    campaign: dict[str, Any] = described(
-        "what a report says, as in a campaign",
-        {"title": "A day at the centrifuge"},
-        absent="empty",
-        default_factory=dict,
-    )
-    site: dict[str, Any] = described("where, as in a campaign", {})
-    accelerometers: dict[str, Any] = described(
-        "one table for each, as in a campaign", {"Qx": {}}, min_length=1
-    )
-    model: dict[str, Any] | None = described(
-        "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
-    )
-    records: dict[str, Any] | None = described("how files will be read, as in a campaign", {}, None)
-    limits: dict[str, Any] = described("what the machine and the laboratory allow", {})
-    goal: dict[str, Any] = described("what the plan is for", {"minimise": ["K_II"]})
-
-
-class PlanDocument(_Sections):
-    """The sections of a plan of records."""
-
-    centrifuge: dict[str, Any] = described("its size, as in a campaign", {})
-    noise: dict[str, Any] = described(
-        "of the records, as in a campaign; every size a number", {"displacement": "0.01 m"}
-    )
-    truth: dict[str, Any] | None = described("true values, for a simulation of the plan", {}, None)
-
-
-class ReadingPlanDocument(_Sections):
-    """The sections of a plan of readings."""
-
-    centrifuge: dict[str, Any] | None = described(
-        "its size, as in a campaign; needed where a station turns", {}, None
-    )
-    fixture: dict[str, Any] | None = described(
-        "how well positions are set, as in a campaign", {}, None
-    )
-    noise: dict[str, Any] | None = described("of the records of `runs`, as in a campaign", {}, None)
-    triad: dict[str, Any] | None = described(
-        "three accelerometers of one sensor, as in a campaign", {}, None
-    )
-    runs: list[Any] = described(
-        "records and readings that are taken in any case, as in a campaign",
-        [],
-        absent="none",
-        default_factory=list,
-    )
-    readings: dict[str, Any] | None = described(
-        "a table of readings that are taken in any case, as in a campaign", {}, None
-    )
-    stations: list[Any] = described("readings that may be taken", [{}], min_length=1)
 
 
 class LimitsSettings(SettingsSection):
@@ -263,4 +220,81 @@ class GoalSettings(SettingsSection):
         "volume of the ellipsoid (D-optimality)",
         "determinant",
         "sum",
+    )
+
+
+class _Sections(SettingsSection):
+    """What a plan is for, and what the machine allows."""
+
+    schema_version: Schema = described("version of this format", 1, alias="schema")
+    campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = described(
+        "what a report says, as in a campaign",
+        {"title": "A day at the centrifuge"},
+        absent="empty",
+        default_factory=dict,
+    )
+    site: Annotated[dict[str, Any], Section(SiteSettings)] = described(
+        "where, as in a campaign", {}
+    )
+    accelerometers: Accelerometers = described(
+        "one table for each, as in a campaign",
+        {"Qx": {"input_axis": "east", "pendulous_axis": "down"}},
+    )
+    model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = described(
+        "what is asked for, and what is known, as in a campaign", {}, None, absent="the usual terms"
+    )
+    records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = described(
+        "how files will be read, as in a campaign", {}, None
+    )
+    goal: Annotated[dict[str, Any], Section(GoalSettings)] = described(
+        "what the plan is for", {"minimise": ["K_II"]}
+    )
+
+
+class PlanDocument(_Sections):
+    """A plan of records."""
+
+    limits: Annotated[dict[str, Any], Section(LimitsSettings)] = described(
+        "what the machine and the laboratory allow", {}
+    )
+    centrifuge: Annotated[dict[str, Any], Section(CentrifugeSettings)] = described(
+        "its size, as in a campaign", {}
+    )
+    noise: Annotated[dict[str, Any], Section(NoiseSettings)] = described(
+        "of the records, as in a campaign; every size a number", {"displacement": "0.01 m"}
+    )
+    truth: Annotated[dict[str, Any] | None, Section(TruthSettings)] = described(
+        "true values, for a simulation of the plan", {}, None
+    )
+
+
+class ReadingPlanDocument(_Sections):
+    """A plan of readings."""
+
+    limits: Annotated[dict[str, Any], Section(ReadingLimitsSettings)] = described(
+        "how many readings there may be, and in which order", {}
+    )
+    centrifuge: Annotated[dict[str, Any] | None, Section(CentrifugeSettings)] = described(
+        "its size, as in a campaign; needed where a station turns", {}, None
+    )
+    fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = described(
+        "how well positions are set, as in a campaign", {}, None
+    )
+    noise: Annotated[dict[str, Any] | None, Section(NoiseSettings)] = described(
+        "of the records of `runs`, as in a campaign", {}, None
+    )
+    triad: Annotated[dict[str, Any] | None, Section(TriadSettings)] = described(
+        "three accelerometers of one sensor, as in a campaign", {}, None
+    )
+    runs: Runs = described(
+        "records and readings that are taken in any case, as in a campaign",
+        [],
+        absent="none",
+        default_factory=list,
+    )
+    readings: Annotated[dict[str, Any] | None, Section(ReadingsSettings)] = described(
+        "a table of readings that are taken in any case, as in a campaign", {}, None
+    )
+    stations: Annotated[list[Any], Field(min_length=1), Section(list[StationsSettings])] = (
+        described("readings that may be taken", [{"positions": 24, "u": "2e-6 g"}])
     )

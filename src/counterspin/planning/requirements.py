@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.runs import sample_count
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepared_for
 from counterspin.inference.joint.unknowns import ROTATION, unit_of

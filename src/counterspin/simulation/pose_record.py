@@ -10,7 +10,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import origin_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.runs import sample_count
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.inference.poses import TriadPoses, indications_along
 

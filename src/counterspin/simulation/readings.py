@@ -26,7 +26,7 @@ from counterspin.campaign.readings_table import (
     ReadingsTable,
     load_table,
 )
-from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.runs import sample_count
 from counterspin.campaign.terms import POSITION
 from counterspin.campaign.toml_file import load_document
 from counterspin.campaign.triads.declared import is_pose

@@ -9,7 +9,8 @@ from typing import Final, Literal
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
-from counterspin.campaign.resolved import MOST_RECORDS, MOST_ROWS, MOST_SIMULATED_ROWS
+from counterspin.campaign.readings import MOST_RECORDS
+from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import CampaignError
 from counterspin.physics.spindle import Spindle

@@ -22,13 +22,10 @@ from counterspin.campaign.memory.records import WRITERS, write_as_it_is
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import (
-    SimulatedTruth,
-    sample_count,
-)
-from counterspin.campaign.runs import Run
+from counterspin.campaign.runs import Run, sample_count
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.campaign.truth_tables import SimulatedTruth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation

@@ -14,14 +14,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, create_model
 
 from counterspin.calibration.model import inputs_by_owner, model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.checking import Problems, Section, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.campaign.kinds import SettingsSection, Several, Text, described, exact
+from counterspin.campaign.document import CampaignDocument
+from counterspin.campaign.kinds import Schema, SettingsSection, Several, Text, described, exact
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.runs import recorders_of
@@ -53,27 +54,6 @@ def _analysis_name(analysis: str) -> str:
     if not analysis.replace("-", "").replace("_", "").isalnum():
         raise ValueError("an analysis is named with letters, digits, - and _")
     return analysis
-
-
-class StudySettings(SettingsSection):
-    """[study]: what varies from trial to trial, and which analyses compete."""
-
-    trials: Annotated[int, Field(ge=2, le=10**9)] = described(
-        "how many campaigns are simulated and calibrated", 2000, 10_000
-    )
-    seed: Annotated[int, Field(ge=0)] = described("of the random numbers", 1, 1)
-    vary: dict[str, Any] = described(
-        "what differs from trial to trial: name -> distribution",
-        {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
-        absent="nothing",
-        default_factory=dict,
-    )
-    analyses: dict[Annotated[str, AfterValidator(_analysis_name)], Any] = described(
-        "what competes: name -> analysis",
-        {"joint": {"method": "joint"}},
-        absent="the two methods, and the paper's equations",
-        default_factory=dict,
-    )
 
 
 class AnalysisSettings(SettingsSection):
@@ -132,6 +112,52 @@ class DistributionSettings(SettingsSection):
     per: Literal["run", "campaign"] = described(
         "whether it is drawn anew for each run", "run", "campaign"
     )
+
+
+class StudySettings(SettingsSection):
+    """[study]: what varies from trial to trial, and which analyses compete."""
+
+    trials: Annotated[int, Field(ge=2, le=10**9)] = described(
+        "how many campaigns are simulated and calibrated", 2000, 10_000
+    )
+    seed: Annotated[int, Field(ge=0)] = described("of the random numbers", 1, 1)
+    vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = described(
+        "what differs from trial to trial: name -> distribution",
+        {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
+        absent="nothing",
+        default_factory=dict,
+    )
+    analyses: Annotated[
+        dict[Annotated[str, AfterValidator(_analysis_name)], Any],
+        Section(dict[str, AnalysisSettings]),
+    ] = described(
+        "what competes: name -> analysis",
+        {"joint": {"method": "joint"}},
+        absent="the two methods, and the paper's equations",
+        default_factory=dict,
+    )
+
+
+class StudyDocument(SettingsSection):
+    """A study in a file of its own, beside the campaign that it names."""
+
+    schema_version: Schema = described("version of this format", 1, alias="schema")
+    campaign: Text = described("folder or description of the campaign", "campaign")
+    study: Annotated[dict[str, Any], Section(StudySettings)] = described(
+        "what varies, and what competes", {}
+    )
+
+
+#: ``campaign.toml`` with the section that studies read.
+StudiedDocument = create_model(
+    "StudiedDocument",
+    __base__=CampaignDocument,
+    __doc__=CampaignDocument.__doc__,
+    study=(
+        Annotated[dict[str, Any] | None, Section(StudySettings)],
+        CampaignDocument.model_fields["study"],
+    ),
+)
 
 
 @frozen

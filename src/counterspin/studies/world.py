@@ -12,7 +12,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import true_noise
-from counterspin.campaign.resolved import sample_count
+from counterspin.campaign.runs import sample_count
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series

@@ -9,10 +9,11 @@ from typing import Any, Final
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.document import CampaignDocument
 from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.memory.records import give_records
 from counterspin.campaign.memory.source import Documented, source_of
-from counterspin.campaign.settings import OBSERVABLES, DocumentSettings
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import COMMON_NAMES, TERMS
@@ -36,7 +37,7 @@ SHORT: Final[Mapping[str, KeyPath]] = {
 #: Sections of the file that are changed by their own names; [records] is by keys with dots.
 _SECTIONS: Final = tuple(
     field.alias or name
-    for name, field in DocumentSettings.model_fields.items()
+    for name, field in CampaignDocument.model_fields.items()
     if name not in ("schema_version", "accelerometers", "runs", "records")
 )
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.campaign.resolved import MOST_ROWS
+from counterspin.campaign.runs import MOST_ROWS
 from counterspin.errors import CounterspinError
 from counterspin.inference.noise.model import Noise, make_whitener
 from counterspin.planning.runs.angle_functions import functions, prefix_factors, shifted
