@@ -34,6 +34,21 @@ def aligned(*shape: int) -> Array:
     return array[..., :length]
 
 
+def median(values: Array) -> float:
+    """Return the median of values (n,): NaN of none, or where one is NaN.
+
+    `np.median` takes twenty times as long for a few hundred values, and at its first call it loads
+    the masked arrays.
+    """
+    half = len(values) // 2
+    if not half:
+        return float(values[0]) if len(values) else math.nan
+    low, high, last = np.partition(values, (half - 1, half, -1))[[half - 1, half, -1]].tolist()
+    if math.isnan(last):
+        return float(last)  # it is sorted last
+    return float(high if len(values) % 2 else (low + high) / 2)
+
+
 def triangle_of(matrix: Array) -> Array:
     """Return R of the QR factorisation, shape (min(n, p), p); also of a stack of matrices."""
     return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
+import numpy
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator
 from pydantic_core import PydanticSerializationError
 
@@ -228,15 +229,15 @@ def environment() -> dict[str, str]:
     """Return what computes: versions of Python, NumPy and SciPy, and the kind of machine."""
     return {
         "python": platform.python_version(),
-        "numpy": _installed("numpy"),
-        "scipy": _installed("scipy"),
+        "numpy": numpy.__version__,
+        "scipy": _scipy(),
         "machine": f"{platform.system()} {platform.machine()}",
     }
 
 
 @cache
-def _installed(package: str) -> str:
-    """Return a version, asked of what is installed: SciPy itself takes long to load."""
+def _scipy() -> str:
+    """Return SciPy's version, asked of what is installed: SciPy itself takes long to load."""
     from importlib.metadata import version
 
-    return version(package)
+    return version("scipy")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from counterspin.arrays import median
 from counterspin.calibration.diagnosis.record_counts import counts_of
 from counterspin.calibration.observed import recorded_twice
 from counterspin.calibration.posed.found_poses import FoundPose, noise_within, poses_of
@@ -220,10 +221,8 @@ def readings_noise(parts: Sequence[FittedReadings]) -> dict[str, NoiseLine]:
     """Return the noise of readings, motion by motion."""
     return {
         part.words: NoiseLine(
-            value=float(np.median(part.sigma)),
-            u=float(np.median(part.sigma)) / math.sqrt(2.0 * part.dof)
-            if math.isfinite(part.dof)
-            else None,
+            value=median(part.sigma),
+            u=median(part.sigma) / math.sqrt(2.0 * part.dof) if math.isfinite(part.dof) else None,
             unit="g",
             estimated=math.isfinite(part.dof),
         )

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import (
     chi_square_tail,
@@ -129,7 +129,7 @@ def diagnose(
         raise ValueError(f"{whole} degrees of freedom: there is nothing to test")
     runs = {}
     for name, rows in values.items():
-        interval = 1.0 if times is None else float(np.median(np.diff(np.asarray(times[name]))))
+        interval = 1.0 if times is None else median(np.diff(np.asarray(times[name])))
         runs[name] = _diagnose_run(rows, shares[name], interval, noise_dof)
 
     chi2 = float(sum(run.chi2 for run in runs.values()))

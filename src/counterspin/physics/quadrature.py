@@ -63,7 +63,7 @@ def panel_edges(
     edges = np.linspace(0.0, duration, max(2, math.ceil(revolutions * per_revolution) + 1))
     if breaks is None or breaks.size == 0:
         return edges
-    edges = np.union1d(edges, breaks[(breaks > 0.0) & (breaks < duration)])
+    edges = np.sort(np.append(edges, breaks[(breaks > 0.0) & (breaks < duration)]))
     # A panel of rounding width adds nothing and would divide by zero.
     keep = np.append(np.diff(edges) > 1e-13 * duration, True)
     kept: Array = edges[keep]

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from counterspin.arrays import Array, in_parts, triangle_of, triangular_root
+from counterspin.arrays import Array, in_parts, median, triangle_of, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part
@@ -238,7 +238,7 @@ def angle_error_to_come(time: Array, rate: float, noise: float, weights: Array) 
 
 def _resolvable(time: Array, rate: float) -> int:
     """Return how many harmonics the samples of a revolution can tell apart, at most."""
-    spacing = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    spacing = median(np.diff(time)) if time.size > 1 else 0.0
     resolvable = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
     return min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
 

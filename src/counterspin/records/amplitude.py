@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD
+from counterspin.arrays import SIGMA_OF_MAD, median
 from counterspin.frozen import frozen
 
 #: Fewest samples from which one revolution's amplitude is taken.
@@ -106,7 +106,7 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     edges = np.flatnonzero(np.diff(bins, prepend=-1))
     sizes = np.diff(edges, append=len(bins))
     # An incomplete revolution tells the wave badly from the trend.
-    least = _WHOLE_PART * float(np.median(sizes)) if len(sizes) else 0.0
+    least = _WHOLE_PART * median(sizes) if len(sizes) else 0.0
     enough = sizes >= max(_FEWEST_SAMPLES, least)
     edges, sizes = edges[enough], sizes[enough]
     index = edges[:, None] + np.arange(sizes.max(initial=0))
@@ -128,7 +128,7 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
 
 def noise_of(fitted: Waves) -> float:
     """Return what a signal scatters by beside its waves, in its unit; NaN where nothing tells."""
-    return float(np.median(fitted.deviation)) if len(fitted.deviation) else math.nan
+    return median(fitted.deviation) if len(fitted.deviation) else math.nan
 
 
 @frozen
@@ -147,7 +147,7 @@ def _odd_turns(fitted: Waves) -> np.ndarray:
         return np.zeros(len(size), dtype=bool)
     # One of the amplitudes, not the middle of two: half the record may be in either unit.
     usual = float(np.sort(size)[len(size) // 2])
-    clear = _CHANGE_SDS * float(np.median(fitted.u_amplitude))
+    clear = _CHANGE_SDS * median(fitted.u_amplitude)
     odd: np.ndarray = (size > _CHANGE_RATIO * usual) | (size < usual / _CHANGE_RATIO)
     odd &= (np.abs(size - usual) > clear) & (usual > clear)
     return odd
@@ -234,7 +234,7 @@ def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | Non
     if not len(fitted.amplitude):
         return None
     expected, unit = swing.amplitude, swing.unit
-    mean = complex(np.median(fitted.amplitude.real), np.median(fitted.amplitude.imag))
+    mean = complex(median(fitted.amplitude.real), median(fitted.amplitude.imag))
     ratio, size = mean / expected, abs(mean / expected)
     slack = _DEVIATIONS * _spread(fitted, mean) / abs(expected)
     if (has_angle and abs(ratio - 1) < 0.5 + slack) or (
@@ -260,7 +260,7 @@ def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | Non
 def _spread(fitted: Waves, mean: complex) -> float:
     """Return the standard deviation of the median wave, from what the revolutions differ by."""
     turns = len(fitted.amplitude)
-    between = SIGMA_OF_MAD * float(np.median(np.abs(fitted.amplitude - mean)))
+    between = SIGMA_OF_MAD * median(np.abs(fitted.amplitude - mean))
     samples = np.maximum(fitted.last - fitted.first + 1, 1)
-    within = float(np.median(fitted.deviation * np.sqrt(2.0 / samples)))
+    within = median(fitted.deviation * np.sqrt(2.0 / samples))
     return math.hypot(between, within) * math.sqrt(0.5 * math.pi / turns)

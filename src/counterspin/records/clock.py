@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, aligned
+from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.pieces import Piece
 from counterspin.records.report import Gap
-from counterspin.records.spikes import median, middle
+from counterspin.records.spikes import middle
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
 LISTED = 100
@@ -117,7 +117,7 @@ class Clock:
                 row = int(np.flatnonzero(good)[np.flatnonzero(steps < 0)[0] + 1])
                 raise self._fail(row, "time runs backwards.")
             raise RecordError(f"{self._path}: fewer than two rows differ in time.")
-        self.step = float(np.median(steps[steps > 0]))
+        self.step = median(steps[steps > 0])
         if angle is None:
             return
         a = angle[good]
@@ -278,7 +278,7 @@ class Clock:
             return good, angle
         steps = np.diff(time)
         strays = _wrap(np.diff(angle) - self.rate * steps)
-        usual = float(np.median(strays)) if len(strays) else 0.0
+        usual = median(strays) if len(strays) else 0.0
         base = _tolerance(strays - usual, angle) + abs(usual)
 
         def misfit(places: np.ndarray, time0: float, angle0: float) -> np.ndarray:

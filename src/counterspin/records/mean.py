@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
@@ -139,10 +139,10 @@ def _bursts(t: Array, y: Array, rate: float) -> np.ndarray:
     edges = np.linspace(0, y.size, count + 1).astype(int)
     sizes = np.diff(edges)
     # Medians: a burst of a third of the record must not make waves.
-    left = y - np.median(y) if not rate else _level(t, y, rate)[1]
+    left = y - median(y) if not rate else _level(t, y, rate)[1]
     means, times = (np.add.reduceat(each, edges[:-1]) / sizes for each in (left, t))
     steps = np.diff(times)
-    step = float(np.median(steps))
+    step = median(steps)
     uneven = float(np.abs(steps / step - 1.0).max())
     for place in find_spikes(times, means, 0.0, step, uneven):
         found[edges[place] : edges[place + 1]] = True

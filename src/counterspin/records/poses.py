@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, Array
+from counterspin.arrays import SIGMA_OF_MAD, Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
@@ -139,7 +139,7 @@ def find_poses(
     """
     there = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
     _check(time[there], rest)
-    step = float(np.median(np.diff(time[there])))
+    step = median(np.diff(time[there]))
     window = min(max(_WINDOW, _FEWEST_ROWS * step), rest)
     resolutions = np.array([resolution(axis) for axis in values[there].T])
     spikes = _spikes(values[there], max(_SPIKE_ROWS, round(window / step)), resolutions)
@@ -188,7 +188,7 @@ def _check(time: Array, rest: float) -> None:
     steps = np.diff(time)
     if (steps < 0.0).any():
         raise RecordError(f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.")
-    length, step = float(time[-1] - time[0]), float(np.median(steps))
+    length, step = float(time[-1] - time[0]), median(steps)
     if length + step < rest * (1.0 - 1e-9):
         raise RecordError(
             f"the record lasts {length:.4g} s, less than one rest of {rest:g} s. Check the unit "
@@ -290,7 +290,7 @@ def _usual_threshold(level: Array, resolutions: Array) -> float:
     with np.errstate(invalid="ignore", divide="ignore"):
         apart = below * above * (sums / below - rest / above) ** 2
     split = edges[1 + int(np.nanargmax(apart))] if np.isfinite(apart).any() else edges[-1]
-    usual = math.exp(float(np.median(logs[logs <= split])))
+    usual = math.exp(median(logs[logs <= split]))
     return max(_THRESHOLD_RATIO * usual, least)
 
 
@@ -313,8 +313,8 @@ def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarr
     inside = np.zeros(len(level) + 1)
     np.add.at(inside, starts, 1.0)
     np.add.at(inside, ends, -1.0)
-    usual = float(np.median(level[np.cumsum(inside)[:-1] > 0.0]))
-    return float(np.median(moving)) / usual if len(moving) and usual else math.inf
+    usual = median(level[np.cumsum(inside)[:-1] > 0.0])
+    return median(moving) / usual if len(moving) and usual else math.inf
 
 
 def _no_rest_words(

@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from counterspin.arrays import median
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
 from counterspin.records.amplitude import (
@@ -262,7 +263,7 @@ class _RecordReader:
         steps = np.diff(time[np.isfinite(time)])
         steps = steps[steps > 0]
         if self._wants_blocks and len(steps):
-            self._block = block_size(float(np.median(steps)), self._motion.rate)
+            self._block = block_size(median(steps), self._motion.rate)
         return piece_rows(self._block)
 
     def _first_number(self, time: np.ndarray) -> float:
@@ -366,7 +367,7 @@ class _RecordReader:
                 signal = self._without_odd_blocks(blocks, place, signal)
             if not self._motion.steady:
                 signal, fitted = self._check_amplitude(place, name, blocks, phase, signal)
-                noise = noise_of(fitted) * np.sqrt(np.median(blocks.count))
+                noise = noise_of(fitted) * np.sqrt(median(blocks.count))
                 ends = self._polynomials.ends(place)
                 own = np.append(self._polynomials.of(place), ends)
                 parts[name] = own * (spec.factor / noise)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.input import FileIdentity
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.pieces import Columns, column_rows
@@ -110,7 +110,7 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
     if (steps <= 0).any():
         place = int(np.flatnonzero(steps <= 0)[0]) + 2
         raise ValueError(f"pulse {place} is not later than the one before it")
-    interval = float(np.median(steps))
+    interval = median(steps)
     stated = 2 * math.pi / abs(rate) / per_revolution
     if abs(interval / stated - 1) > 0.05:
         raise ValueError(

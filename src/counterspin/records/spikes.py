@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, aligned
+from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 
 #: Samples in a window.
 WINDOW_SAMPLES = 128
@@ -104,7 +104,7 @@ def find_spikes(
     if 10 * suspect.sum() > len(suspect):
         # Where outliers are many they inflate the plain scale: take it from robust fits.
         _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
-        scale = float(np.median(scales))
+        scale = median(scales)
     scale = max(scale, resolution(signal) / 2)
     suspect |= peak > _SCREEN_SDS * scale
     marked = np.zeros(len(signal), dtype=bool)
@@ -128,20 +128,6 @@ def middle(values: np.ndarray) -> float:
     parted = values.copy()
     parted.partition(half)
     return float(parted[half])
-
-
-def median(values: np.ndarray) -> float:
-    """Return the median of values without NaN; NaN of none.
-
-    For many different values `np.median`, which looks for two of them at once, takes several
-    times as long.
-    """
-    half = len(values) // 2
-    if not half:
-        return float(values[0]) if len(values) else math.nan
-    parted = np.partition(values, half)
-    upper = float(parted[half])
-    return upper if len(values) % 2 else (float(parted[:half].max()) + upper) / 2
 
 
 def _screen_all(

@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import median
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
 from counterspin.calibration.diagnosis.credible import beyond_typical, incredible
 from counterspin.calibration.diagnosis.mountings import OtherMounting, better, wrong_mounting
@@ -218,7 +219,7 @@ def _chances(view: AccelerometerView) -> Iterator[float]:
             test.periodogram,
             test.rows,
             prepared.series.trajectory.spindle.rate,
-            float(np.median(np.diff(prepared.series.time))),
+            median(np.diff(prepared.series.time)),
             test.chi2 / test.dof,
         )
 

@@ -19,7 +19,7 @@ def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Arr
     time, values: Shape (n,), n >= 1, in the order of time.
     count: At least 1.
     """
-    first = np.unique(np.arange(count) * time.size // count)
+    first = _distinct(np.arange(count) * time.size // count)
     last = np.append(first[1:], time.size) - 1
     return (
         0.5 * (time[first] + time[last]),
@@ -58,7 +58,7 @@ def smoothed_spectrum(
     length: Of the record, s: the inverse of the first line's frequency.
     count: At least 1.
     """
-    edges = np.unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
+    edges = _distinct(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
     first, width = edges[:-1], np.diff(edges)
     frequency = (first + 0.5 * (width - 1)) / length
     return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width, width
@@ -78,6 +78,12 @@ def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
     end = normal_quantile(0.625 / (n + 0.25))
     levels = np.linspace(end, -end, min(count, n)).tolist()
     wanted = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
-    ranks = np.unique(np.clip(np.rint(wanted), 1, n).astype(np.intp))
+    ranks = _distinct(np.clip(np.rint(wanted), 1, n).astype(np.intp))
     normal = [normal_quantile(p) for p in ((ranks - 0.375) / (n + 0.25)).tolist()]
     return np.array(normal), np.sort(whitened)[ranks - 1]
+
+
+def _distinct(ascending: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return each value once; `np.unique` would load the masked arrays at its first call."""
+    distinct: NDArray[np.intp] = ascending[np.append(True, np.diff(ascending) > 0)]
+    return distinct

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.notebook.thinning import (
     normal_quantiles,
@@ -60,7 +60,7 @@ def _trace(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
         folded = over_revolution(angle, residual, parts)
         if np.isfinite(folded[1]).all():
             break
-    interval = float(np.median(np.diff(kept.time)))
+    interval = median(np.diff(kept.time))
     normal, ordered = normal_quantiles(whitened, _QUANTILES)
     frequency, power, lines = smoothed_spectrum(periodogram, whitened.size * interval, _BANDS)
     (rms,) = _rounded(np.sqrt([np.mean(residual**2)]))

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, Array, triangle_of
+from counterspin.arrays import SIGMA_OF_MAD, Array, median, triangle_of
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 
@@ -106,4 +106,4 @@ def white_level(part: Prepared) -> float:
     rough = np.diff(left * np.sqrt(series.count / series.relative), 3)
     if rough.size == 0:
         return 0.0
-    return SIGMA_OF_MAD * float(np.median(np.abs(rough))) / math.sqrt(20.0)
+    return SIGMA_OF_MAD * median(np.abs(rough)) / math.sqrt(20.0)

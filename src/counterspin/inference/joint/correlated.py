@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, Array
+from counterspin.arrays import SIGMA_OF_MAD, Array, median
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.series import Series
 
@@ -58,7 +58,7 @@ def independent(fit: JointFit, series: Sequence[Series]) -> tuple[Series, ...]:
     thinned = list(series)
     for name in dict.fromkeys(one.accelerometer for one in series):
         places = [i for i, one in enumerate(series) if one.accelerometer == name]
-        spacing = {i: float(np.median(np.diff(series[i].time))) for i in places}
+        spacing = {i: median(np.diff(series[i].time)) for i in places}
         plain = {i: fit.residuals[i].plain * np.sqrt(series[i].count) for i in places}
         if _grows(plain, spacing):
             memory = _memory({i: _noise(series[i], plain[i]) for i in places}, spacing)
@@ -125,5 +125,5 @@ def _size(left: Array, step: int) -> float:
     third = third - left[: -3 * step]
     if not third.size:
         return 0.0
-    limit = _CLIP * SIGMA_OF_MAD * np.median(np.abs(third))
+    limit = _CLIP * SIGMA_OF_MAD * median(np.abs(third))
     return float(np.mean(np.clip(third, -limit, limit) ** 2) / 20.0)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import SIGMA_OF_MAD, Array
+from counterspin.arrays import SIGMA_OF_MAD, Array, median
 from counterspin.inference.distributions import student_quantile
 
 #: Expected number of good samples of a whole series that Gaussian noise loses.
@@ -79,7 +79,7 @@ def outlying(
 def _beside_a_gap(place: Array, reach: int) -> npt.NDArray[np.bool_]:
     """Return which samples have neighbours within the reach that are farther off than usual."""
     steps = np.diff(place)
-    wide = np.append(steps > _GAP_STEPS * np.median(steps), False)
+    wide = np.append(steps > _GAP_STEPS * median(steps), False)
     after = np.flatnonzero(wide)
     near = np.zeros(place.size, dtype=bool)
     for k in range(-reach + 1, reach + 1):
@@ -89,7 +89,7 @@ def _beside_a_gap(place: Array, reach: int) -> npt.NDArray[np.bool_]:
 
 def _scale(signed: Array) -> float:
     """Return the robust standard deviation."""
-    return SIGMA_OF_MAD * float(np.median(np.abs(signed)))
+    return SIGMA_OF_MAD * median(np.abs(signed))
 
 
 def _apart(residuals: Array, reach: int) -> Array:
@@ -111,7 +111,7 @@ def _apart(residuals: Array, reach: int) -> Array:
             if fewer < reach:
                 here = slice(fewer, 2 * fewer)
                 seen[here], spread[here] = _of_pairs(end[: 3 * fewer], range(1, fewer + 1))
-        near, far = np.median(end[4:10]), np.median(end[10:16])
+        near, far = median(end[4:10]), median(end[10:16])
         seen[:4], spread[:4] = near + (near - far) * _AHEAD, _AHEAD_VARIANCE
     return (residuals - local) / np.sqrt(1.0 + variance)
 

@@ -31,7 +31,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
 from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 from counterspin.inference.noise.wander import (
@@ -161,7 +161,7 @@ class Differences:
         if sample_spacing is None:
             # Adjoining blocks of c and c' samples have their means (c + c')/2 spacings apart.
             shared = steps / (counts[1:] + counts[:-1]) * 2
-            sample_spacing = float(np.median(shared)) if len(shared) else 1.0
+            sample_spacing = median(shared) if len(shared) else 1.0
         spacing = np.broadcast_to(np.asarray(sample_spacing, float), time.shape)
         if not (spacing > 0).all():
             raise ValueError("the sample spacing must be positive")
@@ -213,7 +213,7 @@ class Differences:
         before: For how long the bias had walked when the record began, s.
         """
         length = spanned(float(self.blocks.time[-1]))
-        count = functions_needed(variances, float(np.median(self.spacing)), length, order)
+        count = functions_needed(variances, median(self.spacing), length, order)
         shown = self.apply(
             integrated_cosines(
                 self.blocks.time, self.blocks.count, self.spacing, order, count, length

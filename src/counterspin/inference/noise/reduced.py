@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.arrays import Array, in_parts, triangle_of
+from counterspin.arrays import Array, in_parts, median, triangle_of
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import (
     SPECIFIC_FORCE,
@@ -84,7 +84,7 @@ class DifferencedRecord:
     @property
     def spacing(self) -> float:
         """Usual time between samples, s."""
-        return float(np.median(self.differences.spacing))
+        return median(self.differences.spacing)
 
     @property
     def row_steps(self) -> tuple[Array, Array]:

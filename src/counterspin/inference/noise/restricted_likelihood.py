@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.arrays import Array, in_parts, triangle_of
+from counterspin.arrays import Array, in_parts, median, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.noise.even import EvenData, EvenRecord
 from counterspin.inference.noise.reduced import DifferencedRecord, RecordData
@@ -131,7 +131,7 @@ class RestrictedLikelihood:
         steps, counts = map(
             np.concatenate, zip(*(record.row_steps for record in self.records), strict=True)
         )
-        unit = 1 / (np.median(counts) * np.median(steps) ** (2 * self.order - 1))
+        unit = 1 / (median(counts) * median(steps) ** (2 * self.order - 1))
         return math.log(0.1 * unit * self._longest ** (-2.0 * self.order))
 
     @property

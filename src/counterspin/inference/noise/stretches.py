@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.even import EvenData, SampleKind
@@ -113,7 +113,7 @@ def stretches_of(time: Array, values: Array) -> Stretches:
     if time.size < _FEWEST:
         raise ValueError(f"{time.size} samples are too few: {_FEWEST} are needed")
     steps = np.diff(time)
-    step = float(np.median(steps))
+    step = median(steps)
     # The median of rounded times is off; their mean over steps that are one is not.
     single = steps < 1.5 * step
     step = float(steps[single].mean())

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, median
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import TURN
@@ -130,7 +130,7 @@ def _interpolate(
 ) -> Strobes:
     spacing = np.diff(time)
     # Across a gap a straight line is no interpolation any more.
-    whole = spacing[left] <= 1.5 * float(np.median(spacing))
+    whole = spacing[left] <= 1.5 * median(spacing)
     # On a sample the other neighbour does not matter, even if it is missing or far away.
     share = np.where(np.abs(share) < _ROUNDING, 0.0, share)
     share = np.where(np.abs(share - 1.0) < _ROUNDING, 1.0, share)
