@@ -347,6 +347,119 @@ def test_rests_of_a_second_are_found(tmp_path):
     assert found.document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
 
 
+def test_poses_of_one_to_four_seconds_after_a_long_rest(tmp_path):
+    """Two in three are shorter than the usual rest and its second of scatter."""
+    rng = np.random.default_rng(5)
+    force = rng.normal(size=(30, 3))
+    force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
+    parts = []
+    for place, one in enumerate(force):
+        length = 50.0 if place == 0 else rng.uniform(1.2, 4.0)
+        parts.append(np.tile(one, (round(100.0 * length), 1)))
+        parts.append(one + rng.normal(0.0, 1.5, (100, 3)).cumsum(axis=0) / 5.0)
+    values = np.concatenate(parts[:-1])
+    values += 0.02 * rng.normal(size=values.shape) + BIAS
+    looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), values)
+    assert poses_draft(looks, {"rest": "1.5 s"}).found.means.shape[0] < 20
+    found = drafted(looks, PLACE, "poses")
+    assert found.found.means.shape[0] == 30
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    for name, bias in zip("XYZ", BIAS, strict=True):
+        one = result.accelerometers[name].coefficients["K_F"]
+        assert abs(one.value - bias / 9.81) < 4.0 * one.u
+
+
+def test_axes_are_in_the_order_of_their_names(tmp_path, values):
+    """Sensor Logger writes z, y, x, in nanoseconds since 1970."""
+    time = np.arange(len(values))
+    rows = [
+        f"{1_700_000_000_000_000_000 + 10_000_000 * k},{0.01 * k:.4f},{z:.6f},{y:.6f},{x:.6f}\n"
+        for k, (x, y, z) in zip(time, values, strict=True)
+    ]
+    (tmp_path / "log.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
+    found = drafted(look_at([tmp_path / "log.csv"]), PLACE, "poses")
+    assert found.triad == ("x", "y", "z")
+    assert len(calibrate(write_description(found, tmp_path / "camp").parent).triad.poses) == 12
+
+
+def test_a_telephone_writes_rows_when_it_has_them(tmp_path, values):
+    kept = np.sort(np.random.default_rng(3).permutation(len(values))[: len(values) * 2 // 3])
+    looks = write_rows(tmp_path, kept, values[kept], "timestamp_ms,ax,ay,az")
+    told = {"time unit": "s"}  # 1 s for 10 ms
+    assert poses_draft(looks, PLACE | told).guesses[0].time.column == "timestamp_ms"
+    looks = write_rows(tmp_path, 0.01 * kept, values[kept], "Time (s),ax,ay,az")
+    found = drafted(looks, PLACE, "poses")
+    assert found.open_questions == []
+    assert found.found.means.shape[0] == 12
+
+
+def test_a_clock_that_stands_still_for_many_rows_is_no_time(tmp_path, values):
+    time = np.floor(np.arange(len(values)) / 5.0) / 20.0
+    looks = write_rows(tmp_path, time, values)
+    assert guessed_test(looks) == "poses"
+    assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
+
+
+def test_gravity_by_a_filter_is_no_sensor(tmp_path, values):
+    both = np.column_stack([values - BIAS, values])
+    head = "t,gravity_x,gravity_y,gravity_z,acc_x,acc_y,acc_z"
+    looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, head)
+    assert drafted(looks, PLACE, "poses").triad == ("acc_x", "acc_y", "acc_z")
+
+
+def test_forces_without_gravity_are_told(tmp_path):
+    truth = posed(4.0, 1.5)
+    smooth = np.repeat(truth.force, 550, axis=0)[: len(truth.values)]
+    rests = np.arange(len(truth.values)) % 550 < 400
+    values = np.where(rests[:, None], truth.values - smooth, truth.values - smooth.mean(axis=0))
+    axes = [f"Linear Acceleration {axis} (m/s^2)" for axis in "xyz"]
+    looks = write_rows(tmp_path, truth.time, values, ",".join(["Time (s)", *axes]))
+    statements = drafted(looks, PLACE, guessed_test(looks)).statements
+    assert any("read nearly nothing at rest: a filter took gravity away" in s for s in statements)
+
+
+def faces(count, tilt=0.005, seed=6):
+    """Return a sensor set on its six faces by hand, each in turn."""
+    rng = np.random.default_rng(seed)
+    truth = posed(4.0, 1.0, count, noise=0.01, seed=seed)
+    axes = np.concatenate([np.eye(3), -np.eye(3)])[np.arange(count) % 6]
+    axes = axes + rng.normal(0.0, tilt, axes.shape)
+    force = 9.81 * axes / np.linalg.norm(axes, axis=1)[:, None]
+    values = truth.values.copy()
+    for place, one in enumerate(force):
+        values[500 * place : 500 * place + 400] += one - truth.force[place]
+    return truth.time, values + BIAS
+
+
+def test_faces_set_twice_do_not_tell_angles(tmp_path):
+    """An angle would be known by a product of tilts: it takes any value."""
+    found = drafted(write_rows(tmp_path, *faces(13)), PLACE, "poses")
+    assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
+    assert any("poses near the six faces do not tell the angles" in s for s in found.statements)
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    for name, bias in zip("XYZ", BIAS, strict=True):
+        own = result.accelerometers[name].coefficients
+        assert abs(own["K_F"].value - bias / 9.81) < 4.0 * own["K_F"].u
+        assert abs(own["K_I"].value - 1.0) < 4.0 * own["K_I"].u
+
+
+@pytest.mark.parametrize("in_table", [False, True])
+def test_six_faces_need_a_stated_uncertainty(tmp_path, in_table):
+    time, values = faces(6)
+    looks = write_rows(tmp_path, time, values)
+    if in_table:
+        means = [values[500 * place :][:400].mean(axis=0) for place in range(6)]
+        looks = write_rows(tmp_path, np.arange(1, 7), means, "pose,x,y,z")
+    (asked,) = drafted(looks, PLACE, "poses").open_questions
+    assert asked.key == "u"
+    assert "6 poses do not tell their own noise" in asked.text
+    found = drafted(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    for name, bias in zip("XYZ", BIAS, strict=True):
+        one = result.accelerometers[name].coefficients["K_F"]
+        assert abs(one.value - bias / 9.81) < 4.0 * one.u
+
+
 def test_volts_without_a_unit_are_poses_whose_unit_is_asked(tmp_path, values):
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), 1.65 + values / 9.81 / 3.0)
     assert guessed_test(looks) == "poses"
@@ -371,9 +484,9 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
     found = drafted(looks, PLACE, "poses")
     assert found.triad == ("a1", "a2", "a3")
     assert (
-        "three more axes rest alike, as of a second sensor; if it is meant, answer X=b1, Y=b2, Z=b3"
-        in (found.statements)
-    )
+        "three more axes rest alike, as of a second sensor, and are not used; "
+        "to calibrate that one, answer X=b1, Y=b2, Z=b3"
+    ) in found.statements
     other = drafted(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
     assert other.triad == ("b1", "b2", "b3")
 

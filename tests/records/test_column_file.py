@@ -1,8 +1,10 @@
 """Time stamps as numbers."""
 
 import polars as pl
+import pytest
 
 from counterspin.records.column_file import nanoseconds
+from counterspin.records.csv_file import CsvFile
 
 
 def test_stamps_in_every_form_of_the_standard():
@@ -19,3 +21,30 @@ def test_stamps_in_every_form_of_the_standard():
     }
     frame = pl.DataFrame({"t": list(written)})
     assert frame.select(nanoseconds("t"))["t"].to_list() == list(written.values())
+
+
+def test_times_of_day_go_on_after_midnight(tmp_path):
+    """In whatever pieces the file is read."""
+    (tmp_path / "a.csv").write_text(
+        "t,u,v\n23:59:59.5,1,2026-01-01T23:59:59\n,2,\n00:00:00.5,3,2026-01-01T00:00:00\n"
+        "18:00:00,4,2026-01-01T00:00:01\n00:00:00,5,2026-01-01T00:00:02\n"
+    )
+    with (
+        (tmp_path / "a.csv").open("rb", buffering=0) as stream,
+        CsvFile(tmp_path / "a.csv", stream) as file,
+    ):
+        file.stamps = frozenset("t")
+        file.require(["t"])
+        stamps = file.table().select(nanoseconds("t"))["t"]
+        for pieces in ([5], [1, 4], [3, 2], [1, 1, 1, 1, 1]):
+            file.first_stamp, place, seconds = None, 0, []
+            for size in pieces:
+                seconds += file.seconds(stamps[place : place + size]).tolist()
+                place += size
+            assert seconds[0] == 0.0
+            assert seconds[1] != seconds[1]
+            assert seconds[2:] == pytest.approx([1.0, 64800.5, 86400.5], abs=1e-9)
+        # A date that goes back is a clock that runs backwards.
+        file.first_stamp = None
+        dated = file.seconds(file.table().select(nanoseconds("v"))["v"])
+        assert dated[2] == -86399.0

@@ -274,3 +274,12 @@ def test_the_six_faces_of_a_wearable_sensor_are_among_its_poses() -> None:
         place = int(np.searchsorted(poses.start, 0.5 * (start + end))) - 1
         assert poses.start[place] <= start + 0.5
         assert poses.end[place] >= end - 0.5
+
+
+def test_rows_of_a_coarse_clock_have_the_same_time():
+    """Two rows for each time: the usual step would be nothing."""
+    truth = posed(4.0, 1.5)
+    coarse = np.floor(np.arange(len(truth.time)) / 5.0) * 0.05
+    assert len(find_poses(coarse, truth.values).start) == 12
+    with pytest.raises(RecordError, match="all rows have the same time"):
+        find_poses(np.zeros(100), truth.values[:100])

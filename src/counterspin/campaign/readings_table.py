@@ -299,7 +299,8 @@ class ReadingsTable:
             return {}
         if not isinstance(given, dict):
             # Where no accelerometer is described, that is the mistake.
-            given = dict.fromkeys(islice(self.accelerometers, 1), given)
+            owners = islice(self.accelerometers, 1) if key == "reading" else self.of("reading")
+            given = dict.fromkeys(owners, given)
         return {name: [c] if isinstance(c, str) else c for name, c in given.items()}
 
     def check(self, names: Sequence[str]) -> None:

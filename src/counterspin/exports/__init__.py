@@ -7,6 +7,7 @@
 - `readings`: a table of readings: which column is what, and what is read in it
 - `tumble`: such a table of a tumble
 - `arm_table`, `arm`: of readings on the arm of a centrifuge: rates and mountings; its description
+- `axes`: which columns may be the three axes of a sensor, by names and order
 - `triads`: which columns are the axes of a sensor with three, and where it was set down
 - `poses`: records, or a table, of such a sensor set down in many poses
 - `description`: the description that guesses and answers make

@@ -30,9 +30,11 @@ from counterspin.exports.questions import (
     relative_name,
     settled,
 )
+from counterspin.exports.triads import without_gravity
 from counterspin.exports.tumble import TumbleDraft, shows_tumble, tumble_draft
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
+from counterspin.records.column_file import quoted
 from counterspin.toml_text import write_document
 
 #: Axis -> usual name of an accelerometer.
@@ -286,6 +288,11 @@ def _nothing_shown(common: FileGuess) -> Iterator[str]:
             "no column swings as on a double turntable, and no three columns rest as a sensor in "
             "poses does: name the kind of test if it is another, and columns by their questions"
         )
+        if axes := without_gravity(common):
+            yield (
+                f"columns {quoted(axes)} read nearly nothing at rest: a filter took gravity away, "
+                "which poses need; record what the sensor itself feels, with gravity in it"
+            )
 
 
 # What follows

@@ -327,8 +327,10 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     if stamps:
         return stamps[0]
     rising = [column for column in columns if is_even(column.values)]
-    named = [column for column in rising if _TIME.match(re.split(r"[/.]", column.name)[-1])]
+    named = [column for column in rising if _is_named_time(column)]
     united = [column for column in rising if converts(column.unit, "s")]
+    # A telephone writes a row whenever it has one; rows with the same time are one.
+    uneven = [column for column in columns if _is_named_time(column) and _rises(column.values)]
     # Without a word, the time stands first, and something else advances with it.
     rows = np.arange(max(len(column.values) for column in columns), dtype=float)
     advancing = [
@@ -344,7 +346,18 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
         and not _COUNTER.fullmatch(column.name)
     ]
     first = first if len(advancing) > 1 else []
-    return next(iter([*named, *united, *first]), None)
+    return next(iter([*named, *united, *uneven, *first]), None)
+
+
+def _is_named_time(column: FileColumn) -> bool:
+    """Return whether a column has a name of times; a path may stand before it."""
+    return bool(_TIME.match(re.split(r"[/.]", column.name)[-1]))
+
+
+def _rises(values: Array) -> bool:
+    """Return whether numbers never fall, and rise from row to row, most of them."""
+    steps = np.diff(values[np.isfinite(values)])
+    return bool(len(steps) >= 8 and (steps >= 0.0).all() and is_fine(values))
 
 
 def is_fine(stamps: Array) -> bool:

@@ -26,6 +26,7 @@ from counterspin.exports.questions import (
 from counterspin.exports.triads import (
     AXES,
     MOST_ROWS,
+    PARAMETERS,
     UNITS,
     TriadColumns,
     find_triad,
@@ -37,8 +38,8 @@ from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
 from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST
 
-#: Poses that do not tell nine parameters and their noise.
-_TOO_FEW: Final = 9
+#: Poses that do not tell their noise beside biases and scale factors.
+_NO_NOISE: Final = 6
 
 
 @frozen
@@ -99,9 +100,11 @@ class PosesDraft(AnsweredExport):
             "accelerometers": instruments,
             "triad": {"accelerometers": list(AXES)},
             **_model(self.found),
-        } | (self._table(columns, place) if in_table else self._records(said, place))
+        } | (self._table(columns, said, place) if in_table else self._records(said, place))
 
-    def _table(self, columns: Sequence[str], place: Path) -> dict[str, Any]:
+    def _table(
+        self, columns: Sequence[str], said: Mapping[str, str], place: Path
+    ) -> dict[str, Any]:
         """Return where a table of poses is, and what its columns are."""
         look = self.look
         readings: dict[str, Any] = {"file": relative_name(look.path, place)}
@@ -110,11 +113,13 @@ class PosesDraft(AnsweredExport):
         read: dict[str, Any] = {"reading": dict(zip(AXES, columns, strict=True))}
         warm = self.guesses[0].temperature
         read |= {"temperature": warm[0]} if warm else {}
+        readings |= {"u": said["u"]} if "u" in said else {}
         return {"readings": readings | {"attitude": "unknown", "columns": read}}
 
     def _records(self, said: Mapping[str, str], place: Path) -> dict[str, Any]:
         """Return how the time is in records of poses, and a run for each."""
         time = self.guesses[0].time
+        poses = {"rest": said["rest"]} | ({"u": said["u"]} if "u" in said else {})
         rows: dict[str, Any] = {"sampling_rate": said.get("sampling_rate")}
         if time is not None:
             rows = {"column": time.column, "unit": time.unit or said["time unit"]}
@@ -128,7 +133,7 @@ class PosesDraft(AnsweredExport):
                     "motion": "static",
                     "attitude": "unknown",
                     "record": relative_name(file, place),
-                    "poses": {"rest": said["rest"]},
+                    "poses": poses,
                 }
             )
         return {"records": {"time": rows} | self.guesses[0].temperature_table, "runs": runs}
@@ -167,8 +172,8 @@ def shows_poses(looks: Sequence[Look]) -> bool:
 
 
 def _model(found: TriadColumns | None) -> dict[str, Any]:
-    """Return what is asked for of poses that are too few for all; empty for others."""
-    if found is None or found.means is None or len(found.means) > _TOO_FEW:
+    """Return what is asked for of poses that do not tell all; empty for others."""
+    if found is None or found.means is None or found.tells_angles:
         return {}
     return {"model": {"terms": ["K_F", "K_I"]}}
 
@@ -204,6 +209,14 @@ def _questions(
             text = f"What does axis {axis} nominally read at zero force?"
             size = f"{zero:.4g} {unit}"
             yield ExportQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
+    if found is not None and found.means is not None and len(found.means) <= _NO_NOISE:
+        said = "m/s^2" if unit is None or not in_table else unit
+        text = (
+            f"{len(found.means)} poses do not tell their own noise. What is the standard "
+            "uncertainty of each axis in a pose?"
+        )
+        example = "0.01 m/s^2" if said == "m/s^2" else f"0.001 {said}"
+        yield ExportQuestion("u", text, example, quantity=said)
     if not in_table:
         text = "How long must a rest last at least to count as a pose?"
         usual = f"{found.rest if found else SHORTEST_REST:g} s"
@@ -251,7 +264,10 @@ def _statements(
     yield from poses.left_out
     for other in found.others:
         named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, other, strict=True))
-        yield f"three more axes rest alike, as of a second sensor; if it is meant, answer {named}"
+        yield (
+            "three more axes rest alike, as of a second sensor, and are not used; "
+            f"to calibrate that one, answer {named}"
+        )
     yield from _not_used(guesses[0], found)
 
 
@@ -267,12 +283,19 @@ def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
 
 
 def _few(found: TriadColumns) -> Iterator[str]:
-    """Yield what is said of poses that are too few."""
-    if _model(found):
-        yield (
-            "nine poses or fewer do not tell the angles between axes beside their noise: biases "
-            "and scale factors alone are asked for; take twelve poses or more, all over the sphere"
-        )
+    """Yield what is said of poses that are too few, or in too few directions."""
+    if not _model(found) or found.means is None:
+        return
+    few = len(found.means) <= PARAMETERS
+    why = (
+        "nine poses or fewer do not tell the angles between axes beside their noise"
+        if few
+        else "poses near the six faces do not tell the angles between axes"
+    )
+    more = "all over the sphere" if few else "halfway between two axes on both sides"
+    yield (
+        f"{why}: biases and scale factors alone are asked for; take twelve poses or more, {more}"
+    )
 
 
 def _not_used(guess: FileGuess, found: TriadColumns) -> Iterator[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
 from counterspin.errors import RecordError
+from counterspin.exports.axes import threes
 from counterspin.exports.guessing import (
     STANDARD_GRAVITY,
     FileGuess,
@@ -27,7 +29,7 @@ from counterspin.exports.guessing import (
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.frozen import frozen
 from counterspin.physics.grades import GRADES
-from counterspin.records.poses import SHORTEST_REST, Poses, find_poses
+from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST, Poses, find_poses
 from counterspin.units import unit_factor
 
 #: The triad's accelerometers, and their axes in its frame.
@@ -36,14 +38,16 @@ AXES: Final = {"X": ("east", "north"), "Y": ("north", "up"), "Z": ("up", "east")
 UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
 #: Time from one file to the next where rests are looked for in all, s: none goes on.
 _BETWEEN_FILES: Final = 100.0
-#: Rests that are looked for, one length after the other, where nobody says how long they are, s.
-RESTS: Final = (SHORTEST_REST, 0.5)
+#: Rests that are looked for where nobody says how long they are, s, and how many times as many of
+#: the shorter ones there have to be for them to be meant.
+_RESTS: Final = (SHORTEST_REST, 0.5)
+_MANY_MORE: Final = 1.25
 #: Rows a second that are taken to look for rests where nobody has said how many there are.
 USUAL_RATE: Final = 100.0
-#: Rows, and columns one after the other, in which rests are looked for at most; rows of a table in
-#: which each may be a pose, and how far these turn from one to the next, of gravity.
+#: Rows, and columns by threes, in which rests are looked for at most; rows of a table in which each
+#: may be a pose, and how far these turn from one to the next, of gravity.
 MOST_ROWS: Final = 500_000
-_MOST_TRIPLES: Final = 40
+_MOST_THREES: Final = 40
 _MOST_POSES: Final = 1000
 _LEAST_TURN: Final = 0.1
 #: Fewest rests of a record that is guessed to be one of poses; where the middle of their sphere is
@@ -54,6 +58,8 @@ _FEWEST_ABOUT_MIDDLE: Final = 9
 _GRAVITY_PART: Final = 0.15
 #: About the middle of their sphere they are as large within this one: axes are not equally good.
 _SPHERE_PART: Final = 0.05
+#: Less of gravity than this is felt at rest where a filter took it away.
+_NOTHING_PART: Final = 0.1
 #: Steps of a time without a unit, from which it is in ms, us and ns: sensors give 2 rows a second
 #: to some thousands.
 _STEPS_IN: Final = {"ns": 500_000.0, "us": 500.0, "ms": 0.5, "s": 0.0}
@@ -62,6 +68,10 @@ _NOISY: Final = {"consumer": 5e-5, "tactical": 2e-6}
 #: Bits of a converter's numbers, and jumps from one end of them to the other that tell.
 _WORD_BITS: Final = (12, 14, 16, 24)
 _FEWEST_JUMPS: Final = 4
+#: Parameters of a triad, and how many times the noise of a pose their angles are known to at worst:
+#: with less, 1e-3 g is more than the angle of a usual sensor. Six faces make hundreds.
+PARAMETERS: Final = 9
+_LOOSEST: Final = 50.0
 #: Part by which poses of such a sensor differ in size, of a table that says no noise.
 _UNLIKE: Final = 1e-3
 
@@ -89,6 +99,16 @@ class TriadColumns:
         return float(np.median(_norms(self.means - self.zero)))
 
     @property
+    def tells_angles(self) -> bool:
+        """Whether poses lie between the axes, and so tell the angles of these beside the rest."""
+        if self.means is None or len(self.means) <= PARAMETERS:
+            return False
+        x, y, z = ((self.means - _centre(self.means)) / self.gravity).T
+        felt = np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
+        loose = np.linalg.pinv(felt)[-3:]
+        return bool(np.linalg.norm(loose, axis=1).max() < _LOOSEST)
+
+    @property
     def in_table(self) -> bool:
         """Whether each row is a pose."""
         return self.means is not None and self.poses is None
@@ -103,7 +123,7 @@ def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
         guess = guess_file(look, {**told, "time": first.name})
     if guess.time is not None and guess.time.unit is None:
         column = next(one for one in look.columns if one.name == guess.time.column)
-        step = float(np.nanmedian(np.diff(column.values)))
+        step = _usual_step(column.values)
         unit = next(unit for unit, least in _STEPS_IN.items() if step > least)
         guess = guess_file(look, {**told, "time": column.name, "time unit": unit})
     return guess
@@ -123,9 +143,23 @@ def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadCo
     columns, seconds = _together(guesses)
     if "rest" in told:
         return _found_triad(columns, seconds, guess, told, parse(told["rest"], "s").value)
-    every = (_found_triad(columns, seconds, guess, told, rest) for rest in RESTS)
-    found = [one for one in every if one is not None]
-    return next((one for one in found if one.means is not None), next(iter(found), None))
+    found, shorter = (_found_triad(columns, seconds, guess, told, rest) for rest in _RESTS)
+    return shorter if _tells_more(shorter, found) else found or shorter
+
+
+def _tells_more(shorter: TriadColumns | None, longer: TriadColumns | None) -> bool:
+    """Return whether short rests are a sensor's poses that longer ones leave out.
+
+    A hand that hovers is no pose: it moves too much, or is not as large as gravity.
+    """
+    if shorter is None or shorter.means is None:
+        return False
+    if longer is None or longer.means is None:
+        return True
+    many = len(shorter.means) >= _MANY_MORE * len(longer.means)
+    felt = shorter.means - shorter.zero
+    clear = shorter.poses is not None and shorter.poses.contrast > CLEAR_RATIO
+    return many and clear and shorter.columns == longer.columns and _turns(felt)
 
 
 def _found_triad(
@@ -143,8 +177,7 @@ def _found_triad(
     there = [one for one in columns.values() if one.name != time]
     there = [one for one in there if len(one.values) == len(seconds)]
     like: list[TriadColumns] = []
-    for place in range(min(len(there) - 2, _MOST_TRIPLES)):
-        three = there[place : place + 3]
+    for three in islice(threes(there), _MOST_THREES):
         if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
             found = _looked_at(three, seconds, rest, told.get("unit"))
             if found.means is not None and _turns(found.means - found.zero):
@@ -153,6 +186,25 @@ def _found_triad(
     others = (found.columns for found in known[1:] if _felt_alike(found, known[0]))
     apart = (named for named in others if not set(named) & set(known[0].columns))
     return replace(known[0], others=tuple(apart)) if known else None
+
+
+def without_gravity(guess: FileGuess) -> tuple[str, ...]:
+    """Return the axes of a sensor that rests at nothing, as where a filter took gravity away."""
+    columns, seconds = _together([guess])
+    there = [one for one in columns.values() if len(one.values) == len(seconds)]
+    for three in islice(threes(there), _MOST_THREES):
+        if not all(converts(one.unit, "m/s^2") for one in three):
+            continue
+        values = np.column_stack([one.values[:MOST_ROWS] for one in three])
+        try:
+            poses = find_poses(seconds[:MOST_ROWS], values)
+        except RecordError:
+            continue
+        one_g = STANDARD_GRAVITY / unit_factor(three[0].unit, "m/s^2", gravity=STANDARD_GRAVITY)
+        still = len(poses.start) > 1 and poses.contrast > CLEAR_RATIO
+        if still and _norms(poses.mean).max() < _NOTHING_PART * one_g:
+            return tuple(one.name for one in three)
+    return ()
 
 
 def _felt_alike(one: TriadColumns, other: TriadColumns) -> bool:
@@ -257,18 +309,21 @@ def _whole(values: Array) -> bool:
 
 
 def _middle(means: Array) -> Array:
-    """Return the middle of the sphere on which poses lie, shape (3,); zero where that serves.
-
-    |m|^2 = 2 c m + r^2 - |c|^2 is linear in the middle c.
-    """
+    """Return the middle of the sphere on which poses lie, shape (3,); zero where that serves."""
     none = np.zeros(3)
     if len(means) < _FEWEST_ABOUT_MIDDLE or _turns(means):
         return none
-    center = means.mean(axis=0)
-    apart = means - center
-    known = np.column_stack([2.0 * apart, np.ones(len(apart))])
-    middle = np.linalg.lstsq(known, np.sum(apart**2, axis=1), rcond=None)[0][:3] + center
+    middle = _centre(means)
     return middle if _alike(_norms(means - middle), _SPHERE_PART) else none
+
+
+def _centre(means: Array) -> Array:
+    """Return the middle c of a sphere through poses m: |m|^2 = 2 c m + r^2 - |c|^2 is linear."""
+    mean = means.mean(axis=0)
+    apart = means - mean
+    known = np.column_stack([2.0 * apart, np.ones(len(apart))])
+    found = np.linalg.lstsq(known, np.sum(apart**2, axis=1), rcond=None)[0][:3]
+    return np.asarray(found + mean, np.float64)
 
 
 def _alike(sizes: Array, part: float) -> bool:
@@ -312,4 +367,10 @@ def _step(guess: FileGuess) -> float:
     if guess.time is None:
         return 1.0 / (guess.sampling or USUAL_RATE)
     column = next(one for one in guess.look.columns if one.name == guess.time.column)
-    return float(np.nanmedian(np.diff(column.values))) * guess.time.factor
+    return _usual_step(column.values) * guess.time.factor
+
+
+def _usual_step(time: Array) -> float:
+    """Return the median step of a time that may stand still for some rows."""
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0.0]))

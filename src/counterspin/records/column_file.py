@@ -24,6 +24,8 @@ _UNPACKED_RATIO = 200
 _UNPACKED_BYTES = 64_000_000
 
 
+#: A day, ns.
+_DAY = 86_400_000_000_000
 #: What SCPI instruments write for more than they measure, and for no number (SCPI-99, 7.2.1.4).
 _OVERFLOW = 9.9e37
 _NOT_A_NUMBER = 9.91001e37
@@ -88,6 +90,7 @@ class ColumnFile(ABC):
         self.identity: FileIdentity | None = FileIdentity.of(stream.fileno())
         self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
         self.first_stamp, self.interval = None, None
+        self._midnights: dict[str, tuple[int, int]] = {}
         self._stream = stream
 
     def __enter__(self) -> Self:
@@ -181,12 +184,23 @@ class ColumnFile(ABC):
         return ""
 
     def seconds(self, stamps: pl.Series) -> np.ndarray:
-        """Return time stamps, ns with gaps, as seconds after the first one of the file."""
-        known = stamps.drop_nulls()
+        """Return time stamps, ns with gaps, as seconds after the first one of the file.
+
+        Times of day without a date go on after midnight.
+        """
+        import numpy as np
+
+        known = stamps.drop_nulls().to_numpy()
         if self.first_stamp is None and len(known):
             self.first_stamp = int(known[0])
+            self._midnights = {}
         # Whole numbers first: seconds since 1970 have digits for no more than microseconds.
         after = (stamps - (self.first_stamp or 0)).to_numpy().astype(float)
+        if len(known) and known.min() >= 0 and known.max() < _DAY:  # times without dates
+            last, days = self._midnights.get(stamps.name, (int(known[0]), 0))
+            passed = days + np.cumsum(np.diff(known, prepend=last) < -_DAY // 2)
+            after[stamps.is_not_null().to_numpy()] += passed * float(_DAY)
+            self._midnights[stamps.name] = int(known[-1]), int(passed[-1])
         return after * 1e-9
 
     def _require(self, wanted: Sequence[str]) -> None:  # noqa: B027

@@ -138,8 +138,7 @@ def find_poses(
     threshold: Highest level at rest, in the values' unit; found if None.
     """
     there = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
-    _check(time[there], rest)
-    step = median(np.diff(time[there]))
+    step = _usual_step(time[there], rest)
     window = min(max(_WINDOW, _FEWEST_ROWS * step), rest)
     resolutions = np.array([resolution(axis) for axis in values[there].T])
     spikes = _spikes(values[there], max(_SPIKE_ROWS, round(window / step)), resolutions)
@@ -180,7 +179,11 @@ def find_poses(
     )
 
 
-def _check(time: Array, rest: float) -> None:
+def _usual_step(time: Array, rest: float) -> float:
+    """Return the usual step of a time, s; RecordError if no rest can be found in its rows.
+
+    Rows with the same time, as a coarse clock writes them, have no step.
+    """
     if not rest > 0.0:
         raise RecordError(f"a rest of {rest:g} s is not possible: state a positive time.")
     if len(time) < _FEWEST_ROWS:
@@ -188,7 +191,9 @@ def _check(time: Array, rest: float) -> None:
     steps = np.diff(time)
     if (steps < 0.0).any():
         raise RecordError(f"time runs backwards after {time[np.argmax(steps < 0.0)]:.6g} s.")
-    length, step = float(time[-1] - time[0]), median(steps)
+    if not steps.any():
+        raise RecordError("all rows have the same time.")
+    length, step = float(time[-1] - time[0]), median(steps[steps > 0.0])
     if length + step < rest * (1.0 - 1e-9):
         raise RecordError(
             f"the record lasts {length:.4g} s, less than one rest of {rest:g} s. Check the unit "
@@ -200,6 +205,7 @@ def _check(time: Array, rest: float) -> None:
             f"{_FEWEST_ROWS} of them. Check the unit of the time or the sampling rate, or state a "
             "longer rest."
         )
+    return step
 
 
 def _spikes(values: Array, rows: int, resolutions: Array) -> np.ndarray:

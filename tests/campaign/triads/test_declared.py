@@ -148,3 +148,24 @@ def test_a_record_of_poses_is_read(tmp_path):
     (record,) = campaign.triad.records
     assert (record.rest, record.threshold) == (1.5, None)
     assert campaign.files == (tmp_path / "a.csv",)
+
+
+def test_one_column_of_uncertainties_is_that_of_all_three(tmp_path):
+    """It was that of the first accelerometer alone, so that the pose counted as without any."""
+    values = triads.indications(triads.directions(12, np.random.default_rng(3)))
+    folder = triads.table(tmp_path, values, u=2e-4)
+    file = folder / "campaign.toml"
+    file.write_text(file.read_text().replace('u = { X = "u", Y = "u", Z = "u" }', 'u = "u"'))
+    poses = cs.read_campaign(folder).triad.poses
+    assert {reading.u for pose in poses for reading in pose} == {2e-4}
+
+
+def test_uncertainties_of_some_axes_are_told(tmp_path):
+    values = triads.indications(triads.directions(12, np.random.default_rng(3)))
+    folder = triads.table(tmp_path, values, u=2e-4)
+    file = folder / "campaign.toml"
+    file.write_text(
+        file.read_text().replace('u = { X = "u", Y = "u", Z = "u" }', 'u = { X = "u" }')
+    )
+    with pytest.raises(CampaignError, match="state the uncertainty of all three readings of a"):
+        cs.read_campaign(folder)

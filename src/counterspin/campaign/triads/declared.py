@@ -204,6 +204,10 @@ def _resolve_pose(
         every = ", ".join(names)
         said = f"at an unknown attitude all of {every} must be read, and no other"
         problems.add((*path, "reading"), said)
+    stated = [one.u is not None for one in readings.values()]
+    if any(stated) and not all(stated):
+        said = "state the uncertainty of all three readings of a pose, or of none"
+        problems.add((*path, "reading"), said)
     if readings.keys() >= set(names) > set() and len(problems.lines) == before:
         yield tuple(readings[name] for name in names)
 
