@@ -114,13 +114,9 @@ def filter_walk(
         states = _covariance(_prefix(np.stack(_elements(*given)))[:, 1:-1])
         return Innovations(*_seen(states, list(given[:5, 2:])), ahead, step)
     state = _covariance(_prefix(np.stack(_elements(*given[:, :2])))[:, 1:])[:, 0].tolist()
-    seen = []
-    for row, size in zip(given.T[2:].tolist(), sizes[2:].tolist(), strict=True):
-        states = _alike(state, row, size)
-        seen.append(np.vstack(_seen(states[:, :-1], row[:5])))
-        state = states[:, -1].tolist()
-    found = np.hstack(seen)
-    return Innovations(found[0], found[1:], ahead, step)
+    states = _before_each(state, given.T[2:].tolist(), sizes[2:].tolist())
+    seen = _seen(states, list(np.repeat(given[:5, 2:], sizes[2:], axis=1)))
+    return Innovations(*seen, ahead, step)
 
 
 def _starts(blocks: BlockSpans, step: Array, own: Array) -> NDArray[np.intp]:
@@ -175,20 +171,37 @@ def _covariance(running: Array) -> Array:
     )
 
 
-def _alike(state: list[float], row: list[float], size: int) -> Array:
-    """Return the covariance before each of some rows alike, and after them, (3, size + 1).
+def _before_each(state: list[float], rows: list[list[float]], sizes: list[int]) -> Array:
+    """Return the covariance before each row of stretches of rows alike, (3, n).
 
-    Of the first rows one by one, in numbers of Python, which are quicker than arrays of a few; then
-    of as many more at once as there are.
+    state: Before the first row.
+    rows: What `_elements` takes, of each stretch.
+    sizes: How many rows each stretch has.
+    """
+    parts: list[Array] = []
+    few: list[list[float]] = []
+    for row, size in zip(rows, sizes, strict=True):
+        if size <= _STRETCH:
+            several = _in_turn(state, row, size)
+            state = several.pop()
+            few += several
+        else:
+            many = _alike(state, row, size)
+            parts += [np.reshape(few, (-1, 3)).T, many[:, :-1]]
+            few, state = [], many[:, -1].tolist()
+    return np.hstack([*parts, np.reshape(few, (-1, 3)).T])
+
+
+def _alike(state: list[float], row: list[float], size: int) -> Array:
+    """Return the covariance before each of many rows alike, and after them, (3, size + 1).
+
+    Of the first rows one by one, then of as many more at once as there are.
 
     row: What `_elements` takes.
     """
-    first = min(size, _STRETCH)
     states = np.empty((3, size + 1))
-    states[:, : first + 1] = _in_turn(state, row, first)
-    if first == size:
-        return states
-    stretch, done = _elements(*row), first
+    states[:, : _STRETCH + 1] = np.transpose(_in_turn(state, row, _STRETCH))
+    stretch, done = _elements(*row), _STRETCH
     for _ in range(_DOUBLINGS):
         stretch = _combine(stretch, stretch)
     while done <= size:
@@ -203,8 +216,11 @@ def _alike(state: list[float], row: list[float], size: int) -> Array:
     return states
 
 
-def _in_turn(state: list[float], row: list[float], size: int) -> Array:
-    """Return the covariance before each of some rows alike, and after them, (3, size + 1)."""
+def _in_turn(state: list[float], row: list[float], size: int) -> list[list[float]]:
+    """Return the covariance before each of some rows alike, and after them, one by one.
+
+    In numbers of Python, which are quicker than arrays of a few.
+    """
     p11, p12, p22 = state
     d, s, noise, cross_position, cross_velocity, q11, q12, q22 = row
     states = [state]
@@ -218,7 +234,7 @@ def _in_turn(state: list[float], row: list[float], size: int) -> Array:
         p12 += s * p22 + q12 - of_position * of_velocity * variance
         p22 += q22 - of_velocity**2 * variance
         states.append([p11, p12, p22])
-    return np.array(states).T
+    return states
 
 
 def _prefix(elements: Array) -> Array:
