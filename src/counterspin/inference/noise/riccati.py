@@ -18,6 +18,7 @@ State: position and velocity at a block's last sample. Nothing is assumed of the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -64,6 +65,23 @@ class BlockSpans:
             mean_cube=(squared - 1) * (3 * squared - 2) / (30 * count) * spacing**3,
         )
 
+    @cached_property
+    def since_last(self) -> tuple[Array, Array]:
+        """From the last sample before each row to its mean time and its last sample, s, (n,)."""
+        last = self.time + self.half
+        before = np.concatenate(([self.time[0] - self.half[0]], last[:-1]))
+        return self.time - before, last - before
+
+    @cached_property
+    def unlike(self) -> NDArray[np.bool_]:
+        """Which rows, of the second and later ones, are unlike the one before them, (n-1,)."""
+        _, step = self.since_last
+        new: NDArray[np.bool_] = np.diff(self.count) != 0.0
+        for part in (step, self.half):
+            new |= np.abs(np.diff(part)) > _ALIKE * step[1:]
+        new[:2] = True
+        return new
+
 
 @frozen
 class Innovations:
@@ -84,12 +102,11 @@ def filter_walk(
     white: White variance per sample, m^2, of all rows or of each, (n,).
     walk: Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
     """
-    last = blocks.time + blocks.half
-    before = np.concatenate(([blocks.time[0] - blocks.half[0]], last[:-1]))
-    ahead = blocks.time - before
-    step = last - before
+    ahead, step = blocks.since_last
     own = white / blocks.count
-    starts = _starts(blocks, step, own)
+    # Each of the first two rows is a stretch of its own.
+    new = blocks.unlike if np.ndim(white) == 0 else blocks.unlike | (np.diff(own) != 0.0)
+    starts = np.append(0, 1 + np.flatnonzero(new))
     sizes = np.diff(starts, append=step.size)
     scanned = sizes[sizes < _STRETCH].sum() > few_rows
     if scanned:
@@ -113,19 +130,10 @@ def filter_walk(
     if scanned:
         states = _covariance(_prefix(np.stack(_elements(*given)))[:, 1:-1])
         return Innovations(*_seen(states, list(given[:5, 2:])), ahead, step)
-    state = _covariance(_prefix(np.stack(_elements(*given[:, :2])))[:, 1:])[:, 0].tolist()
+    state = _covariance(_combine(_elements(*given[:, 0]), _elements(*given[:, 1]))).tolist()
     states = _before_each(state, given.T[2:].tolist(), sizes[2:].tolist())
     seen = _seen(states, list(np.repeat(given[:5, 2:], sizes[2:], axis=1)))
     return Innovations(*seen, ahead, step)
-
-
-def _starts(blocks: BlockSpans, step: Array, own: Array) -> NDArray[np.intp]:
-    """Return the first of each stretch of rows alike, of which each of the first two is one."""
-    new = (np.diff(blocks.count) != 0.0) | (np.diff(own) != 0.0)
-    for part in (step, blocks.half):
-        new |= np.abs(np.diff(part)) > _ALIKE * step[1:]
-    new[:2] = True
-    return np.append(0, 1 + np.flatnonzero(new))
 
 
 def _seen(states: Array, row: Sequence[Any]) -> tuple[Array, Array]:
@@ -157,8 +165,11 @@ def _elements(
     ]
 
 
-def _covariance(running: Array) -> Array:
-    """Return the state's covariance after each row, from nothing known: A J^-1 A' + C, (3, n)."""
+def _covariance(running: Any) -> Array:
+    """Return the state's covariance after each row, from nothing known: A J^-1 A' + C, (3, n).
+
+    running: The stretch from the first row to each, as `_combine` makes them.
+    """
     a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = running
     determinant = j11 * j22 - j12**2
     i11, i12, i22 = j22 / determinant, -j12 / determinant, j11 / determinant
