@@ -317,3 +317,47 @@ def _(frame, path):
     rows = _cells(frame)
     rows[17][2], rows[55][3], rows[90][2], rows[91][2] = "OVLD", "#N/A", "---", "+9.9E37"
     _put(path, _plain(), rows, ",")
+
+
+@_file("a units row of German words, and columns of the speed and the room")
+def _(frame, path):
+    head = ["Zeit;Drehzahl;Winkel;Ost;Nord;Temperatur", "s;1/min;Grad;m;m;°C"]
+    rows = [
+        [t, "60", a, e, n, f"22,3{i % 10}"]
+        for i, (t, a, e, n) in enumerate(_cells(frame, mark=","))
+    ]
+    _put(path, head, rows, ";", encoding="cp1252", end="\r\n")
+
+
+@_file("numbers of the rows before an encoder's name, letters of the axes", ".txt")
+def _(frame, path):
+    rows = [[str(i), *row] for i, row in enumerate(_cells(frame))]
+    _put(path, ["idx time_s enc_deg dE_m dN_m"], rows, " ")
+
+
+@_file("units within the cells")
+def _(frame, path):
+    rows = [
+        [f"{cell} {unit}" for cell, unit in zip(row, ("s", "°", "m", "m"), strict=True)]
+        for row in _cells(frame)
+    ]
+    _put(path, ["Rig,3", "Time,Angle,East,North"], rows, ",")
+
+
+@_file("units within the cells, decimal commas", ".txt")
+def _(frame, path):
+    rows = [
+        [f"{cell}{unit}" for cell, unit in zip(row, ("s", "deg", "mm", "mm"), strict=True)]
+        for row in _cells(frame, mark=",", scale=1000.0)
+    ]
+    _put(path, ["Zeit\tWinkel\tOst\tNord"], rows, "\t", encoding="cp1252", end="\r\n")
+
+
+@_file("UTF-16 without its mark", ".txt")
+def _(frame, path):
+    _put(path, _plain(mark="\t"), _cells(frame), "\t", encoding="utf-16-le", end="\r\n")
+
+
+@_file("text that is named as a workbook", ".xls")
+def _(frame, path):
+    _put(path, _plain(mark="\t"), _cells(frame), "\t", end="\r\n")

@@ -69,7 +69,7 @@ def lines(path, head, rows):
 @pytest.mark.parametrize(
     ("head", "row", "told"),
     [
-        (["Time;Angle;East"], "{t} s;{a} deg;{e} m", "line 2: 3 cells, none a number.*nothing but"),
+        (["Time;Angle;East"], "at {t};{a} or so;{e}?", "line 2: 3 cells, none a number.*but"),
         ([], '{{"t": {t}, "angle": {a}, "east": {e}}}', "line 1.*Export one column"),
         (
             ["VarName;Time_s;VarValue"],
@@ -109,3 +109,35 @@ def test_a_clock_of_whole_seconds_tells_about_how_fast_rows_follow(tmp_path, fra
     (asked,) = (q for q in draft(look_at([path])).questions if q.key == "sampling_rate")
     assert asked.guess is None
     assert "By column 'time_s' it is about 21 Hz." in asked.text
+
+
+def test_where_another_run_begins_is_told(tmp_path):
+    rows = [f"{0.05 * k:.2f},{k},{k % 7}" for k in range(500)]
+    head = ["Run 1", "Time [s],Angle [deg],East [m]"]
+    path = lines(tmp_path / "all.csv", head, [*rows, "Run 2", head[1], *rows])
+    with pytest.raises(CounterspinError, match=r"line 503.*'Run 2'.*each run a file of its own"):
+        look_at([path])
+
+
+def test_a_column_in_two_units_is_refused(tmp_path):
+    rows = [f"{0.05 * k:.2f} s,{k} mm" for k in range(500)] + ["25.00 s,1.2 m"]
+    path = lines(tmp_path / "run.csv", ["Time,East"], rows)
+    with pytest.raises(CounterspinError, match="line 502: cell 2 is in m, that of line 2 in mm"):
+        look_at([path])
+
+
+def test_a_unit_of_cells_that_is_not_that_of_the_head_is_refused(tmp_path):
+    rows = [f"{0.05 * k:.2f} s,{k} mm" for k in range(50)]
+    path = lines(tmp_path / "run.csv", ["Time,East [m]"], rows)
+    with pytest.raises(CounterspinError, match=r"'East .m.' is in m by its head, and in mm by"):
+        look_at([path])
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [(b"\xd0\xcf\x11\xe0", "a workbook"), (b"<html><table>", "a page or XML")],
+)
+def test_workbooks_of_older_kinds_are_refused_with_what_to_do(tmp_path, content, told):
+    (tmp_path / "run.xls").write_bytes(content + bytes(600))
+    with pytest.raises(CounterspinError, match=f"{told}.*save it as .xlsx"):
+        look_at([tmp_path / "run.xls"])

@@ -4,6 +4,7 @@
 - `waves`: the wave that a revolution makes in a column
 - `guessing`: which column is what, of every file
 - `questions`: what is asked, and what an answer means
+- `relations`: what signals show together: the sense, a unit by the radius, an axis by the other
 - `readings`: a table of readings: which column is what, and what is read in it
 - `tumble`: such a table of a tumble
 - `arm_table`, `arm`: of readings on the arm of a centrifuge: rates and mountings; its description

@@ -30,6 +30,7 @@ from counterspin.exports.questions import (
     relative_name,
     settled,
 )
+from counterspin.exports.relations import completed, waves_sense
 from counterspin.exports.triads import without_gravity
 from counterspin.exports.tumble import TumbleDraft, shows_tumble, tumble_draft
 from counterspin.frozen import frozen
@@ -41,8 +42,6 @@ from counterspin.toml_text import write_document
 _NAMES: Final = {"east": "Qx", "west": "Qx", "north": "Qy", "south": "Qy", "up": "Qz", "down": "Qz"}
 #: An encoder's zero is a compass direction if it points there within, rad.
 _POINTING_ANGLE: Final = math.radians(0.5)
-#: Axis -> the one against which it points, and by how much it is turned, rad.
-_OPPOSITE: Final = {"west": ("east", math.pi), "south": ("north", math.pi)}
 #: Rows of a record, at least.
 _FEWEST_ROWS: Final = 16
 #: A rate is a round number if it is one within this part.
@@ -91,21 +90,32 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
     """
     if not looks:
         raise CampaignError("init", ["name the files of the runs"])
-    guesses: tuple[FileGuess, ...] = ()
-    questions: tuple[ExportQuestion, ...] = ()
+
+    def seen(taken: Mapping[str, str]) -> tuple[tuple[FileGuess, ...], FileGuess]:
+        guesses = tuple(guess_file(look, taken) for look in looks)
+        return guesses, completed(agreed(guesses), taken)
 
     def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
-        nonlocal guesses, questions
-        guesses = tuple(guess_file(look, taken) for look in looks)
-        common = agreed(guesses)
-        questions = tuple(questions_of(common, taken.get("sense") or _sense(common), taken))
-        return questions
+        _, common = seen(taken)
+        return tuple(questions_of(common, taken.get("sense") or waves_sense(common), taken))
 
     taken, problems = settled(answers, asked)
-    problems = (*(f"{UNFIT}: {why}" for look in looks if (why := _unfit(look))), *problems)
-    common = agreed(guesses)
-    statements = tuple(_statements(guesses, common, _sense(common)))
+    guesses, common = seen(taken)
+    unfit = (f"{UNFIT}: {why}" for look in looks if (why := _unfit(look)))
+    shown = waves_sense(agreed(guesses))
+    problems = (*unfit, *problems, *_against_waves(taken.get("sense"), shown))
+    questions = asked(taken)
+    statements = tuple(_statements(guesses, common, shown))
     return Draft(statements, questions, taken, problems, guesses, common)
+
+
+def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
+    """Yield what is wrong with the answered sense, against that which the waves show."""
+    if sense is not None and shown is not None and sense != shown:
+        yield (
+            f"sense: by the waves along two axes the angle increases {shown}; if it does not, one "
+            "of the axes is wrong, such as east in place of west"
+        )
 
 
 def _unfit(look: Look) -> str:
@@ -272,6 +282,7 @@ def _statements(
         what = (signal.observable or "a signal").replace("_", " ")
         axis = f"along {signal.axis}" if signal.axis else "of an unknown axis"
         unit = f" in {signal.unit}" if signal.unit else ""
+        unit += " (by the radius)" if signal.by_radius else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
     yield from _nothing_shown(common)
     if common.signals:
@@ -296,21 +307,6 @@ def _nothing_shown(common: FileGuess) -> Iterator[str]:
 
 
 # What follows
-
-
-def _sense(common: FileGuess) -> str | None:
-    """Return the sense in which the angle grows, by the waves along two horizontal axes."""
-    phases: dict[str, dict[str, float]] = {}
-    for signal in common.signals:
-        if signal.phase is not None and signal.axis is not None and signal.observable:
-            axis, turned = _OPPOSITE.get(signal.axis, (signal.axis, 0.0))
-            phases.setdefault(signal.observable, {})[axis] = signal.phase + turned
-    for phase in phases.values():
-        if "east" in phase and "north" in phase:
-            ahead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)
-            if abs(abs(ahead) - math.pi / 2.0) < 0.3:
-                return SENSES[0] if ahead > 0.0 else SENSES[1]
-    return None
 
 
 def _records(common: FileGuess, answers: Mapping[str, str], sense: str) -> dict[str, Any]:

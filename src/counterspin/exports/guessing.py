@@ -27,13 +27,17 @@ from counterspin.records.dialect import file_unit
 from counterspin.units import unit_factor
 
 _TIME: Final = re.compile(r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)")
-_ANGLE: Final = re.compile(r"(?i).*(angle|theta|phi|azimuth|winkel|encoder|spindle|count|kurs)")
+_ANGLE: Final = re.compile(
+    r"(?i).*(angle|theta|phi|azimuth|heading|winkel|encoder|spindle|count|kurs)|enc([^a-z]|$)"
+)
+#: A quantity's letter with that of its axis, alone or before a unit: `xE`, `v_N (m/s)`.
+_LETTER: Final = r"(?-i:[adpsuvx]_?{}(?![A-Za-z]))"
 #: Words in names -> the axis; in Chinese and Japanese too, and what stands at the beginning alone.
 _AXES: Final = {
     axis: re.compile(rf"(?i)(.*[^a-z])?({words})([^a-z]|$)|{alone}")
     for axis, words, alone in (
-        ("east", "east|ost", ".*[\u6771\u4e1c]|est([^a-z]|$)"),
-        ("north", "north|nord|norte", ".*\u5317"),
+        ("east", "east|ost", f".*[\u6771\u4e1c]|est([^a-z]|$)|{_LETTER.format('E')}"),
+        ("north", "north|nord|norte", f".*\u5317|{_LETTER.format('N')}"),
         ("west", "west|ouest|oeste", ".*\u897f"),
         ("south", "south|süd|sued|sud|sur", ".*\u5357"),
         ("up", "up|height", ".*\u4e0a"),
@@ -109,6 +113,7 @@ class SignalGuess:
     amplitude: float
     phase: float | None
     known: bool = False
+    by_radius: bool = False  #: Whether the unit is the one in which it swings by the radius.
 
 
 @frozen
@@ -377,9 +382,17 @@ def is_even(values: Array) -> bool:
 
 def _angle_column(advancing: Sequence[FileColumn]) -> FileColumn | None:
     """Return the column of the angle among those that advance evenly, perhaps wrapped."""
-    named = [column for column in advancing if _ANGLE.match(column.name)]
-    united = [c for c in advancing if converts(c.unit, "rad") or converts(c.unit, "count")]
-    return next(iter([*named, *united, *advancing]), None)
+    turning = [column for column in advancing if not _counts_rows(column)]
+    named = [column for column in turning if _ANGLE.match(column.name)]
+    united = [c for c in turning if _unit_of(c, "rad") or _unit_of(c, "count")]
+    return next(iter([*named, *united, *turning]), None)
+
+
+def _counts_rows(column: FileColumn) -> bool:
+    """Return whether a column has the numbers of its rows, which advance at any rate."""
+    return bool(_COUNTER.fullmatch(column.name)) or bool(
+        column.values[0] in (0.0, 1.0) and (np.diff(column.values) == 1.0).all()
+    )
 
 
 def _advance(values: Array, time: Array) -> tuple[Array, float | None] | None:

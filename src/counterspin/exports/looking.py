@@ -29,6 +29,10 @@ _WANTED: Final = (
     "quantity, with the names in one line above the numbers, and nothing but numbers in the cells: "
     ".csv with semicolons or tabs, .xlsx, .tdms, .mat or .h5."
 )
+#: What to do where numbers end at words.
+_ANOTHER_RUN: Final = (
+    "If another run begins there, give each run a file of its own; if it is a remark, take it out."
+)
 #: Rows that are looked at, at most, and columns.
 _MAX_ROWS: Final = 2_000_000
 _MAX_COLUMNS: Final = 200
@@ -103,18 +107,21 @@ def look(path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()) -> 
 def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
     with open_columns(path, Dialect(sheet=sheet)) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
-        columns, others, spoilt = [], [], []
+        columns, others, spoilt, reasons = [], [], [], []
         for name in names:
             column, why = _column(file, name)
             if column is None:
                 others.append(name)
-                why = why.replace(str(path), path.name)
-                spoilt += [why] if "holds the text" in why and file.locate(0) not in why else []
+                if "holds the text" in why and file.locate(0) not in why:
+                    reasons.append(why)
+                    spoilt.append(why.replace(str(path), path.name))
             else:
                 columns.append(column)
         if not columns:
             seen = file.seen()
             lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
+            if reasons and len(reasons) == len(names):
+                raise RecordError(f"{reasons[0]} {_ANOTHER_RUN}")
             raise RecordError(f"{path}: no column of the file holds numbers. {lines}")
         return Look(
             path,

@@ -29,13 +29,13 @@ UNFIT: Final = "files"
 #: In the place of a unit: that of any signal.
 ANY_SIGNAL: Final = "any"
 #: SI unit -> the usual ones that convert to it.
-_UNITS: Final = {
+USUAL_UNITS: Final = {
     "s": ("s", "ms", "us", "min"),
     "m": ("m", "mm", "cm", "um", "km"),
     "m/s": ("m/s", "mm/s", "cm/s", "km/h"),
     "m/s^2": ("m/s^2", "g", "mg", "ug"),
 }
-_UNITS[ANY_SIGNAL] = _UNITS["m"][:2] + _UNITS["m/s"][:2] + _UNITS["m/s^2"][:3]
+USUAL_UNITS[ANY_SIGNAL] = USUAL_UNITS["m"][:2] + USUAL_UNITS["m/s"][:2] + USUAL_UNITS["m/s^2"][:3]
 #: Other words for answers that are chosen from a list, in lower case.
 _SYNONYMS: Final = {
     **SENSE_WORDS,
@@ -239,7 +239,7 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[Export
     yield ExportQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
     if time is not None and time.unit != "iso":
         text = f"In which unit is the time, column '{time.column}'?"
-        yield ExportQuestion("time unit", text, "s", _UNITS["s"], time.unit, unit="s")
+        yield ExportQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
     if time is None:
         text = f"There is no time column. What is the sampling rate?{_clock_seen(common.look)}"
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
@@ -294,7 +294,7 @@ def _signal_questions(common: FileGuess) -> Iterator[ExportQuestion]:
             continue
         text = f"In which unit is column '{name}'?"
         wanted = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
-        units = _UNITS[wanted]
+        units = USUAL_UNITS[wanted]
         yield ExportQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
         text = f"Along which axis is column '{name}'?"
         yield ExportQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)

@@ -4,7 +4,8 @@
 - `record`: the columns asked for, the stated motion, and the record that comes out
 - `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`, `excel_file`, `tdms_file`:
   the files, by format
-- `dialect`, `heads`: how files of text are written, and what the lines above their names state
+- `dialect`, `heads`: how files of text are written, and what the lines above their names and
+  their cells state
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `pieces`, `clock`, `spikes`, `reduction`, `amplitude`: the steps of reading, in the order in
   which a record passes them

@@ -34,7 +34,7 @@ from counterspin.records.dialect import (
     split,
     ungrouped,
 )
-from counterspin.records.heads import stated_head
+from counterspin.records.heads import delimiter_between_units, stated_head, without_units
 from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 #: No line is longer.
 _LINE_BYTES = 100_000
+#: Bytes that show whether characters are wide.
+_SHOWN_BYTES = 400
 _FORM = "A .csv file holds a line of column names and lines of numbers."
 
 
@@ -84,7 +86,12 @@ class CsvFile(ColumnFile):
             self._ungroup(mark)
             head = list(islice(self._lines(), len(head)))
             lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        layout, plain = None, is_plain(lines)
+        layout, plain, cell_units = None, is_plain(lines), {}
+        if not plain and (within := delimiter_between_units(lines, dialect.delimiter)):
+            cell_units = self._take_units(within)
+            head = list(islice(self._lines(), len(head)))
+            lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
+            plain = is_plain(lines)
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
             layout = plain_layout(lines, dialect) if unsaid and plain else None
@@ -111,14 +118,32 @@ class CsvFile(ColumnFile):
         ]
         units, self.interval = stated_head(above, self.names, self.decimal)
         self.units |= units
+        for place, unit in cell_units.items():
+            name = self.names[place]
+            if self.units.setdefault(name, unit) not in ("", unit):
+                raise RecordError(
+                    f"{self.path}: column '{name}' is in {self.units[name]} by its head, and in "
+                    f"{unit} by its cells. Correct one of them."
+                )
+            self.units[name] = unit
         if not plain:
             self.found = layout.words(self._encoding)
+        if cell_units:
+            self.found = ", ".join(filter(None, [self.found, "units within the cells"]))
         if self.delimiter == BLANKS:
             self._part_by_tabs()
 
     def _ungroup(self, mark: str) -> None:
         """Take the content without the marks between groups of three digits."""
         self._content = ungrouped(self.content().decode(self._encoding), mark).encode()
+
+    def _take_units(self, delimiter: str) -> dict[int, str]:
+        """Take the content without the units of its cells; return those, by their columns."""
+        lines, units = without_units(
+            (self._decoded(raw) for _, raw in self._lines()), delimiter, self.path
+        )
+        self._content = ("\n".join(lines) + "\n").encode()
+        return units
 
     def _part_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
@@ -145,9 +170,9 @@ class CsvFile(ColumnFile):
     def _transcode(self, dialect: Dialect) -> None:
         """Take the content as UTF-8 where it is written in an encoding of wide characters."""
         self._stream.seek(0)
-        mark = self._stream.read(2)
-        if dialect.encoding is None and mark in (b"\xff\xfe", b"\xfe\xff"):
-            self._encoding = "utf-16"
+        begin = self._stream.read(_SHOWN_BYTES)
+        if dialect.encoding is None:
+            self._encoding = wide_encoding(begin) or self._encoding
         try:
             wide = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
         except LookupError:
@@ -365,3 +390,14 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def wide_encoding(begin: bytes) -> str | None:
+    """Return the encoding of a text of two bytes a character, marked as such or not; None: none."""
+    if begin[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    for encoding, high in (("utf-16-le", begin[1::2]), ("utf-16-be", begin[::2])):
+        # Numbers and Latin letters have a zero in their higher byte.
+        if len(high) > 8 and high.count(0) > 0.8 * len(high):
+            return encoding
+    return None

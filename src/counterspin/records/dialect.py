@@ -73,14 +73,22 @@ _IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
 #: Words that files write for units.
 _WORDS: Final = {
     "sec": "s",
+    "sec.": "s",
+    "sek": "s",
+    "sek.": "s",
+    "sekunden": "s",
     "second": "s",
     "seconds": "s",
     "msec": "ms",
+    "deg": "deg",
+    "Grad": "deg",  # lower-case grad is 0.9 of it
     "degree": "deg",
     "degrees": "deg",
     "radian": "rad",
     "radians": "rad",
     "revolutions": "rev",
+    "umdr": "rev",
+    "umdrehungen": "rev",
     "meter": "m",
     "meters": "m",
     "metre": "m",
@@ -92,9 +100,13 @@ _WORDS: Final = {
     "cts": "count",
     "lsb": "count",
     "digits": "count",
+    "impulse": "count",
+    "inkremente": "count",
     "rpm": "rpm",
     "r/min": "rpm",
     "u/min": "rpm",
+    "upm": "rpm",
+    "u/s": "rev/s",
     "min-1": "1/min",
     "min⁻¹": "1/min",
     "m/s²": "m/s^2",
@@ -432,7 +444,7 @@ def _known_unit(text: str) -> str | None:
     if text in TEMPERATURES:
         return "degC"
     try:
-        return check_unit(_WORDS.get(text.lower(), text))
+        return check_unit(_WORDS.get(text) or _WORDS.get(text.lower(), text))
     except ValueError:
         return None
 

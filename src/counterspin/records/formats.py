@@ -40,6 +40,19 @@ def _matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
     return (CsvFile if is_text else MatlabFile)(path, stream, dialect)
 
 
+def _named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
+    """Open text that is named .xls, as LabVIEW and others name what Excel is to open."""
+    head = stream.read(_SHOWN_BYTES)
+    stream.seek(0)
+    if head.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
+        raise RecordError(f"{path}: this is a workbook; save it as .xlsx, without a password.")
+    if head.lstrip().startswith(b"<"):
+        raise RecordError(
+            f"{path}: this is a page or XML for Excel; open it there, save it as .xlsx."
+        )
+    return CsvFile(path, stream, dialect)
+
+
 #: Ending of a record file, in lower case -> what opens it.
 RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFile]]] = {
     ".csv": CsvFile,
@@ -49,6 +62,7 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
     ".log": CsvFile,
     ".dat": CsvFile,
     ".asc": CsvFile,
+    ".xls": _named_excel,
     ".parquet": ParquetFile,
     ".h5": Hdf5File,
     ".hdf5": Hdf5File,

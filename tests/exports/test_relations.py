@@ -1,0 +1,95 @@
+"""What signals show together, against circles whose unit, axes and sense are known."""
+
+from itertools import permutations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.exports.description import draft
+from counterspin.exports.looking import look_at
+
+PLACE = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg"}
+TIME = np.arange(400) * 0.05
+RATE = np.pi
+#: Compass direction -> the angle of a horizontal axis from east, counterclockwise, rad.
+DIRECTIONS = {"east": 0.0, "north": np.pi / 2, "west": np.pi, "south": -np.pi / 2}
+
+
+def asked(path, **answers):
+    """Return the draft, and what is yet to be answered."""
+    said = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
+    found = draft(look_at([path]), said)
+    return found, [question.key for question in found.open_questions]
+
+
+def circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.0):
+    """Write a run whose encoder shows `sense` times the true angle."""
+    true = forward * RATE * TIME
+    waves = [
+        size * np.cos(true - DIRECTIONS[axis])
+        for size, axis in zip(sizes, (first, second), strict=True)
+    ]
+    data = {"t_s": TIME, "angle_rad": sense * true, "a": waves[0], "b": waves[1]}
+    pl.DataFrame(data).write_csv(path)
+    return path
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2)])
+def test_the_radius_shows_the_unit_of_a_displacement(tmp_path, unit, factor):
+    path = circle(tmp_path / "run.csv", "east", "north", sizes=(2.5 * factor, 2.51 * factor))
+    told = {"a is": "displacement", "b is": "displacement"}
+    found, needed = asked(path, **told)
+    assert {"a unit", "b unit"} <= set(needed)
+    found, needed = asked(path, radius="2.5 m", **told)
+    assert {"a unit", "b unit"}.isdisjoint(needed)
+    assert [signal.unit for signal in found.common.signals] == [unit, unit]
+    assert f"column 'a': displacement in {unit} (by the radius), of an unknown axis" in (
+        found.statements
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "size", "unit"),
+    [
+        ("velocity", 2.5 * RATE, "m/s"),
+        ("velocity", 2500.0 * RATE, "mm/s"),
+        ("specific_force", 2.5 * RATE**2, "m/s^2"),
+        ("specific_force", 2.5 * RATE**2 / 9.80665, "g"),
+    ],
+)
+def test_with_the_rate_it_shows_that_of_a_velocity_or_a_force(tmp_path, what, size, unit):
+    path = circle(tmp_path / "run.csv", "east", "north", sizes=(size, size))
+    found, _ = asked(path, radius="2.5 m", **{"a is": what, "b is": what})
+    assert [signal.unit for signal in found.common.signals] == [unit, unit]
+
+
+def test_a_size_that_fits_no_unit_is_asked(tmp_path):
+    path = circle(tmp_path / "run.csv", "east", "north", sizes=(3.1, 0.31))
+    _, needed = asked(path, radius="2.5 m", **{"a is": "displacement", "b is": "displacement"})
+    assert {"a unit", "b unit"} <= set(needed)
+
+
+@pytest.mark.parametrize(("first", "second"), list(permutations(DIRECTIONS, 2)))
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("forward", [1.0, -1.0])
+def test_the_sense_and_one_axis_show_the_other(tmp_path, first, second, sense, forward):
+    path = circle(tmp_path / "run.csv", first, second, sense=sense, forward=forward)
+    told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
+    word = {1.0: "counterclockwise", -1.0: "clockwise"}[sense]
+    found, needed = asked(path, **told, sense=word)
+    assert needed == ["a axis", "b axis"]
+    found, needed = asked(path, **told, sense=word, **{"a axis": first})
+    assert needed == []
+    assert [signal.axis for signal in found.common.signals] == [first, second]
+
+
+def test_a_sense_that_the_waves_contradict_is_refused_at_once(tmp_path):
+    path = circle(tmp_path / "run.csv", "east", "north")
+    told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
+    axes = {"a axis": "east", "b axis": "north"}
+    found, _ = asked(path, **told, **axes, sense="clockwise")
+    (problem,) = found.problems
+    assert problem.startswith("sense: by the waves along two axes the angle increases counterclock")
+    found, _ = asked(path, **told, **axes, sense="counterclockwise")
+    assert found.problems == ()
