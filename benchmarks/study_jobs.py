@@ -31,12 +31,10 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import columns
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import read_study
-from counterspin.studies.draws import Draws
-from counterspin.studies.engine import StudyEngine
-from counterspin.studies.noise import stream
+from counterspin.studies.draws import Draws, stream
 from counterspin.studies.tally import summarise
 from counterspin.studies.two_stage_engine import TwoStageEngine
-from counterspin.studies.work import Ledger, run_batches
+from counterspin.studies.work import Ledger, StudyEngine, run_batches
 from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 
 Job = Callable[[], object]

@@ -22,13 +22,12 @@ from counterspin.campaign.truth_tables import AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History
-from counterspin.monitoring.result import CheckedRun, WatchState
-from counterspin.monitoring.result_noise import NoiseResult
+from counterspin.monitoring.result import CheckedRun, NoiseResult, WatchState
 from counterspin.physics.terms import OWN_TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.studies.description import StudiedDocument, StudyDocument
 from counterspin.toml_text import write_value
-from counterspin.validation.result import Dossier
+from counterspin.validation.page import Dossier
 
 HERE = Path(__file__).parent
 PLACE = re.compile(r"^<!-- (keys|fields): (\w+) -->\n(?:\|.*\n)*", re.MULTILINE)

@@ -18,7 +18,7 @@ from typing import Any
 
 from counterspin.cli import main
 from counterspin.reports.drawing import COLOURS
-from counterspin.reports.machine.drawings import DRAWINGS, machine_svg
+from counterspin.reports.machine import DRAWINGS, machine_svg
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"

@@ -21,9 +21,8 @@ from typing import Any
 
 from uvicorn.server import ServerState
 
-from counterspin.application.connections import MOST_STRANGERS, Connection
 from counterspin.application.folder import ServedFolder
-from counterspin.application.server import server_of
+from counterspin.application.server import MOST_STRANGERS, Connection, server_of
 from fuzz.asking import HOST, PORT, SECRET, Desk, RequestRefusedError, Watched, asking, door
 from fuzz.format import Format
 from fuzz.mutations import mutate_bytes

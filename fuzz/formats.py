@@ -41,8 +41,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import read_lab
-from counterspin.certificates.pdf_signature import sign_pages
-from counterspin.certificates.signature import sign
+from counterspin.certificates.signature import sign, sign_pages
 from counterspin.certificates.signers import read_signer
 from counterspin.cli import main
 from counterspin.correction.apply import apply
@@ -53,7 +52,7 @@ from counterspin.histories.history import history
 from counterspin.planning.plan import check as forecast_campaign
 from counterspin.planning.plan import plan as make_plan
 from counterspin.planning.plan_file import read_plan
-from counterspin.planning.readings.stations import read_reading_plan
+from counterspin.planning.stations import read_reading_plan
 from counterspin.records.tables import read_numbers, read_table
 from counterspin.simulation.simulate import simulate
 from counterspin.studies.description import read_study

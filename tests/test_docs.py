@@ -26,7 +26,7 @@ import pytest
 import counterspin as cs
 from counterspin import cli
 from counterspin.planning import plan as planning
-from counterspin.planning.readings.stations import read_reading_plan
+from counterspin.planning.stations import read_reading_plan
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -182,7 +182,7 @@ def test_readme_lists_every_command():
 
 def test_picture_shows_what_the_demonstration_draws(records, tmp_path):
     from counterspin.reports.charts import save
-    from counterspin.reproduction.demo_page import demonstration_plots
+    from counterspin.reproduction.page import demonstration_plots
 
     # Not byte for byte: matplotlib versions differ in the digits of a path.
     save(demonstration_plots(cs.demo(records, overwrite=True)), tmp_path / "now.svg")

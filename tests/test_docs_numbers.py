@@ -24,16 +24,16 @@ from counterspin.calibration.pages import pictures
 from counterspin.campaign.kinds import exact
 from counterspin.certificates import coverage, signers
 from counterspin.comparisons import rerun
-from counterspin.histories import control, due, page, shared
+from counterspin.histories import consistency, page, shared
 from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
 from counterspin.physics import gravity, motion, terms
-from counterspin.planning import design, limiting, plan_file, requirements
+from counterspin.planning import design, feasibility, plan_file, sensitivities
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
-from counterspin.studies import description, draws, result, study, surrogate, tally, validity
+from counterspin.studies import description, draws, result, study, tally, two_stage_engine, validity
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
@@ -91,17 +91,17 @@ ROWS = {
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
         ("by heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
-        ("gain of a limit relaxed by {} %", 100.0 * limiting.RELAXATION),
-        ("u would grow by {}. If", math.hypot(1.0, requirements._TOLERABLE_PART_OF_U) - 1.0),
+        ("gain of a limit relaxed by {} %", 100.0 * feasibility.RELAXATION),
+        ("u would grow by {}. If", math.hypot(1.0, sensitivities._TOLERABLE_PART_OF_U) - 1.0),
     ],
     "study": [
         ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT)),
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in tally.LEVELS)),
         ("contain the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
         ("must not exceed {} of the stated u", result._LARGEST_BIAS),
-        ("a polynomial of the {} degree", surrogate.DEGREE),
-        ("inside a box of {} rad of drift a run", surrogate._DRIFT_ANGLE),
-        ("and a ripple ratio of {}, checked", surrogate._RIPPLE_RATIO),
+        ("a polynomial of the {} degree", two_stage_engine.DEGREE),
+        ("inside a box of {} rad of drift a run", two_stage_engine._DRIFT_ANGLE),
+        ("and a ripple ratio of {}, checked", two_stage_engine._RIPPLE_RATIO),
         ("as linear: to {} of itself", validity._LARGEST_PART),
         ("at {} standard deviations. Inputs", draws._VALID_SDS),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
@@ -112,17 +112,17 @@ ROWS = {
     "history": [
         ("its expanded uncertainty of {} %", 100.0 * conformity.COVERAGE),
         ("per year of {} days", page._YEAR),
-        ("from {} results on, the limits", control.FEWEST_RESULTS),
-        ("moving range over {}; warning", control._D2),
+        ("from {} results on, the limits", consistency.FEWEST_RESULTS),
+        ("moving range over {}; warning", consistency._D2),
         (
             "warning limits lie at {} and action limits at {} of them",
-            control.WARNING_SIGMAS,
-            control.ACTION_SIGMAS,
+            consistency.WARNING_SIGMAS,
+            consistency.ACTION_SIGMAS,
         ),
-        ("by more than {} mean ranges", 1.0 + 3.0 * control._D3 / control._D2),
+        ("by more than {} mean ranges", 1.0 + 3.0 * consistency._D3 / consistency._D2),
         ("limits at z = ± {}", page._ACTION_Z),
         ("(`--reliability`, {})", default(cs.history, "reliability")),
-        ("none is more than {} years after the last result", due.LONGEST_YEARS),
+        ("none is more than {} years after the last result", consistency.LONGEST_YEARS),
         ("A probability below {} % is a finding", 100.0 * diagnostics.SIGNIFICANCE),
         ("correlations below {} are left out", shared._NEGLIGIBLE_CORRELATION),
     ],

@@ -10,7 +10,7 @@ from counterspin.certificates import lab
 from counterspin.physics.terms import READING_TERMS
 from counterspin.studies import description
 from counterspin.studies.choice import EngineName
-from counterspin.studies.noise import NOISE_LEVELS
+from counterspin.studies.draws import NOISE_LEVELS
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = {

@@ -264,11 +264,10 @@ def test_files_that_the_way_of_a_record_names_exist():
 #: Custom properties of style sheets, which look like options; the words that a result keeps, and
 #: those that the page shows; pip's options.
 DASHED = {
-    "application/commands.py",
+    "application/desk.py",
     "calibration/options.py",
     "errors.py",
     "reports/charts.py",
-    "reports/zoomable.py",
 }
 FLAG = re.compile(r"(?<![\w-])--[a-z]")
 

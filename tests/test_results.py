@@ -10,7 +10,7 @@ import pytest
 
 import counterspin
 from counterspin.errors import CounterspinError, RecordError
-from counterspin.reports.shown import ShownResult
+from counterspin.reports.publication import ShownResult
 from counterspin.results import ResultFile, ResultPart
 
 

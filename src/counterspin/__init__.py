@@ -121,8 +121,8 @@ if TYPE_CHECKING:
     from counterspin.monitoring.check import check as check
     from counterspin.monitoring.noise import noise as noise
     from counterspin.monitoring.result import CheckedRun as CheckedRun
+    from counterspin.monitoring.result import NoiseResult as NoiseResult
     from counterspin.monitoring.result import WatchState as WatchState
-    from counterspin.monitoring.result_noise import NoiseResult as NoiseResult
     from counterspin.monitoring.watch import Pace as Pace
     from counterspin.monitoring.watch import watch as watch
     from counterspin.physics.accelerometer import QX as QX
@@ -143,17 +143,17 @@ if TYPE_CHECKING:
     from counterspin.planning.forecast import forecast as forecast
     from counterspin.planning.plan import PlannedCampaign as PlannedCampaign
     from counterspin.planning.plan import plan as plan
-    from counterspin.reports.publishing import report as report
-    from counterspin.reports.publishing import write_report as write_report
+    from counterspin.reports.publication import report as report
+    from counterspin.reports.publication import write_report as write_report
     from counterspin.reproduction.comparison import reproduce as reproduce
     from counterspin.reproduction.demo import Demonstration as Demonstration
     from counterspin.reproduction.demo import demo as demo
-    from counterspin.reproduction.result import Reproduction as Reproduction
+    from counterspin.reproduction.plan import Reproduction as Reproduction
     from counterspin.simulation.simulate import simulate as simulate
     from counterspin.studies.folder import StudyFolder as StudyFolder
     from counterspin.studies.result import StudyResult as StudyResult
     from counterspin.studies.study import study as study
-    from counterspin.validation.result import Dossier as Dossier
+    from counterspin.validation.page import Dossier as Dossier
     from counterspin.validation.validate import validate as validate
     from counterspin.validation.validate import write_dossier as write_dossier
     from counterspin.workers import Workers as Workers
@@ -172,8 +172,7 @@ _OFFERED = {
     "comparisons.result": ("ResultComparison", "RepeatedCalibration"),
     "monitoring.check": ("check",),
     "monitoring.noise": ("noise",),
-    "monitoring.result_noise": ("NoiseResult",),
-    "monitoring.result": ("CheckedRun", "WatchState"),
+    "monitoring.result": ("CheckedRun", "NoiseResult", "WatchState"),
     "monitoring.watch": ("Pace", "watch"),
     "correction.apply": ("ApplyOptions", "Correction", "apply"),
     "correction.apply_file": ("apply_file",),
@@ -202,15 +201,15 @@ _OFFERED = {
     "physics.observation": ("columns", "reference"),
     "physics.terms": ("SHARED_TERMS", "TERMS"),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
-    "reports.publishing": ("report", "write_report"),
+    "reports.publication": ("report", "write_report"),
     "certificates.issuing": ("Certificate", "certificate"),
     "calibration.pages.terminal": ("print_result",),
     "reproduction.comparison": ("reproduce",),
-    "reproduction.result": ("Reproduction",),
+    "reproduction.plan": ("Reproduction",),
     "studies.folder": ("StudyFolder",),
     "studies.result": ("StudyResult",),
     "studies.study": ("study",),
-    "validation.result": ("Dossier",),
+    "validation.page": ("Dossier",),
     "validation.validate": ("validate", "write_dossier"),
     "workers": ("Workers",),
 }

@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import model_inside, sections_of
 from counterspin.certificates.lab import Lab
-from counterspin.monitoring.result_noise import NoiseResult
+from counterspin.monitoring.result import NoiseResult
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.results import ResultFile
 from counterspin.studies.description import StudiedDocument, StudyDocument

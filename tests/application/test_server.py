@@ -19,7 +19,7 @@ import pytest
 
 from counterspin import cli
 from counterspin.application import server
-from counterspin.reports.machine.drawings import machine_svg
+from counterspin.reports.machine import machine_svg
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

@@ -9,8 +9,8 @@ import pytest
 from lxml import etree
 
 from counterspin.certificates.build import certificate, to_bytes
-from counterspin.certificates.elements import NAMESPACES
 from counterspin.certificates.lab import read_lab, write_example
+from counterspin.certificates.schema import NAMESPACES
 from counterspin.certificates.statements import Issue
 
 LAB = """

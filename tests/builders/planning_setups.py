@@ -14,7 +14,7 @@ from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import DEGREE_PER_HOUR, INPUTS, TERMS, term
-from counterspin.planning.runs.setup import PlannedInstrument, Setup
+from counterspin.planning.weights import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 
 ARCSECOND = math.pi / 648000

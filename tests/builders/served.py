@@ -107,6 +107,6 @@ def told_inline(work, *words, questions=()):
             raise EOFError from None
 
     # The server's own process keeps its Ctrl-C.
-    with patch("counterspin.application.processes.signal.signal"):
+    with patch("counterspin.application.jobs.signal.signal"):
         work(SimpleNamespace(send=sent.append, recv=recv), *words)
     return sent

@@ -13,8 +13,8 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
 from counterspin.certificates.coverage import coverage_factor, region_factor
-from counterspin.certificates.elements import NAMESPACES, clean, factor, number
 from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.schema import NAMESPACES, clean, factor, number
 from counterspin.certificates.statements import Issue
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import Conformity

@@ -15,8 +15,7 @@ from served import ANSWERS
 
 from certificates import write_lab
 from counterspin import cli
-from counterspin.application.jobs import Job, Jobs, calibrate_into
-from counterspin.application.live import LiveViews
+from counterspin.application.jobs import Job, Jobs, LiveViews, calibrate_into
 from counterspin.calibration.calibrate import calibrate
 from counterspin.records import isolation
 from counterspin.simulation.simulate import simulate

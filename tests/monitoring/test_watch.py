@@ -9,7 +9,7 @@ import pytest
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.monitoring.growing_table import APPENDED
+from counterspin.monitoring.observer import APPENDED
 
 FAST = cs.Pace(interval=1e-3, share=1.0)
 

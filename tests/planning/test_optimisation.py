@@ -15,8 +15,8 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.optimisation import least_time, optimise
 from counterspin.planning.polishing import fitted_into, polish
-from counterspin.planning.relaxation import relax
-from counterspin.planning.runs.run_information import RunInformation
+from counterspin.planning.possibilities import relax
+from counterspin.planning.run_information import RunInformation
 
 FAST = 2.0 * math.pi
 ONE = (RunType("level", 1),)

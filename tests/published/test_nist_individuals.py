@@ -5,7 +5,7 @@ rate of batches: centre 50.81, mean moving range 1.8778, limits 45.8159 and 55.8
 factor 1.128 of the moving range, which has more digits here.
 """
 
-from counterspin.histories.control import individuals
+from counterspin.histories.consistency import individuals
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check
 

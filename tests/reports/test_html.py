@@ -17,9 +17,8 @@ from counterspin.reports.blocks import (
     PlotSeries,
     Table,
 )
-from counterspin.reports.charts import svg
+from counterspin.reports.charts import can_zoom, plot_data, svg
 from counterspin.reports.html import _asset, cell, part
-from counterspin.reports.zoomable import can_zoom, plot_data
 
 
 def parsed(text):

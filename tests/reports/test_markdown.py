@@ -7,8 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from counterspin.reports.blocks import Bars, Column, Heading, Paragraph, Table
-from counterspin.reports.characters import Lines, escape_controls
+from counterspin.reports.blocks import (
+    Bars,
+    Column,
+    Heading,
+    Lines,
+    Paragraph,
+    Table,
+    escape_controls,
+)
 from counterspin.reports.markdown import escaped, markdown
 
 HOSTILE = [

@@ -25,8 +25,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
-from counterspin.reports.blocks import Column, Heading, Paragraph, Table
-from counterspin.reports.characters import Lines
+from counterspin.reports.blocks import Column, Heading, Lines, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED
 from counterspin.reports.text import Report, report_console
 

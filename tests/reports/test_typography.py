@@ -7,12 +7,12 @@ from counterspin.reports.blocks import (
     Column,
     Heading,
     HeatMap,
+    Lines,
     Paragraph,
     Plot,
     PlotSeries,
     Table,
 )
-from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import format_compact, format_estimate
 from counterspin.reports.typography import typeset, typeset_block, with_indices
 

@@ -9,7 +9,7 @@ from counterspin import cli
 from counterspin.errors import CounterspinError
 from counterspin.reproduction import plan
 from counterspin.reproduction.demo import demo
-from counterspin.reproduction.demo_page import demonstration_plots
+from counterspin.reproduction.page import demonstration_plots
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from counterspin.reproduction.comparison import reproduce
-from counterspin.reproduction.result import PaperSection, Reproduction, Row
+from counterspin.reproduction.plan import PaperSection, Reproduction, Row
 
 
 def rendered(reproduction, width):

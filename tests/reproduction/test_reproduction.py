@@ -15,9 +15,9 @@ from counterspin.reproduction.plan import (
     RIPPLE_PHASE,
     RIPPLE_RATIO,
     TABLE_1,
+    Reproduction,
     simulate_strobes,
 )
-from counterspin.reproduction.result import Reproduction
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS, term
 from counterspin.studies.strobed_effects import StrobedMotion, effects, obstacle
-from counterspin.studies.surrogate import Surrogate, box_of
+from counterspin.studies.two_stage_engine import Surrogate, box_of
 
 SITE = Site(9.8, 0.8)
 SMOOTH = tuple(symbol for symbol in (*TERMS, *PLATFORM_TERMS) if not obstacle(symbol))

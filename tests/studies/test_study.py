@@ -20,17 +20,16 @@ from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableE
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import term
 from counterspin.simulation.simulate import simulate
-from counterspin.studies import full_engine
+from counterspin.studies import whole_trials
 from counterspin.studies import work as study_work
-from counterspin.studies.analyses import analyses_of
 from counterspin.studies.choice import choose_engine, prepare
 from counterspin.studies.description import read_study
-from counterspin.studies.draws import StudyTruth
-from counterspin.studies.engine import StudyEngine
+from counterspin.studies.draws import StudyTruth, stream
 from counterspin.studies.folder import StudyFolder
-from counterspin.studies.noise import stream
 from counterspin.studies.result import StudyResult
 from counterspin.studies.study import study
+from counterspin.studies.validity import analyses_of
+from counterspin.studies.work import StudyEngine
 from counterspin.studies.world import world_of
 from counterspin.workers import Workers
 
@@ -264,7 +263,7 @@ def test_study_claims_the_u_of_the_joint_fit_whole(tmp_path, monkeypatch):
         estimates.append(estimate(*arguments))
         return estimates[-1]
 
-    monkeypatch.setattr(full_engine, "estimate", remembered)
+    monkeypatch.setattr(whole_trials, "estimate", remembered)
     found = made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1))
     (fit,) = (one.fit for one in estimates)
     assert fit.unseen

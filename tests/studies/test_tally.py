@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 
 from counterspin.physics.spindle import Spindle
-from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity
-from counterspin.studies.noise import stream
+from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity, stream
 from counterspin.studies.tally import (
     LEVELS,
     Driver,

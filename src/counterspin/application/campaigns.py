@@ -9,11 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.application.commands import calibrate_command, init_command
-from counterspin.application.desk import Desk
+from counterspin.application.desk import Desk, calibrate_command, init_command
 from counterspin.application.jobs import Job, calibrate_into
 from counterspin.application.plans import is_plan
-from counterspin.application.trying import STUDY_NAME
+from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result

@@ -9,8 +9,7 @@ from typing import Any, Final, Literal
 
 from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
 
-from counterspin.application.commands import certificate_command
-from counterspin.application.desk import Desk
+from counterspin.application.desk import Desk, certificate_command
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.toml_file import load_document
 from counterspin.certificates.issuing import certificate, check_place, other_kind
@@ -116,7 +115,7 @@ def _options(desk: Desk, signing: Signing | None) -> dict[str, str]:
 
 def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tuple[str, bytes]:
     """Return a report's own name and what is in it; nothing is written into the folder."""
-    from counterspin.reports.publishing import report
+    from counterspin.reports.publication import report
 
     found = desk.result(result)
     with desk.drawing:

@@ -1,4 +1,4 @@
-"""A file that is edited as a form and as a text, which are always the same.
+"""Files edited as a form and as a text, which always say the same.
 
 The text is what counts: a field that is changed changes the text, comments and order of its keys
 kept (tomlkit), and what is saved is the text.
@@ -14,7 +14,7 @@ import tomllib
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import tomlkit
 from tomlkit.container import Container
@@ -22,14 +22,14 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Comment, Table
 
 from counterspin.application.desk import Desk
-from counterspin.application.folder import TEXT_BYTES
-from counterspin.application.form import run_kinds
+from counterspin.application.folder import TEXT_BYTES, OutsideError
+from counterspin.application.form import campaign_form, lab_form, run_kinds
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.questions import questions
-from counterspin.campaign.toml_file import parse_document
-from counterspin.certificates.lab import example_keys, read_lab
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, parse_document
+from counterspin.certificates.lab import example_keys, read_lab, write_example
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.studies.description import study_of
@@ -226,3 +226,80 @@ def _put(place: Any, last: str | int, value: Any) -> None:
         place.append(value)
     else:
         place[last] = value
+
+
+def description(desk: Desk, name: str) -> dict[str, Any]:
+    """Return a campaign's description: text, version, form, what it says, what is wrong."""
+    path = desk.description(name)
+    seen = desk.folder.read(desk.folder.name(path))
+    told = checked_campaign(desk, path, seen.text).shown()
+    return told | {
+        "file": desk.folder.name(path),
+        "version": seen.version,
+        "form": campaign_form(),
+    }
+
+
+def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
+    """Return the laboratory's data in a file, or the example where there is none yet."""
+    seen = desk.folder.read(file)
+    text = seen.text or _example()
+    told = checked_lab(text, desk.result(result)).shown()
+    return told | {
+        "file": file,
+        "version": seen.version,
+        "form": lab_form(),
+        "signer": "" if desk.signer is None else desk.signer.name,
+    }
+
+
+def _example() -> str:
+    """Return the example of the laboratory's data."""
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory() as folder:
+        return write_example(Path(folder) / "LAB.toml").read_text(encoding="utf-8")
+
+
+def check_text(desk: Desk, file: str, text: str, result: str | None = None) -> dict[str, Any]:
+    """Return what a text would say in the place of a file, and what is wrong with it."""
+    return _checked(desk, file, text, result).shown()
+
+
+def change_text(
+    desk: Desk,
+    file: str,
+    text: str,
+    path: list[str | int],
+    value: Any,
+    kind: Literal["", "date"] = "",
+    result: str | None = None,
+) -> dict[str, Any]:
+    """Return a text with another value at a key, as `check_text` does."""
+    return _checked(desk, file, changed(text, path, value, kind), result).shown()
+
+
+def _checked(desk: Desk, file: str, text: str, result: str | None) -> EditedText:
+    path = _place(desk, file)
+    if path.name == DESCRIPTION_NAME:
+        return checked_campaign(desk, path, text)
+    if result is None:
+        raise OutsideError(f"{file}: only descriptions and the laboratory's data are edited here")
+    return checked_lab(text, desk.result(result))
+
+
+def save_text(
+    desk: Desk, file: str, text: str, version: str, result: str | None = None
+) -> dict[str, Any]:
+    """Write a text, mistakes and all, if the file still is what its editor had seen."""
+    _place(desk, file)
+    told = _checked(desk, file, text, result).shown()
+    return told | {"file": file, "version": desk.folder.write(file, text, version).version}
+
+
+def _place(desk: Desk, file: str) -> Path:
+    """Return where a text stands; OutsideError of what is no TOML file."""
+    path = desk.folder.path(file)
+    if path.suffix.lower() != ".toml":
+        raise OutsideError(f"{file}: only files in TOML are edited here")
+    return path

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
-from counterspin.application.manual import address, explained
+from counterspin.application.pages import address, explained
 from counterspin.campaign.checking import model_inside
 from counterspin.campaign.kinds import (
     OUTPUTS,

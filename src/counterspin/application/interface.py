@@ -16,17 +16,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from counterspin.application import (
     campaigns,
     certification,
-    descriptions,
-    drafts,
-    fits,
+    editing,
     improving,
-    judging,
     keeping,
-    manual,
     pages,
     plans,
     record_plots,
-    trying,
 )
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ChangedMeanwhileError, NotThereError, OutsideError
@@ -62,7 +57,7 @@ def _picture(desk: Desk, kind: pages.Kind, names: str, place: int, term: str = "
 
 
 def _manual(_: Desk, name: str) -> Any:
-    return manual.manual_page(name)
+    return pages.manual_page(name)
 
 
 def _report(desk: Desk, name: str, kind: Literal["html", "md", "pdf"]) -> Answer:
@@ -98,11 +93,11 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "rename"): keeping.rename_campaign,
     ("POST", "put-away"): keeping.put_away,
     ("POST", "records"): keeping.add_records,
-    ("GET", "description"): descriptions.description,
-    ("GET", "lab"): descriptions.lab_data,
-    ("POST", "check"): descriptions.check_text,
-    ("POST", "change"): descriptions.change_text,
-    ("PUT", "text"): descriptions.save_text,
+    ("GET", "description"): editing.description,
+    ("GET", "lab"): editing.lab_data,
+    ("POST", "check"): editing.check_text,
+    ("POST", "change"): editing.change_text,
+    ("PUT", "text"): editing.save_text,
     ("GET", "manual"): _manual,
     ("GET", "page"): _page,
     ("GET", "picture"): _picture,
@@ -110,13 +105,13 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("GET", "ways"): improving.ways,
     ("POST", "ways"): improving.begin_search,
     ("POST", "way"): improving.prepare_way,
-    ("POST", "fit"): fits.begin_fit,
+    ("POST", "fit"): improving.begin_fit,
     ("GET", "record-about"): record_plots.record_overview,
     ("GET", "record"): record_plots.record_window,
-    ("GET", "check"): judging.judged,
-    ("GET", "watch"): judging.followed,
-    ("POST", "draft"): drafts.drafted,
-    ("POST", "drafted"): drafts.begin_drafted,
+    ("GET", "check"): record_plots.judged,
+    ("GET", "watch"): record_plots.followed,
+    ("POST", "draft"): keeping.drafted,
+    ("POST", "drafted"): keeping.begin_drafted,
     ("POST", "certificate"): certification.begin_certificate,
     ("GET", "report"): _report,
     ("GET", "file"): _file,
@@ -128,8 +123,8 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "planned"): plans.begin_planned,
     ("GET", "jobs"): _jobs,
     ("POST", "jobs"): campaigns.begin_calibration,
-    ("POST", "study"): trying.begin_study,
-    ("POST", "simulation"): trying.begin_simulation,
+    ("POST", "study"): record_plots.begin_study,
+    ("POST", "simulation"): record_plots.begin_simulation,
     ("DELETE", "jobs"): _stop,
 }
 

@@ -11,11 +11,9 @@ from typing import Any, Final
 
 from pydantic import FiniteFloat
 
-from counterspin.application.commands import plan_command
-from counterspin.application.desk import Desk
+from counterspin.application.desk import Desk, plan_command
 from counterspin.application.editing import changed
-from counterspin.application.jobs import Job
-from counterspin.application.processes import Progress, report_progress
+from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.campaign.runs import MOST_ROWS
 from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError

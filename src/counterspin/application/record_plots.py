@@ -1,4 +1,4 @@
-"""Records as they are seen through a window of time: fluid for any number of rows.
+"""Records as they are seen and judged, and what a campaign would tell before it is recorded.
 
 A screen has some thousand columns of pixels. Of more rows than that, each part of the window is
 shown by its least and its greatest value, so that no outlier is lost and a million rows are as
@@ -8,21 +8,36 @@ quickly drawn as a thousand.
 from __future__ import annotations
 
 import math
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from pydantic import FiniteFloat
 
-from counterspin.application.desk import Desk, FileCache
-from counterspin.application.fits import SeenRecord, fitted_run
+from counterspin.application.desk import (
+    Desk,
+    FileCache,
+    check_command,
+    simulate_command,
+    study_command,
+    watch_command,
+)
 from counterspin.application.folder import NotThereError
+from counterspin.application.improving import SeenRecord, fitted_run
+from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.arrays import Array
 from counterspin.calibration.observed import record_columns
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
+from counterspin.monitoring.check import check
+from counterspin.monitoring.run_state import goals_of
 from counterspin.records.tables import read_scaled
+from counterspin.reports.html import part
+from counterspin.reports.typography import typeset_block
 
 #: Most parts that a window is shown in.
 MOST_PARTS: Final = 4000
@@ -142,3 +157,101 @@ def _read(campaign: Campaign, run: Run) -> SeenRecord:
         known = known[np.argsort(time[known], kind="stable")]
         time, values = time[known], [column[known] for column in values]
     return SeenRecord(time, tuple(names), tuple(units), tuple(values))
+
+
+def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
+    """Return the judgement of a run's record as HTML, whether it is good, and the command."""
+    campaign = desk.campaign(name)
+    records = [found.record for found in campaign.runs if found.name == run]
+    if not records:
+        raise NotThereError(f"{name}: there is no run {run!r} with a record")
+    checked = check(records[0], campaign, run=run)
+    blocks = list(map(typeset_block, checked.blocks()))
+    return {
+        "html": part(blocks, title=f"Check of {run}"),
+        "good": checked.good,
+        "command": check_command(records[0], campaign.folder, run),
+    }
+
+
+def followed(desk: Desk, name: str, goal: str = "") -> dict[str, Any]:
+    """Return the newest state of a campaign whose records grow, and the command.
+
+    name: The campaign's folder.
+    goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
+    """
+    campaign = desk.campaign(name)
+    goals_of(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
+    told = desk.live.look(campaign.path, goal)
+    if "error" in told:
+        told = told | {"error": desk.folder.spoken(told["error"])}
+    return told | {"command": watch_command(campaign.folder, goal)}
+
+
+#: Where a study of a campaign is kept, in its folder.
+STUDY_NAME: Final = "study.json"
+
+
+def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
+    """Begin to study a campaign; return the job.
+
+    name: The campaign's folder; its ``study.json`` takes the result, in place of an earlier one.
+    """
+    from counterspin.studies.description import read_study
+
+    path = desk.description(name)
+    desk.campaign(name)
+    read_study(path)
+    place = desk.folder.path(f"{name}/{STUDY_NAME}" if name else STUDY_NAME)
+    command = study_command(path.parent, trials, place)
+
+    def make(number: int) -> Job:
+        return Job(number, name, desk.folder.name(place), command, "study")
+
+    return desk.jobs.begin(make, study_into, path, place, trials).shown()
+
+
+def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> None:
+    """Study a campaign and write its result; `there` is told as of `processes.report_progress`."""
+
+    def work(progress: Progress) -> None:
+        from counterspin.output import reserve
+        from counterspin.studies.result import StudyResult
+        from counterspin.studies.study import study
+
+        reserve(output, StudyResult.file_kind, overwrite=True)
+        study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
+
+    report_progress(there, work)
+
+
+def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
+    """Begin to make the records of a campaign, in another folder; return the job.
+
+    name: The campaign's folder.
+    """
+    path = desk.description(name)
+    desk.campaign(name)
+    place = desk.place(folder)
+    if not folder:
+        raise CounterspinError("give the folder of the simulated records a name")
+    if (place / DESCRIPTION_NAME).exists():
+        raise CounterspinError(f"{folder} holds a campaign already; name another folder")
+    desk.require_inside(place, load_document(path))
+    command = simulate_command(path.parent, place)
+
+    def make(number: int) -> Job:
+        return Job(number, name, desk.folder.name(place), command, "simulation")
+
+    return desk.jobs.begin(make, simulate_into, path, place).shown()
+
+
+def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
+    """Make a campaign's records in a folder; `there` is told as of `processes.report_progress`."""
+
+    def work(progress: Progress) -> None:
+        from counterspin.simulation.simulate import simulate
+
+        simulate(campaign, folder, progress=progress)
+
+    report_progress(there, work)

@@ -38,8 +38,7 @@ from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
-from counterspin.reports.publication import Publication
-from counterspin.reports.shown import ShownResult, loaded, on_axes
+from counterspin.reports.publication import Publication, ShownResult, loaded, on_axes
 
 if TYPE_CHECKING:
     from counterspin.calibration.notebook.prediction import Prediction
@@ -311,14 +310,14 @@ class Result(ShownResult):
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw data and fit, a picture a run; residuals where a file has kept no more.
 
-        `axes` as for `reports.shown.on_axes`.
+        `axes` as for `reports.publication.on_axes`.
         """
         if self._residuals:
             return self.plot_displacement(accelerometer, axes=axes)
         return self.plot_residuals(accelerometer, axes=axes)
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
-        """Draw the residuals over time, a picture a run; `axes` as for `reports.shown.on_axes`."""
+        """Draw the residuals over time, a picture a run; `axes` as for `plot`."""
         return self._pictures("residuals_over_time", accelerometer, axes)
 
     def plot_spectrum(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:

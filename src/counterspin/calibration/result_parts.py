@@ -21,9 +21,9 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, Kind
 from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.inference.joint.what_if import WhatIf
-from counterspin.reports.characters import escape_controls
+from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
-from counterspin.reports.shown import loaded
+from counterspin.reports.publication import loaded
 from counterspin.results import ResultPart
 from counterspin.units import unit_factor
 

@@ -9,15 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.certificates.attached import read_document
 from counterspin.certificates.coverage import coverage_factor
-from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.reading import (
     CertificateNumbers,
     CertifiedAccelerometer,
     read_certificate,
+    read_document,
 )
-from counterspin.certificates.schema import parse
+from counterspin.certificates.schema import NAMESPACES, Element, parse
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import field_unit, format_estimate

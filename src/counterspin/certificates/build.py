@@ -27,19 +27,21 @@ from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import PROCEDURE
 from counterspin.certificates.capability import with_capability
-from counterspin.certificates.conversion import covariance, in_si, output_in_si
-from counterspin.certificates.coverage import coverage_factor, region_factor
-from counterspin.certificates.elements import DCC, NAMESPACES, Element, clean, factor, number
-from counterspin.certificates.lab import ITEM_STATES, Lab
-from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
-from counterspin.certificates.triad import (
+from counterspin.certificates.conversion import (
     certified_triad,
+    covariance,
+    in_si,
     matrix_dof,
+    output_in_si,
     output_lines,
     parameter_line,
     title,
     triad_in_si,
 )
+from counterspin.certificates.coverage import coverage_factor, region_factor
+from counterspin.certificates.lab import ITEM_STATES, Lab
+from counterspin.certificates.schema import DCC, NAMESPACES, Element, clean, factor, number
+from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.si_units import SiUnit, si_unit, to_si

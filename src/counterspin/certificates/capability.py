@@ -11,9 +11,9 @@ from counterspin.calibration.notebook.si_estimate import StatedGravity, si_estim
 from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
+from counterspin.certificates.conversion import certified_triad
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.lab import Lab
-from counterspin.certificates.triad import certified_triad
 from counterspin.physics.si_units import to_si
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.reports.numbers import field_unit, format_uncertainty

@@ -1,17 +1,28 @@
-"""The coefficients of a result in SI units, as a certificate states them."""
+"""Coefficients and the parameters of a triad in SI units, as a certificate states them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.notebook.si_estimate import SiEstimate, own_estimate, si_estimate
+from counterspin.calibration.notebook.si_estimate import (
+    SiEstimate,
+    StatedGravity,
+    own_estimate,
+    si_estimate,
+)
+from counterspin.calibration.pages.triad import nominal_outputs, parameter_words, shown_parameter
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, Correlation
+from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
 from counterspin.certificates import wording
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.schema import factor
+from counterspin.physics.si_units import si_unit
+from counterspin.reports.blocks import Column, Table
+from counterspin.reports.numbers import format_estimate, format_number
 
 
 def in_si(result: Result, name: str) -> dict[str, SiEstimate]:
@@ -80,3 +91,125 @@ def covariance(
     u = [math.hypot(estimate.u_without_g, estimate.shift_kept) for estimate in (first, second)]
     together = matrix[places[1]][places[0]] * (u[0] * u[1])
     return together + first.shift * second.shift - first.shift_kept * second.shift_kept
+
+
+#: How the whole certificate begins what a triad is called.
+TITLE: Final = "Triad "
+
+
+def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
+    """Return the triad, if all three of its accelerometers are certified."""
+    triad = result.triad
+    return None if triad is None or not set(triad.accelerometers) <= set(names) else triad
+
+
+def title(triad: TriadResult) -> str:
+    """Return what the triad is called in the whole certificate."""
+    return TITLE + ", ".join(triad.accelerometers)
+
+
+def triad_in_si(result: Result, triad: TriadResult) -> dict[str, SiEstimate]:
+    """Return the parameters that are determined, in SI units."""
+    return _in_si(result, triad, triad.parameters)
+
+
+def shown_in_si(
+    result: Result, triad: TriadResult
+) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
+    """Return the same by their words, in g-units and in SI, as pages show them."""
+    shown = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
+    in_si = _in_si(result, triad, {name: c for name, (_, c) in shown.items()})
+    return dict(shown.values()), {shown[name][0]: estimate for name, estimate in in_si.items()}
+
+
+def _in_si(
+    result: Result, triad: TriadResult, parameters: Mapping[str, Coefficient]
+) -> dict[str, SiEstimate]:
+    found, inputs = {}, result.inputs
+    for name, c in parameters.items():
+        if wording.is_determined(c):
+            assert c.value is not None
+            assert c.u is not None
+            by_g = triad.by_gravity.get(name, 0.0)
+            gravity = StatedGravity(inputs.gravity, inputs.u_gravity, by_g)
+            found[name] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
+    return found
+
+
+def matrix_dof(triad: TriadResult) -> float | None:
+    """Return the degrees of freedom of the matrix: the fewest of the parameters that make it."""
+    made = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
+    return min((c.dof for c in made if c.dof is not None), default=None)
+
+
+def triad_lines(triad: TriadResult) -> list[str]:
+    """Return what was done with the triad, what its parameters are, and which have no value."""
+    names = ", ".join(triad.accelerometers)
+    lines = [
+        f"{names} are one sensor. In addition to their coefficients, parameters are given that "
+        f"do not depend on its frame: offsets, sensitivities, "
+        "and the angles between the sensitive axes (Geist, Gaitan et al., J. Res. NIST 122 "
+        "(2017) 32)."
+    ]
+    if triad.poses:
+        rms = ""
+        if triad.rms_before is not None:
+            rms = f" The size of f less g has an rms of {format_number(triad.rms_before, 3)} m/s^2"
+            after = triad.rms_after
+            rms += "." if after is None else f", corrected {format_number(after, 3)} m/s^2."
+        lines.append(
+            f"The sensor was at rest in {len(triad.poses)} poses whose attitudes were unknown: "
+            f"the direction of each was estimated with the coefficients; only the magnitude of "
+            f"the specific force, the local gravity, was taken as known.{rms}"
+        )
+    lines += [
+        f"{parameter_words(name)}: {wording.why_not_determined(c)}; no value is certified."
+        for name, c in triad.parameters.items()
+        if not wording.is_determined(c)
+    ]
+    return lines
+
+
+def output_table(
+    names: Sequence[str],
+    matrix: Sequence[Sequence[float]],
+    expanded: Sequence[Sequence[float]],
+    k: float,
+) -> Table:
+    """Return the matrix of the corrected output with U and k."""
+    rows = zip("xyz", matrix, expanded, strict=True)
+    return Table(
+        (Column("M ± U"), *(Column(name, "right") for name in names), Column("k", "right")),
+        tuple((f"f_{axis}", *map(_element, row, own), factor(k)) for axis, row, own in rows),
+    )
+
+
+def _element(value: float, expanded: float) -> str:
+    """Return an element of a matrix, with U where it has one: not of what is zero by choice."""
+    return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
+
+
+def parameter_line(name: str, parameter: Coefficient) -> str:
+    """Return a parameter that is determined, with U and k, in g-units and its SI unit."""
+    words, c = shown_parameter(name, parameter)
+    k = coverage_factor(c.dof)
+    whole = "the whole angle is " if c.value != parameter.value else ""
+    stated = wording.stated_in(si_unit(c.unit)[0])
+    return f"{words} = {wording.shown_in_g(c, k)} (U, k = {factor(k)}); {whole}{stated}"
+
+
+def output_lines(result: Result, triad: TriadResult) -> list[str]:
+    """Return how the corrected output follows from the indications; nothing without a matrix."""
+    if triad.matrix is None:
+        return []
+    outputs = nominal_outputs(result, triad)
+    by = f" ({outputs})" if outputs else ""
+    names = ", ".join(triad.accelerometers)
+    beside = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
+    less = f", less what {', '.join(beside)} add to them" if beside else ""
+    return [
+        f"Corrected output: f = M (y - b), y being the indications of {names} by their nominal "
+        f"sensitivities{by}{less}, and b their offsets. f lies along the axes x, y, z in which the "
+        "campaign states their directions: east, north and up while the sensor is level. "
+        "Misalignments that are no coefficients above are there as stated, or zero."
+    ]

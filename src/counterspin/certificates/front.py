@@ -15,25 +15,24 @@ from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.capability import capability_lines, with_capability
-from counterspin.certificates.conversion import in_si
-from counterspin.certificates.coverage import coverage_factor
-from counterspin.certificates.elements import factor
-from counterspin.certificates.evidence import evidence_lines
-from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
-from counterspin.certificates.statements import Issue, Verdicts
-from counterspin.certificates.triad import (
+from counterspin.certificates.conversion import (
     certified_triad,
+    in_si,
     matrix_dof,
     output_lines,
     output_table,
     shown_in_si,
     triad_lines,
 )
-from counterspin.certificates.triad import (
+from counterspin.certificates.conversion import (
     title as triad_title,
 )
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.characters import Lines
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.evidence import evidence_lines
+from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
+from counterspin.certificates.schema import factor
+from counterspin.certificates.statements import Issue, Verdicts
+from counterspin.reports.blocks import Block, Column, Heading, Lines, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block
 

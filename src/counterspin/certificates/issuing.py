@@ -19,23 +19,25 @@ from counterspin.certificates.amendment import (
     read_amended,
     with_changes,
 )
-from counterspin.certificates.attached import is_pdf, read_document, verify_pages
 from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
-from counterspin.certificates.conversion import with_exact_g
-from counterspin.certificates.entering import IssueDetails, enter_certificate
+from counterspin.certificates.conversion import output_table, with_exact_g
 from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
-from counterspin.certificates.ledger import checksum_of
-from counterspin.certificates.pdf_signature import PagesSignature, sign_pages
-from counterspin.certificates.reading import CertificateNumbers, read_certificate
+from counterspin.certificates.ledger import IssueDetails, checksum_of, enter_certificate
+from counterspin.certificates.reading import (
+    CertificateNumbers,
+    is_pdf,
+    read_certificate,
+    read_document,
+    verify_pages,
+)
 from counterspin.certificates.schema import check_schema
-from counterspin.certificates.signature import is_signed, sign, verify
+from counterspin.certificates.signature import PagesSignature, is_signed, sign, sign_pages, verify
 from counterspin.certificates.signers import KeyFile, Signer, certificates_in
 from counterspin.certificates.statements import Issue, Verdicts
-from counterspin.certificates.triad import output_table
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import reserve, write_whole

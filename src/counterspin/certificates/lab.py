@@ -27,8 +27,8 @@ from counterspin.campaign.specification import (
     resolve_specifications,
 )
 from counterspin.campaign.toml_file import flat_keys, list_of, load_document, mistakes, table_of
-from counterspin.certificates.elements import clean
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
+from counterspin.certificates.schema import clean
 from counterspin.errors import CounterspinError
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS

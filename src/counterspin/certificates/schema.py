@@ -1,4 +1,4 @@
-"""Validation against the DCC schema: its files come from a folder, never from the network.
+"""The XML of a certificate: its words, numbers, namespaces, and validation against the DCC schema.
 
 The files that PTB publishes import each other by address. Here an import is answered by the file
 of the folder that declares the name space.
@@ -14,9 +14,34 @@ from urllib.parse import urljoin
 
 from lxml import etree
 
-from counterspin.certificates.elements import DCC, NAMESPACES
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.input import looks_like
+from counterspin.reports.blocks import escape_controls
+
+DCC: Final = "https://ptb.de/dcc"
+SI: Final = "https://ptb.de/si"
+NAMESPACES: Final = {"dcc": DCC, "si": SI}
+
+#: Language of the text that counterspin writes.
+ENGLISH: Final = "en"
+
+Element = Any  # lxml carries no types
+
+
+def clean(words: str) -> str:
+    """Return text that XML can represent (clause 2.2) and no reader obeys, no blanks around it."""
+    return escape_controls(words).strip()
+
+
+def number(value: float) -> str:
+    """Write a number so that it reads back as the same double."""
+    return repr(float(value))
+
+
+def factor(value: float) -> str:
+    """Write a coverage factor or probability, which must not have an exponent."""
+    return f"{value:.4f}".rstrip("0").rstrip(".")
+
 
 _XS: Final = "{http://www.w3.org/2001/XMLSchema}"
 

@@ -11,10 +11,10 @@ from counterspin.calibration.result import Result
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
 from counterspin.certificates.capability import capability_lines
-from counterspin.certificates.elements import ENGLISH
+from counterspin.certificates.conversion import certified_triad, title, triad_lines
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
-from counterspin.certificates.triad import certified_triad, title, triad_lines
+from counterspin.certificates.schema import ENGLISH
 from counterspin.frozen import frozen
 from counterspin.inference.conformity import Conformity
 

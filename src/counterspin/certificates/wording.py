@@ -12,8 +12,8 @@ from counterspin.calibration.pages.motions import lines_of_tests, poses_of, read
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.coverage import coverage_factor
-from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import CertificateSettings
+from counterspin.certificates.schema import factor
 from counterspin.inference.conformity import COVERAGE, Conformity
 from counterspin.physics.si_units import SiUnit, si_unit
 from counterspin.physics.terms import TERMS

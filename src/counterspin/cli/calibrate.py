@@ -124,7 +124,7 @@ class KeepingOptions:
             )
         if json.resolve() == self.ledger.resolve():
             raise CampaignError("calibrate", ["--ledger and --json name the same file"])
-        from counterspin.certificates.entering import check_ledger
+        from counterspin.certificates.ledger import check_ledger
 
         check_ledger(self.ledger)
 
@@ -161,7 +161,7 @@ def calibrate(
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
-    from counterspin.reports.progress import progress
+    from counterspin.reports.text import progress
 
     options = TwoStageOptions(
         model=estimation.model,
@@ -213,8 +213,7 @@ def calibrate_several(
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
     from counterspin.calibration.batch import BatchResult, calibrate_many
-    from counterspin.reports.progress import work_progress
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import report_console, work_progress
     from counterspin.workers import Workers
 
     saved.reserve(BatchResult.file_kind)

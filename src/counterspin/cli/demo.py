@@ -28,7 +28,7 @@ def demo(
     from counterspin.reports.charts import reserve_figures, save
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
-    from counterspin.reproduction.demo_page import (
+    from counterspin.reproduction.page import (
         FIGURE,
         demonstration_plots,
         render_demonstration,

@@ -75,7 +75,7 @@ def _from_files(
     """Write a campaign of a recorder's files."""
     from counterspin.exports.description import drafted, guessed_test, write_description
     from counterspin.exports.looking import look_at
-    from counterspin.reports.progress import work_progress
+    from counterspin.reports.text import work_progress
 
     answers = _answers(given)
     with work_progress("Files") as advance:

@@ -33,8 +33,7 @@ def ledger(
     why
         With add: reason for the entry.
     """
-    from counterspin.certificates.entering import ledger_blocks
-    from counterspin.certificates.ledger import verify_ledger
+    from counterspin.certificates.ledger import ledger_blocks, verify_ledger
     from counterspin.errors import RecordError
     from counterspin.reports.text import Report, report_console
 
@@ -58,7 +57,7 @@ def ledger(
 
 def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
     """Enter a result's file, and say so."""
-    from counterspin.certificates.entering import enter_result
+    from counterspin.certificates.ledger import enter_result
     from counterspin.reports.publication import issue_date
 
     entered = enter_result(ledger, result, who=who, why=why, date=issue_date())

@@ -64,8 +64,8 @@ def noise(
         Plot Allan deviation and spectrum: .svg, .png or .pdf.
     """
     from counterspin.monitoring.noise import noise as run
-    from counterspin.monitoring.noise_page import PLOTS, noise_plots
-    from counterspin.monitoring.result_noise import NoiseResult
+    from counterspin.monitoring.page import PLOTS, noise_plots
+    from counterspin.monitoring.result import NoiseResult
     from counterspin.output import marked, reserve
     from counterspin.reports.charts import check_format, save
     from counterspin.reports.publication import check_format as check_report

@@ -61,8 +61,7 @@ def plan(
     from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example
     from counterspin.planning.result import PlanResult
     from counterspin.reports.charts import reserve_figures
-    from counterspin.reports.progress import progress
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import progress, report_console
 
     if sum(given is not None for given in (file, check, init)) != 1:
         raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])

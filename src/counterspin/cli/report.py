@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from counterspin.cli.words import OutputFile, say
 
 if TYPE_CHECKING:
-    from counterspin.reports.shown import ShownResult
+    from counterspin.reports.publication import ShownResult
 
 #: Whatever a command writes with --json, beside a calibration: module and class.
 _KINDS: Final = (
@@ -20,10 +20,10 @@ _KINDS: Final = (
     ("comparisons.result", "RepeatedCalibration"),
     ("monitoring.result", "CheckedRun"),
     ("monitoring.result", "WatchState"),
-    ("monitoring.result_noise", "NoiseResult"),
+    ("monitoring.result", "NoiseResult"),
     ("calibration.batch", "BatchResult"),
-    ("validation.result", "Dossier"),
-    ("reproduction.result", "Reproduction"),
+    ("validation.page", "Dossier"),
+    ("reproduction.plan", "Reproduction"),
 )
 
 
@@ -67,7 +67,7 @@ def report(
         result = kind.read(source)
     else:
         from counterspin.calibration.calibrate import calibrate
-        from counterspin.reports.progress import progress
+        from counterspin.reports.text import progress
 
         with progress() as advance:
             result = calibrate(source, progress=advance)

@@ -9,7 +9,7 @@ def reproduce(*, saved: SaveOptions = NOT_SAVED) -> None:
     """Compare the paper's numbers with recomputed ones, and explain the differences."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
-    from counterspin.reproduction.result import Reproduction
+    from counterspin.reproduction.plan import Reproduction
 
     saved.reserve(Reproduction.file_kind)
     reproduction = run()

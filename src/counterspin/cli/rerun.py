@@ -26,8 +26,7 @@ def rerun(
     """
     from counterspin.comparisons.rerun import rerun as run
     from counterspin.comparisons.result import RepeatedCalibration
-    from counterspin.reports.progress import progress
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import progress, report_console
 
     saved.reserve(RepeatedCalibration.file_kind)
     with progress() as advance:

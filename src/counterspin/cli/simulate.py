@@ -21,7 +21,7 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     """
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions
-    from counterspin.reports.progress import progress
+    from counterspin.reports.text import progress
     from counterspin.simulation.simulate import simulate as run
 
     described = read_campaign(campaign)

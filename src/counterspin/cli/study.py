@@ -74,8 +74,7 @@ def study(
     resume
         Continue the study that was begun in that folder.
     """
-    from counterspin.reports.progress import work_progress
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import report_console, work_progress
     from counterspin.studies.folder import StudyFolder
     from counterspin.studies.result import StudyResult
     from counterspin.studies.study import study as run

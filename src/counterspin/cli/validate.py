@@ -20,8 +20,7 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     overwrite
         Replace an earlier dossier; other files are never replaced.
     """
-    from counterspin.reports.progress import progress
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import progress, report_console
     from counterspin.validation.validate import check_folder, write_dossier
     from counterspin.validation.validate import validate as run
 

@@ -16,7 +16,7 @@ from cyclopts import App, Parameter
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, reserve
-from counterspin.reports.characters import Lines, encodable, escape_controls
+from counterspin.reports.blocks import Lines, encodable, escape_controls
 
 if TYPE_CHECKING:
     from counterspin.results import ResultFile

@@ -1,11 +1,10 @@
 """Results beside each other: other models, other methods, other campaigns.
 
 - `compare`: values, differences with their uncertainty, whether they agree, what changed
-- `estimates`: what a result says of one accelerometer, its uncertainty taken apart by source
-- `relations`: which records, terms and weights two results have in common
-- `common`: the covariance of a difference of two results, what they have in common being counted
-- `changes`: what is not the same in the campaigns and the ways they were calibrated
+- `estimates`: what each of two results says of an accelerometer, what both share, and how their
+  difference varies
+- `rerun`: a result's calibration made again, and what is not the same in several results
 - `result`: the comparison and its JSON
-- `page`: a comparison as a person reads it, and its report
-- `rerun`: a result's calibration made again; `rerun_page`: the same as a person reads it
+- `page`: a comparison, and a calibration made again, as pages: what agrees, the differences, what
+  changed
 """

@@ -11,10 +11,15 @@ import numpy as np
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.comparisons.changes import changes
-from counterspin.comparisons.common import chi_square, covariance_of_difference
-from counterspin.comparisons.estimates import estimates_of
-from counterspin.comparisons.relations import by_the_joint_check, records_of, relation_of
+from counterspin.comparisons.estimates import (
+    by_the_joint_check,
+    chi_square,
+    covariance_of_difference,
+    estimates_of,
+    records_of,
+    relation_of,
+)
+from counterspin.comparisons.rerun import changes
 from counterspin.comparisons.result import (
     AgreementOfTwo,
     ComparedCoefficient,

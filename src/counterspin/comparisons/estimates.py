@@ -1,17 +1,154 @@
-"""What a result says of one accelerometer, with its uncertainty taken apart by source."""
+"""What two results say of an accelerometer, what both share, and how their difference varies.
+
+Two estimates of the same records have most of their error in common. Where one of them is the best
+linear unbiased estimate of what both rest on (the smaller of two nested models, or all of the
+records beside some of them), the covariance of the two is its own variance, so that variances
+subtract (J. A. Hausman, Econometrica 46 (1978) 1251, lemma 2.1). What is held moves each estimate
+by its own sensitivity. Results of other records have in common what is stated alike: the
+radius, gravity, what is known beforehand. What nobody states is the same for an instrument and its
+machine in all their results, and so is shared by those that take it at the same typical size.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
+from counterspin.comparisons.rerun import terms_of
 from counterspin.frozen import frozen
+from counterspin.inference.distributions import chi_square_tail
 from counterspin.physics.terms import TERMS, mounting_of
+
+#: Part of a variance below which a difference of variances is rounding.
+NEGLIGIBLE: Final = 1e-9
+
+#: Part of a variance from which a source that both results share is named.
+_SAID: Final = 1e-3
+
+
+@frozen
+class Relation:
+    """What two results have in common."""
+
+    #: Whether their records are the ``same``, some are (``part``), or they are ``independent``.
+    records: Literal["same", "part", "independent"]
+    #: Place of the result whose estimate is the best of what both rest on, 0 or 1, or None: nothing
+    #: says which; the one with the smaller variance is then taken for it.
+    better: Literal[0, 1] | None = None
+    #: Whether both weigh the same records in the same way, so that noise moves them alike.
+    alike: bool = False
+    #: Noise of the first result over that of the second, where it was estimated in both.
+    noise_ratio: float = 1.0
+
+
+def covariance_of_difference(
+    first: Estimates, second: Estimates, relation: Relation
+) -> tuple[Array, list[str]]:
+    """Return the covariance of second less first, and the names of the sources that both share."""
+    apart = relation.records == "part" and relation.better is None
+    if relation.records == "independent" or apart:
+        return _of_independent(first, second)
+    return _of_common_records(first, second, relation)
+
+
+def _of_independent(first: Estimates, second: Estimates) -> tuple[Array, list[str]]:
+    covariance = first.covariance + second.covariance
+    shared = []
+    for name, source in first.sources.items():
+        other = second.sources.get(name)
+        if other is not None and not source.of_run and source.is_as(other):
+            cross = np.outer(source.moves, other.moves)
+            covariance = covariance - cross - cross.T
+            if np.any(np.abs(np.diag(cross)) > _SAID * np.diag(first.covariance)):
+                shared.append(name)
+    return covariance, shared
+
+
+def _of_common_records(
+    first: Estimates, second: Estimates, relation: Relation
+) -> tuple[Array, list[str]]:
+    better, other = (first, second) if relation.better != 1 else (second, first)
+    size = len(first.symbols)
+    if not (first.complete and second.complete):
+        # Nothing says what moves which: all that is held is taken to move both alike.
+        rest = [np.diag(e.covariance) - e.held**2 for e in (first, second)]
+        if relation.alike:
+            rest = [np.zeros(size), np.zeros(size)]
+        difference = np.abs(rest[0] - rest[1]) + (first.held - second.held) ** 2
+        return np.diag(difference), []
+    in_both, apart = list[tuple[SharedSource, SharedSource]](), list[Array]()
+    anew = list[tuple[Array, Array]]()
+    shared = []
+    for name, source in better.sources.items():
+        its = other.sources.get(name)
+        if source.estimated:
+            # Measured anew, it is no part of what both rest on.
+            if its is not None and its.estimated and source.is_another(its):
+                anew.append((source.moves, its.moves))
+        elif its is not None and source.is_as(its):
+            in_both.append((source, its))
+            shared.append(name)
+        else:
+            apart.append(source.moves)
+    # Stated otherwise, or left out by the better one: by itself in the other.
+    alone = [
+        source.moves
+        for name, source in other.sources.items()
+        if not (source.estimated or name in shared or _estimated(better, name))
+    ]
+    own_anew, their_anew = (squares([moves[i] for moves in anew], size) for i in (0, 1))
+    theirs = other.covariance - their_anew
+    theirs = theirs - squares([*(its.moves for _, its in in_both), *alone], size)
+    own = better.covariance - own_anew - better.part(estimated=False)
+    if relation.noise_ratio != 1.0:
+        ratio = relation.noise_ratio if better is second else 1.0 / relation.noise_ratio
+        priors = better.part(estimated=True) - own_anew
+        own = priors + ratio**2 * (own - priors)
+    scale = np.sqrt(np.diag(first.covariance) + np.diag(second.covariance))
+    excess = np.zeros((size, size))
+    if not relation.alike:
+        excess = _size_of((theirs - own) / np.outer(scale, scale)) * np.outer(scale, scale)
+    moved = squares([its.moves - source.moves for source, its in in_both], size)
+    return excess + moved + squares([*apart, *alone], size) + own_anew + their_anew, shared
+
+
+def _estimated(estimates: Estimates, name: str) -> bool:
+    return name in estimates.sources and estimates.sources[name].estimated
+
+
+def _size_of(matrix: Array) -> Array:
+    """Return a symmetric matrix with its negative eigenvalues positive.
+
+    There are none where the better estimate is the better one.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    values = np.where(np.abs(values) > NEGLIGIBLE, np.abs(values), 0.0)
+    size: Array = (vectors * values) @ vectors.T
+    return size
+
+
+def chi_square(
+    difference: Array, covariance: Array, scale: Array
+) -> tuple[float, int, float | None]:
+    """Return chi-square of a difference, its degrees of freedom and the probability of more.
+
+    difference: Shape (p,).
+    covariance: Of it, shape (p, p); as many degrees of freedom as directions in which it is not
+        nothing.
+    scale: Standard uncertainties that say what is nothing, shape (p,).
+    """
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    there = values > 2.0 * NEGLIGIBLE
+    along = vectors.T @ (difference / scale)
+    chi2 = float(np.sum(along[there] ** 2 / values[there]))
+    dof = int(np.count_nonzero(there))
+    return chi2, dof, chi_square_tail(dof, chi2) if dof and math.isfinite(chi2) else None
 
 
 @frozen(eq=False)
@@ -157,3 +294,149 @@ def _value(result: Result, name: str, source: str) -> float | None:
             return known.value
     coefficient = accelerometer.coefficients.get(source)
     return None if coefficient is None or coefficient.estimated else coefficient.value
+
+
+def records_of(result: Result) -> frozenset[str]:
+    """Return the checksums of the files that a result rests on, but for its description."""
+    return frozenset(
+        checksum
+        for file, checksum in result.provenance.inputs.items()
+        if not file.endswith(".toml") and checksum.startswith("sha256:")
+    )
+
+
+def relation_of(
+    name: str, results: tuple[Result, Result], estimates: tuple[Estimates, Estimates]
+) -> tuple[Relation, list[str]]:
+    """Return how two results of an accelerometer are related, and in words what is assumed."""
+    first, second = results
+    records = records_of(first), records_of(second)
+    assumed = []
+    if not all(e.complete for e in estimates):
+        assumed.append(
+            "One of the results has no uncertainty budget or no correlations, "
+            "so the terms are compared as if they were uncorrelated."
+        )
+    if not all(records):
+        assumed.append("A result names no records: the two are assumed independent.")
+    if not records[0] & records[1]:
+        assumed.append(
+            "Radius, gravity and priors that both results state alike count "
+            "as one measurement; everything else is assumed independent."
+        )
+        return Relation("independent"), assumed
+    kind: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
+    better = _better(results, records, estimates)
+    alike = kind == "same" and better is not None and _alike(name, results, estimates)
+    if better is None and kind == "part":
+        assumed.append(
+            "Some records are common, but neither result uses all records of the "
+            "other: they are assumed independent, which overestimates u of a difference."
+        )
+    elif first.model != second.model:
+        assumed.append(
+            "One of the results is from the equations as printed, which estimate something else: "
+            "u of a difference has little meaning."
+        )
+    elif better is None:
+        assumed.append(
+            "Neither model is part of the other, or the priors differ: the result with the "
+            "smaller variance is assumed to be the best estimate from these records, "
+            "so that the variances subtract."
+        )
+    elif first.method != second.method:
+        assumed.append(
+            "The joint method is assumed to be the best estimate from these records, "
+            "so that the variances subtract."
+        )
+    elif not alike and _noise(name, first) != _noise(name, second):
+        assumed.append(
+            "The stated noise differs: the variances are subtracted although "
+            "the weights differ too."
+        )
+    return Relation(kind, better, alike, _noise_ratio(name, first, second)), assumed
+
+
+def _better(
+    results: tuple[Result, Result],
+    records: tuple[frozenset[str], frozenset[str]],
+    estimates: tuple[Estimates, Estimates],
+) -> Literal[0, 1] | None:
+    """Return which result is the best linear unbiased estimate of what both rest on, if either is.
+
+    It has all records of the other, no term that the other lacks, and the same is known beforehand.
+    """
+    first, second = results
+    if first.model != second.model:
+        return None
+    if first.method != second.method:
+        return (0 if first.method == "joint" else 1) if records[0] == records[1] else None
+    one, two = (e.sources for e in estimates)
+    if any(s.estimated and n in two and not _same_prior(n, one, two) for n, s in one.items()):
+        return None
+    of_runs = set(first.runs) ^ set(second.runs)
+    terms = [{term for term in terms_of(r) if term.split(".")[0] not in of_runs} for r in results]
+    if records[0] >= records[1] and terms[0] <= terms[1]:
+        return 0
+    if records[1] >= records[0] and terms[1] <= terms[0]:
+        return 1
+    return None
+
+
+def _same_prior(
+    name: str, one: Mapping[str, SharedSource], two: Mapping[str, SharedSource]
+) -> bool:
+    its = two[name]
+    return not its.estimated or one[name].is_as(its) or one[name].is_another(its)
+
+
+def _alike(
+    name: str, results: tuple[Result, Result], estimates: tuple[Estimates, Estimates]
+) -> bool:
+    first, second = results
+    one, two = (e.sources for e in estimates)
+    estimated = [{n for n, s in sources.items() if s.estimated} for sources in (one, two)]
+    return (
+        first.method == second.method
+        and first.model == second.model
+        and first.provenance.options == second.provenance.options
+        and terms_of(first) == terms_of(second)
+        and estimated[0] == estimated[1]
+        and all(one[n].is_as_sure_as(two[n]) for n in estimated[0])
+        and _noise(name, first) == _noise(name, second)
+    )
+
+
+def _noise(name: str, result: Result) -> dict[str, float | None]:
+    """Return what decides the weights: the sizes, but of white noise alone none."""
+    lines = result.accelerometers[name].noise
+    if len(lines) == 1:
+        return dict.fromkeys(lines)
+    return {part: None if line.estimated else line.value for part, line in lines.items()}
+
+
+def _noise_ratio(name: str, first: Result, second: Result) -> float:
+    one, two = (result.accelerometers[name].noise for result in (first, second))
+    if len(one) != 1 or set(one) != set(two):
+        return 1.0
+    ((part, line),) = one.items()
+    return line.value / two[part].value if line.value and two[part].value else 1.0
+
+
+def by_the_joint_check(
+    name: str,
+    results: tuple[Result, Result],
+    estimates: tuple[Estimates, Estimates],
+    covariance: Array,
+) -> Array:
+    """Return a covariance with the u that a joint result itself states of the two methods."""
+    for joint, other in (results, results[::-1]):
+        check = joint.accelerometers[name].two_stage
+        theirs = other.accelerometers[name].coefficients.get("K_II")
+        if joint.method == "joint" and other.method == "two-stage" and check and theirs:
+            symbols = estimates[0].symbols
+            if "K_II" in symbols and theirs.value == check.value:
+                place = symbols.index("K_II")
+                covariance = covariance.copy()
+                covariance[place, place] = check.u_difference**2
+    return covariance

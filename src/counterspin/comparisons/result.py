@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
-from counterspin.reports.shown import ShownResult
+from counterspin.reports.publication import ShownResult
 from counterspin.results import ResultPart
 
 
@@ -200,7 +200,7 @@ class RepeatedCalibration(ShownResult):
         Inputs that were found under another name: name in the result -> where.
     """
 
-    BLOCKS: ClassVar[str] = "counterspin.comparisons.rerun_page:repeat_blocks"
+    BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeat_blocks"
     KIND: ClassVar[str] = "repeat of a result"
 
     result: str  #: What was repeated.

@@ -25,8 +25,12 @@ from counterspin.calibration.notebook.instrument import (
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse
-from counterspin.correction.related import covariances_between
-from counterspin.correction.warmth import notes_of_warmth, warmth_of, warnings_of_warmth
+from counterspin.correction.related import (
+    covariances_between,
+    notes_of_warmth,
+    warmth_of,
+    warnings_of_warmth,
+)
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.correction import (

@@ -1,15 +1,115 @@
-"""How errors of different accelerometers are related, as a result says it."""
+"""What an applied result needs beside it: how warm it was, and how errors are related."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
-from counterspin.physics.correction import CalibratedAccelerometer
+from counterspin.campaign.kinds import temperature_known
+from counterspin.errors import CampaignError
+from counterspin.physics.correction import CalibratedAccelerometer, Warmth
+from counterspin.units import ZERO_CELSIUS
+
+#: Temperatures in degC as `ApplyOptions` has them, or text.
+Temperature = npt.ArrayLike | str | None
+
+#: How far beyond the calibration's temperatures a record may go unremarked, K.
+_BEYOND: Final = 1.0
+
+
+def warmth_of(
+    result: Result, instruments: Sequence[CalibratedAccelerometer], temperature: Temperature
+) -> Warmth:
+    """Return by how much a record was warmer than where the result's coefficients count.
+
+    Raises
+    ------
+    CampaignError
+        If slopes need the temperature and it, or that of the calibration, is not known.
+    """
+    value, u = _stated(temperature)
+    reference = result.inputs.reference_temperature
+    if reference is not None and value is not None:
+        return Warmth(value - reference, u)
+    if needed := list(_needing(instruments)):
+        words = (
+            'give `temperature`: a column, or a constant such as `temperature="23 ± 1 degC"`'
+            if reference is not None
+            else "the result does not state the temperature of its calibration: calibrate again"
+        )
+        raise CampaignError(
+            "apply", [f"{', '.join(needed)} with the temperature of the record; {words}"]
+        )
+    return Warmth()
+
+
+def _needing(instruments: Sequence[CalibratedAccelerometer]) -> Iterator[str]:
+    for instrument in instruments:
+        u = np.sqrt(np.diag(instrument.covariance))
+        own = [
+            symbol
+            for symbol, known in zip(instrument.coefficients, u, strict=True)
+            if symbol in instrument.slopes and (instrument.coefficients[symbol] or known)
+        ]
+        if own:
+            yield f"{', '.join(own)} of {instrument.name} change{'s' if len(own) == 1 else ''}"
+
+
+def _stated(temperature: Temperature) -> tuple[npt.NDArray[np.float64] | float | None, float]:
+    """Return a temperature and its u, K."""
+    if isinstance(temperature, str):
+        try:
+            known = temperature_known(temperature)
+        except ValueError as error:
+            raise CampaignError("apply", [f"`temperature`: {error}"]) from error
+        return known.value, known.u
+    if temperature is None:
+        return None, 0.0
+    return np.asarray(temperature, dtype=np.float64) + ZERO_CELSIUS, 0.0
+
+
+def notes_of_warmth(
+    result: Result, instruments: Sequence[CalibratedAccelerometer], temperature: Temperature
+) -> Iterator[str]:
+    """Yield what was done with the temperature, in sentences."""
+    if temperature is None:
+        return
+    reference = result.inputs.reference_temperature
+    if reference is None or not any(instrument.slopes for instrument in instruments):
+        yield "The result has no slope with temperature: the temperature has no effect."
+        return
+    yield (
+        "Slopes with temperature are "
+        f"relative to {reference - ZERO_CELSIUS:.6g} degC, to which the coefficients belong."
+    )
+
+
+def warnings_of_warmth(result: Result, warmth: Warmth, temperature: Temperature) -> Iterator[str]:
+    """Yield where a record goes beyond the temperatures of the calibration."""
+    reference, seen = result.inputs.reference_temperature, result.inputs.temperatures
+    if temperature is None or reference is None or not seen:
+        return
+    there = np.asarray(warmth.value) + reference
+    there = there[np.isfinite(there)]
+    if not there.size:
+        return
+    low, high = float(there.min()), float(there.max())
+    if low < seen[0] - _BEYOND or high > seen[1] + _BEYOND:
+        yield (
+            f"The temperature is {_span(low, high)}, and that of the calibration was "
+            f"{_span(seen[0], seen[1])}: beyond that range, u covers the slopes of the result only."
+        )
+
+
+def _span(low: float, high: float) -> str:
+    first, last = (f"{value - ZERO_CELSIUS:.4g}" for value in (low, high))
+    return f"{first} degC" if first == last else f"{first} to {last} degC"
 
 
 def covariances_between(

@@ -1,4 +1,4 @@
-"""Whether repeated measurements of one quantity agree, and whether it drifts.
+"""Whether an instrument's results agree, drift and repeat; control limits; when it is due again.
 
 The measurements have the standard uncertainties that they state, which are not scaled, and are
 independent unless their covariance is given.
@@ -7,15 +7,21 @@ independent unless their covariance is given.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.histories.files import DatedResult
+from counterspin.histories.result import Repeatability, RepeatComponent
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.plain_fit import Fit, fit
+from counterspin.inference.variance_components import variance_components
 
 
 @frozen
@@ -180,3 +186,177 @@ def _agreement(fitted: Fit) -> Agreement:
         p=chi_square_tail(fitted.dof, fitted.chi2),
         birge=math.sqrt(fitted.chi2 / fitted.dof),
     )
+
+
+#: Mean and standard deviation of the range of two normal values of unit variance.
+_D2: Final = 2.0 / math.sqrt(math.pi)
+_D3: Final = math.sqrt(2.0 - 4.0 / math.pi)
+
+#: Action and warning limits, in standard deviations.
+ACTION_SIGMAS: Final = 3.0
+WARNING_SIGMAS: Final = 2.0
+
+#: Fewer results have no limits that could tell anything.
+FEWEST_RESULTS: Final = 3
+
+
+@frozen
+class Individuals:
+    """An individuals chart with its moving range."""
+
+    centre: float  #: Mean of the results.
+    sigma: float  #: Their standard deviation from one to the next: mean moving range over 1.128.
+    #: Mean of the sizes of the changes, and their upper action limit.
+    mean_range: float
+    range_limit: float
+    beyond: tuple[int, ...]  #: Places of the results beyond the action limits.
+    #: Places of the results whose change since the one before is beyond `range_limit`.
+    leaps: tuple[int, ...]
+
+    def limits(self, width: float = ACTION_SIGMAS) -> tuple[float, float]:
+        """Return the lower and the upper limit at so many standard deviations."""
+        return self.centre - width * self.sigma, self.centre + width * self.sigma
+
+
+def individuals(values: npt.ArrayLike) -> Individuals | None:
+    """Return the chart of results in order of time (NIST/SEMATECH e-Handbook, 6.3.2.2).
+
+    values: Shape (n,).
+    Returns: none for fewer than `FEWEST_RESULTS` results.
+    """
+    measured = np.asarray(values, dtype=np.float64)
+    if measured.size < FEWEST_RESULTS:
+        return None
+    ranges = np.abs(np.diff(measured))
+    mean_range = float(ranges.mean())
+    centre, sigma = float(measured.mean()), mean_range / _D2
+    limit = mean_range + ACTION_SIGMAS * _D3 * sigma
+    return Individuals(
+        centre=centre,
+        sigma=sigma,
+        mean_range=mean_range,
+        range_limit=limit,
+        beyond=tuple(map(int, np.nonzero(np.abs(measured - centre) > ACTION_SIGMAS * sigma)[0])),
+        leaps=tuple(int(place) + 1 for place in np.nonzero(ranges > limit)[0]),
+    )
+
+
+#: No interval is longer, whatever the line says; years.
+LONGEST_YEARS: Final = 10.0
+
+YEAR: Final = timedelta(days=365.25)
+
+
+def probability_inside(line: Drift, time: float, low: float | None, high: float | None) -> float:
+    """Return the probability that the quantity lies within limits at a time.
+
+    The line's uncertainty is enlarged by its Birge ratio where that is above 1.
+
+    low, high: The limits; None where there is none.
+    """
+    value, u = (float(part) for part in line.at(time))
+    u *= max(1.0, line.agreement.birge or 1.0)
+    below = 1.0 if high is None else normal_cdf((high - value) / u)
+    return below - (0.0 if low is None else normal_cdf((low - value) / u))
+
+
+def next_due(
+    line: Drift,
+    start: datetime,
+    last: datetime,
+    limits: tuple[float | None, float | None],
+    reliability: float,
+) -> datetime | None:
+    """Return the last day on which the quantity is in specification with the reliability wanted.
+
+    After method 2 of ILAC-G24:2022 (OIML D 10:2022), 6.3, "Control chart (calendar-time)": drift
+    and its uncertainty are found from the results of the past and carried on.
+
+    Returns: `last` itself where the probability is too small already; None if it is large enough
+        for `LONGEST_YEARS` years.
+    """
+    begin = (last - start) / YEAR
+    if probability_inside(line, begin, *limits) < reliability:
+        return last
+    # The probability may first grow, when the line leads back: the first time that it fails counts.
+    steps = int(LONGEST_YEARS * 52)
+    inside = begin
+    for step in range(1, steps + 1):
+        outside = begin + LONGEST_YEARS * step / steps
+        if probability_inside(line, outside, *limits) < reliability:
+            break
+        inside = outside
+    else:
+        return None
+    while outside - inside > 1e-4:
+        middle = 0.5 * (inside + outside)
+        if probability_inside(line, middle, *limits) < reliability:
+            outside = middle
+        else:
+            inside = middle
+    return start + inside * YEAR
+
+
+#: Fewest results, beyond what is estimated beside, that tell a variance.
+_FEWEST: Final = 2
+
+
+def repeatability(
+    records: Sequence[DatedResult], covariance: Array | None, *, drifts: bool
+) -> Repeatability | None:
+    """Return what results vary by beyond their u; None for too few.
+
+    covariance: Of the results, shape (n, n); None: they are independent.
+    drifts: Whether they are taken about a line over time, not about their mean.
+    """
+    start = records[0].date
+    years = np.array([(record.date - start) / YEAR for record in records])
+    columns = [np.ones(len(records)), *([years - years.mean()] if drifts else [])]
+    if len(records) < len(columns) + _FEWEST:
+        return None
+    groups, not_told = _groups(records)
+    if not groups:
+        return None
+    known = np.diag([record.u**2 for record in records]) if covariance is None else covariance
+    values = np.array([record.value for record in records])
+    found = variance_components(values, known, groups, np.stack(columns, axis=1))
+    components = {
+        name: RepeatComponent(
+            value=own.value,
+            low=own.low,
+            high=own.high if math.isfinite(own.high) else None,
+            groups=own.groups,
+            freedom=own.freedom,
+            same_as=[other for other, place in found.same_as.items() if place == name],
+        )
+        for name, own in found.components.items()
+    }
+    return Repeatability(
+        components=components,
+        total=math.sqrt(sum(own.value**2 for own in components.values())),
+        about="line" if drifts else "mean",
+        value=found.value,
+        u=found.u,
+        not_told=not_told,
+    )
+
+
+def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[str, str]]:
+    """Return the groups of each result by what was repeated, and why others cannot be told."""
+    labels: dict[str, list[str | None]] = {
+        "day": [record.date.date().isoformat() for record in records],
+        "mounting": [record.mounting for record in records],
+        "turn_on": [record.turn_on for record in records],
+    }
+    groups: dict[str, list[str]] = {}
+    not_told: dict[str, str] = {}
+    for name, own in labels.items():
+        named = [label for label in own if label is not None]
+        if len(named) < len(own):
+            lacking = len(own) - len(named)
+            not_told[name] = f"{lacking} of {len(own)} results do not state it"
+        elif len(set(named)) < 2:
+            not_told[name] = "all results are of the same"
+        else:
+            groups[name] = named
+    return groups, not_told

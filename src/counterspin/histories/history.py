@@ -15,12 +15,21 @@ from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
-from counterspin.histories.control import WARNING_SIGMAS, individuals
-from counterspin.histories.due import LONGEST_YEARS, YEAR, next_due
-from counterspin.histories.files import CollectedResults, DatedResult, collect
-from counterspin.histories.followed import KINDS, term_like
-from counterspin.histories.repeats import repeatability
+from counterspin.histories.consistency import (
+    LONGEST_YEARS,
+    WARNING_SIGMAS,
+    YEAR,
+    Agreement,
+    Drift,
+    Mean,
+    drift,
+    en_score,
+    individuals,
+    next_due,
+    repeatability,
+    weighted_mean,
+)
+from counterspin.histories.files import KINDS, CollectedResults, DatedResult, collect, term_like
 from counterspin.histories.result import (
     ControlLimits,
     Due,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from counterspin.reports.shown import ShownResult, loaded, on_axes
+from counterspin.reports.publication import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
 
 #: Whether the results of an instrument agree.

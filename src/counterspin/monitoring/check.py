@@ -13,20 +13,21 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.monitoring.goals import (
+from counterspin.monitoring.observer import Observer, Recorded, changed, recorded
+from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
+from counterspin.monitoring.run_state import (
     FitSoFar,
     fitted,
     nothing_reached,
+    poses_state,
     reached,
+    remarks_of,
+    remarks_of_poses,
+    run_state,
     shown_names,
 )
-from counterspin.monitoring.observer import Observer, Recorded, changed, recorded
-from counterspin.monitoring.poses import poses_state, remarks_of_poses
-from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
-from counterspin.monitoring.run_state import remarks_of, run_state
 from counterspin.planning.forecast import forecast
-from counterspin.planning.recorded.from_records import as_recorded, noise_of_fit
-from counterspin.planning.recorded.pose_noise import with_pose_noise
+from counterspin.planning.recorded import as_recorded, noise_of_fit, with_pose_noise
 from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread

@@ -24,7 +24,7 @@ from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.rest import Band
 from counterspin.inference.noise.spectrum import Line, spectrum
 from counterspin.inference.noise.stretches import RestRecord, RestSignal, at_rest
-from counterspin.monitoring.result_noise import (
+from counterspin.monitoring.result import (
     AllanValue,
     NoiseLineFound,
     NoiseResult,

@@ -1,20 +1,52 @@
-"""What one run shows: in numbers, and what is wrong with it in sentences."""
+"""What a run, a record of poses and all records together show, and whether it is enough."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
+from counterspin.calibration.diagnosis.pose_findings import pose_findings
 from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
+from counterspin.calibration.joint import estimate_campaign
+from counterspin.calibration.joint_parts import coefficient
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.posed.found_poses import FoundPose
+from counterspin.calibration.readings import ReadingsAndPoses
+from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triads.grouped import one_group
+from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
+from counterspin.inference.fitted_readings import FittedReadings
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.unknowns import unit_of
+from counterspin.inference.poses import TriadPoses
 from counterspin.monitoring.observer import record_name
-from counterspin.monitoring.result import ResidualState, RunState
+from counterspin.monitoring.result import (
+    GoalState,
+    PosesState,
+    ReachedCoefficient,
+    ResidualState,
+    RunState,
+)
+from counterspin.physics.terms import TERMS
+from counterspin.planning.plan_file import read_plan, resolve_goal
+from counterspin.planning.plan_sections import GoalSettings
+from counterspin.planning.stations import every_up, pointing_up, words_of_up
 
 
 def run_state(
@@ -100,3 +132,233 @@ def remarks_of(
         p = view.diagnostics.lack_of_fit_p if view.diagnostics.noise_given else None
         (wrong if p is not None and p < CHI_SQUARE_SIGNIFICANCE else odd).extend(found)
     return [*wrong, *odd, *notes], not wrong
+
+
+@frozen(eq=False)
+class FitSoFar:
+    """The joint fit of the runs that are there."""
+
+    campaign: Campaign  #: With these runs alone.
+    estimate: Estimate  #: Of its unknowns.
+    #: Readings and poses, and how they fit.
+    read: ReadingsAndPoses = field(default_factory=ReadingsAndPoses)
+
+    @property
+    def posed(self) -> tuple[FittedReadings, ...]:
+        """The poses of its triad."""
+        return tuple(part for part in self.read.parts if isinstance(part.readings, TriadPoses))
+
+    @cached_property
+    def views(self) -> tuple[AccelerometerView, ...]:
+        """The fit as each accelerometer sees it."""
+        problem = JointProblem(self.campaign)
+        views = (
+            AccelerometerView(problem, self.estimate, self.estimate.fit.assessment, name)
+            for name in self.campaign.accelerometers
+        )
+        return tuple(view for view in views if view.has_records)
+
+
+def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> FitSoFar:
+    """Fit runs together, as a calibration of them alone does."""
+    return FitSoFar(campaign, *estimate_campaign(JointProblem(campaign, observed)))
+
+
+def goals_of(
+    campaign: Campaign, wanted: Sequence[str] | Mapping[str, float | str] | Path
+) -> dict[str, float]:
+    """Return goals, checked: the whole name of each coefficient and the u that is wanted of it.
+
+    wanted: Such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``; without a unit it is the
+        coefficient's own. Or a mapping of names to these; or a plan, whose ``target`` it is. A term
+        without an accelerometer is a goal of each.
+    """
+    if isinstance(wanted, Path):
+        goal = read_plan(wanted).goal
+        if goal.kind != "target":
+            raise CampaignError(
+                str(wanted), ["goal.target: missing; the plan does not state the required u"]
+            )
+        target: dict[str, float | str] = dict(goal.sizes)
+    elif isinstance(wanted, Mapping):
+        target = dict(wanted)
+    else:
+        parts = (goal.strip().partition(" ") for goal in wanted)
+        target = {name: u.strip() for name, _, u in parts}
+    if not target:
+        return {}
+    problems = Problems({})
+    sought = GoalSettings(target={n: _with_unit(campaign, n, u) for n, u in target.items()})
+    resolved = resolve_goal(sought, campaign, problems)
+    if resolved is None:
+        raise CampaignError("goal", problems.lines)
+    return dict(resolved.sizes)
+
+
+def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
+    """Return the u that is wanted with its unit, the coefficient's own where none is given."""
+    try:
+        number = float(u)
+    except ValueError:
+        return str(u)
+    symbols = [u.symbol for u in model_of(campaign).asked if name in (u.name, u.symbol)]
+    return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
+
+
+def reached(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
+    """Return what a fit says of unknowns, None where it does not determine them."""
+    places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
+    found = []
+    for name in names:
+        if name not in places:
+            continue
+        c = coefficient(fit.estimate, fit.estimate.fit.assessment, places[name])
+        found.append(
+            ReachedCoefficient(
+                name=name,
+                value=c.value if c.estimated else None,
+                u=c.u if c.estimated else None,
+                unit=c.unit,
+            )
+        )
+    return found
+
+
+def nothing_reached(campaign: Campaign, names: Sequence[str]) -> list[ReachedCoefficient]:
+    """Return the coefficients of the names that are asked for, none of them determined."""
+    symbols = {unknown.name: unknown.symbol for unknown in model_of(campaign).asked}
+    return [
+        ReachedCoefficient(name=name, value=None, u=None, unit=unit_of(symbols[name]))
+        for name in names
+        if name in symbols
+    ]
+
+
+def shown_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
+    """Return what is shown: K_II of each, all that is asked of a triad in poses, and goals."""
+    of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
+    asked = [unknown.name for unknown in model_of(campaign).asked if unknown.owner in of_triad]
+    squares = (f"{name}.K_II" for name in campaign.accelerometers)
+    return list(dict.fromkeys([*squares, *asked, *goals]))
+
+
+def goal_states(goals: Mapping[str, float], found: Sequence[ReachedCoefficient]) -> list[GoalState]:
+    """Return for each goal whether it is met."""
+    by_name = {c.name: c for c in found}
+    return [
+        GoalState(
+            name=name,
+            wanted=wanted,
+            u=(now := by_name[name]).u,
+            unit=now.unit,
+            met=now.u is not None and now.u <= wanted,
+        )
+        for name, wanted in goals.items()
+        if name in by_name
+    ]
+
+
+#: What is known of a combination of which no pose tells anything, in poses: next to nothing.
+_NEXT_TO_NOTHING: Final = 1e-9
+
+#: Most directions that are named; a triad of which nothing is known takes nine.
+_MOST_MISSING: Final = 12
+
+
+def poses_state(
+    campaign: Campaign, record: PoseRecord, found: Sequence[FoundPose], fit: FitSoFar | None
+) -> RunState:
+    """Return what a record of poses shows.
+
+    found: Its poses, at least one.
+    fit: With it; None if there is none.
+    """
+    whole = found[0].record
+    assert whole is not None
+    poses, report = whole.poses, whole.report
+    own = {one.pose[0].name for one in found}
+    left = [size for name, size in _left(fit) if name in own] if fit else []
+    return RunState(
+        run=record.name,
+        record=record_name(record.record, campaign.folder),
+        state="read",
+        rows=report.rows,
+        seconds=float(poses.time[-1] - poses.time[0]),
+        sampling_rate=1.0 / report.step,
+        repeated=report.repeated,
+        empty=sum(report.empty.values()),
+        outliers=sum(report.outliers.values()),
+        gaps=report.gap_count,
+        longest_gap=max((gap.length for gap in report.gaps), default=0.0),
+        nominal_rate=0.0,
+        poses=PosesState(
+            count=len(found),
+            threshold=poses.threshold,
+            rms=campaign.gravity.value * float(np.sqrt(np.mean(np.square(left)))) if left else None,
+            outlying=[
+                name
+                for part in (fit.posed if fit else ())
+                for name, _, _ in part.outlying()
+                if name in own
+            ],
+            missing=missing_directions(campaign, found, fit),
+        ),
+    )
+
+
+def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[list[str], bool]:
+    """Return what is odd about a record of poses, in sentences, and whether it may be kept."""
+    whole = found[0].record
+    assert whole is not None
+    findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
+    odd = [*whole.poses.doubts, *whole.poses.left_out, *whole.report.notes()]
+    may_be_kept = not any(finding.contradicts for finding in findings)
+    return [*(finding.text for finding in findings), *odd], may_be_kept
+
+
+def missing_directions(
+    campaign: Campaign, found: Sequence[FoundPose], fit: FitSoFar | None
+) -> list[str]:
+    """Return the directions in which one pose would say more than all that are there together.
+
+    The most telling comes first, each further one beside those before it. Nine poses that are as
+    good as nine can be leave none: in no direction is |f| known worse than by one pose (Kiefer and
+    Wolfowitz, Canadian J. Math. 12 (1960) 363).
+    """
+    model = fit.estimate.fit.model if fit else model_of(campaign)
+    point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
+    group = one_group(campaign, [one.pose for one in found])
+    ups = every_up(group.accelerometers)
+    known = [
+        {
+            u.symbol: u.nominal + float(value)
+            for u, value in zip(model.unknowns, point, strict=True)
+            if u.owner == name and u.symbol in TERMS
+        }
+        for name in group.accelerometers
+    ]
+    further = pointing_up(one_group(campaign, [found[0].pose] * len(ups)), ups, known)
+    asked = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
+    rows = group.linearised(model, point).design[:, asked]
+    possible = further.linearised(model, point).design[:, asked]
+    information = rows.T @ rows + _NEXT_TO_NOTHING * np.eye(len(asked))
+    missing: list[str] = []
+    while len(missing) < _MOST_MISSING:
+        # u^2 of |f| in each direction over that of one pose.
+        unknown = np.einsum("np,pn->n", possible, np.linalg.solve(information, possible.T))
+        most = int(np.argmax(unknown))
+        if unknown[most] <= 1.0:
+            break
+        missing.append(words_of_up(ups[most]))
+        information += np.outer(possible[most], possible[most])
+    return missing
+
+
+def _left(fit: FitSoFar) -> Iterator[tuple[str, float]]:
+    """Yield each pose's name, and by how much the size of its specific force is off, g."""
+    model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
+    for part in fit.posed:
+        poses = part.readings
+        assert isinstance(poses, TriadPoses)
+        growth = poses.at(model, point).growth
+        yield from zip(poses.names, (part.residuals / growth).tolist(), strict=True)

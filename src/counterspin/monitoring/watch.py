@@ -14,19 +14,19 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
-from counterspin.monitoring.goals import (
+from counterspin.monitoring.observer import Observer, recorded
+from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchState
+from counterspin.monitoring.run_state import (
     FitSoFar,
     fitted,
     goal_states,
     goals_of,
     nothing_reached,
+    poses_state,
     reached,
+    run_state,
     shown_names,
 )
-from counterspin.monitoring.observer import Observer, recorded
-from counterspin.monitoring.poses import poses_state
-from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchState
-from counterspin.monitoring.run_state import run_state
 from counterspin.workers import one_blas_thread
 
 #: A run that is as long as this part of what is stated is complete.

@@ -12,7 +12,7 @@ from counterspin.arrays import Array, triangle_of
 from counterspin.campaign.conditions import UNKNOWN_WARMING
 from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.planning.runs.run_information import RunInformation
+from counterspin.planning.run_information import RunInformation
 
 #: Rates count as different if one is this many times the other; settings always do.
 _DIFFERENT_RATE_RATIO: Final = 1.25

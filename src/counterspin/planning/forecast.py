@@ -34,7 +34,7 @@ from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, angle_error_to_come
 from counterspin.physics.terms import CONDITION_TERMS, OWN_TERMS
-from counterspin.planning.runs.setup import PlannedInstrument, Setup, expected_record
+from counterspin.planning.weights import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.simulation.simulable import require_room

@@ -1,6 +1,6 @@
 """The best campaign within limits: whole runs, free rates and lengths.
 
-From the relaxed optimum (`counterspin.planning.relaxation`) whole numbers of runs are made in
+From the relaxed optimum (`counterspin.planning.possibilities`) whole numbers of runs are made in
 several ways; each start is improved in all rates and lengths at once (SLSQP, exact derivatives),
 then by exchanging the attitude or sense of a run, leaving one out or adding one. The relaxation
 says how far from any better plan the result can be.
@@ -22,7 +22,7 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.polishing import brought_within, fitted_into, polish, shortened
-from counterspin.planning.relaxation import RelaxedOptimum, relax
+from counterspin.planning.possibilities import RelaxedOptimum, relax
 
 #: Smallest relative gain of u (or of time) for which a plan is changed.
 _GAIN: Final = 2e-5

@@ -22,7 +22,6 @@ from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
-from counterspin.planning.faults import faults_of, mean_square, square
 from counterspin.planning.forecast import Forecast
 from counterspin.planning.result import (
     FaultEffect,
@@ -33,7 +32,7 @@ from counterspin.planning.result import (
     PlanResult,
     PredictedCoefficient,
 )
-from counterspin.planning.sensitivities import sensitivities
+from counterspin.planning.sensitivities import faults_of, mean_square, sensitivities, square
 
 #: Probability of failing the test of the residuals above which a fault counts as noticed.
 _DETECTION_PROBABILITY: Final = 0.95

@@ -11,7 +11,7 @@ from counterspin.calibration.result_parts import Provenance
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.what_if import WhatIf
-from counterspin.reports.shown import ShownResult, loaded, on_axes
+from counterspin.reports.publication import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
 
 

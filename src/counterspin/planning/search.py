@@ -16,7 +16,7 @@ from counterspin.planning.design import Design, Limits, Predictor, RunType, orde
 from counterspin.planning.forecast import setup_of
 from counterspin.planning.optimisation import Optimum, least_time, optimise
 from counterspin.planning.plan_file import Plan, campaign_of, resolved_campaign
-from counterspin.planning.runs.run_information import RunInformation
+from counterspin.planning.run_information import RunInformation
 
 #: Durations are written in multiples of this, s; those at the fewest revolutions exactly.
 _DURATION_STEP: Final = 0.1

@@ -12,16 +12,15 @@ a study's), and every face here sets any of them. The rules:
 What stands in this room:
 
 - `numbers`: the one place where a number becomes text
-- `blocks`: what a report is made of, before anybody sets it
-- `characters`: nothing in a text that acts on what shows it
+- `blocks`: what a report is made of: plain blocks of words, cells and curves, in characters that
+  may be shown
 - `typography`: powers of ten and micro signs as in print
-- `html`, `zoomable`: blocks as a page that needs nothing else; its parts are in the folder "assets"
-- `text`: blocks in the terminal
-- `charts`: pictures as SVG in a page, or in a file; `drawing`, `sphere`,
+- `html`: blocks as a page that needs nothing else; its parts are in the folder "assets"
+- `text`: a result in the terminal, and a sign of life there while work goes on
+- `charts`: pictures as SVG in a page, in a file, or to be zoomed; `drawing`, `sphere`,
   `chart_layout`: how they are drawn
-- `machine`: drawings of the machine and its axes
+- `machine`, `machine_canvas`: drawings of the machine and its axes; what they are drawn on
 - `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
-- `publication`: blocks as a file of a kind, in one of these faces; `publishing`: of any result
-- `shown`: results that show themselves in a notebook, and pictures on axes of Matplotlib
-- `progress`: a sign of life while work goes on
+- `publication`: reports of results: as files, as a notebook shows them, and as a person asks for
+  them
 """

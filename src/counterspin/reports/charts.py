@@ -1,4 +1,4 @@
-"""Where drawn pictures go: into a page as SVG that takes its colours and font, or into files.
+"""Where drawn pictures go: SVG of a page, files, and plots that can be zoomed.
 
 The same picture gives the same text and the same file, byte for byte.
 
@@ -11,24 +11,28 @@ of markers), ``--series-1`` to ``--series-6``, ``--warning`` (what stands out), 
 words in ink are read on both). Words take the font of the page. All is drawn 504 units wide with
 words 9 units high, and scales to the width that it gets; at 700 pixels and more the words are as
 large as the page's.
+
+The arrays travel as whole numbers, rounded to what a screen shows even after much zooming.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
+import json
+import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Final, Literal, cast
+from typing import Any, Final, Literal, cast
 
 from counterspin.errors import CounterspinError
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Picture, Plot
-from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
+from counterspin.reports.drawing import COLOURS_OF_PAPER, colours_in_row, drawn, settings
 from counterspin.reports.typography import typeset_block, with_indices
 
 Theme = Literal["light", "page"]
@@ -150,3 +154,74 @@ def _colour(name: str, theme: Theme) -> str:
     if theme == "light":
         return paper
     return f"var(--{name}, {'currentColor' if name == 'ink' else paper})"
+
+
+#: Steps that an axis is divided into at least.
+_STEPS: Final = 2e4
+
+
+def can_zoom(plot: Plot) -> bool:
+    """Tell whether a plot is worth a closer look and has an axis of numbers to look along."""
+    return (
+        plot.zoom and not plot.x_names and len({x for series in plot.series for x in series.x}) > 1
+    )
+
+
+def plot_data(plot: Plot) -> str:
+    """Return a plot as JSON that can stand in a page's script element."""
+    rows = []
+    for series, colour in zip(plot.series, _colours(plot), strict=True):
+        low, high = (
+            None if ends is None else _packed(ends, plot.log_y)
+            for ends in (series.low, series.high)
+        )
+        rows.append(
+            {
+                "label": series.label,
+                "kind": series.kind,
+                "stands_out": series.stands_out,
+                "colour": colour,
+                "x": _packed(series.x, plot.log_x),
+                "y": None if series.kind == "band" else _packed(series.y, plot.log_y),
+                "low": low,
+                "high": high,
+            }
+        )
+    data = {
+        "x_label": plot.x_label,
+        "y_label": plot.y_label,
+        "log_x": plot.log_x,
+        "log_y": plot.log_y,
+        "levels": plot.levels,
+        "series": rows,
+    }
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    # Neither </script> nor <!-- may stand there; to JSON it is the same.
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _colours(plot: Plot) -> Iterator[str]:
+    """Yield the CSS property that holds each series' colour, the same as in the still picture."""
+    for series, place in zip(plot.series, colours_in_row(plot.series), strict=True):
+        if place is None:
+            yield "--warning" if series.stands_out else "--muted"
+        else:
+            yield f"--series-{place + 1}"
+
+
+def _packed(values: Sequence[float | None], log: bool) -> dict[str, Any]:
+    """Return an array as whole numbers of equal steps, which takes a third of the characters."""
+    finite = [value for value in values if value is not None and math.isfinite(value)]
+    if log:
+        return {
+            "step": 1,
+            "values": [_kept(value, lambda v: float(f"{v:.4g}")) for value in values],
+        }
+    spread = max(finite, default=0.0) - min(finite, default=0.0)
+    spread = spread or max(map(abs, finite), default=0.0) or 1.0
+    step = 10.0 ** math.floor(math.log10(spread / _STEPS))
+    return {"step": step, "values": [_kept(value, lambda v: round(v / step)) for value in values]}
+
+
+def _kept(value: float | None, rounded: Callable[[float], float]) -> float | None:
+    return None if value is None or not math.isfinite(value) else rounded(value)

@@ -18,11 +18,18 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from counterspin.output import mark
-from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Plot, Table
-from counterspin.reports.characters import escape_controls
-from counterspin.reports.charts import svg
+from counterspin.reports.blocks import (
+    ANSWERS,
+    Block,
+    Heading,
+    Paragraph,
+    Picture,
+    Plot,
+    Table,
+    escape_controls,
+)
+from counterspin.reports.charts import can_zoom, plot_data, svg
 from counterspin.reports.typography import with_indices
-from counterspin.reports.zoomable import can_zoom, plot_data
 
 
 def html(

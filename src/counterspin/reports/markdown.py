@@ -18,9 +18,9 @@ from counterspin.reports.blocks import (
     Heading,
     Paragraph,
     Table,
+    escape_controls,
     without_pictures,
 )
-from counterspin.reports.characters import escape_controls
 
 #: Read as markup wherever they stand; $ begins a formula on GitHub.
 _EVERYWHERE: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")

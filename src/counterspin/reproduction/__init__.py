@@ -5,9 +5,9 @@ sigma(b2) and sigma(K_II). Everything else is computed when the command runs. Th
 are simulated from first principles, by integrating Eq. 7 with the exact kinematics, so that
 they owe nothing to either of the two observation models that they judge.
 
-- `comparison`: the whole story; `equations`, `stages`: its parts
-- `plan`: the paper's plan, and one run of it without noise
-- `result`: rows of printed figure, our figure and the reason
+- `comparison`: the whole story, with equations 20 to 34; `equations`: those before
+- `plan`: what the paper states: its plan, simulated from first principles, and its figures beside
+  ours
 - `demo`: the paper's plan from simulation to result, by every method
-- `page`, `demo_page`: both as a person reads them
+- `page`: the paper's figures beside ours, and the demonstration, as a person reads them
 """

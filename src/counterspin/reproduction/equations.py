@@ -20,10 +20,10 @@ from counterspin.reproduction.plan import (
     RIPPLE_RATIO,
     SITE,
     TABLE_1,
+    Row,
     first_stage_of,
     simulate_strobes,
 )
-from counterspin.reproduction.result import Row
 
 RATE: Final = RATES[-1]
 RIPPLE: Final = RIPPLE_RATIO * RATE  #: w_p, rad/s

@@ -4,8 +4,8 @@ What is true of them is said in ``campaign.toml`` (`counterspin.campaign.truth`)
 reads it.
 
 - `simulate`: `counterspin simulate`: the records, in memory or as files
-- `simulable`: whether a campaign can be simulated, and has room to be computed
+- `simulable`: whether a campaign can be simulated, and the campaign with its inputs as they truly
+  are
 - `readings`: simulated readings: their values, and files with them
 - `pose_record`: a record of a triad that is set down in one pose after the other
-- `true_inputs`: a campaign and its readings with radius, site, delay and clocks as they truly are
 """

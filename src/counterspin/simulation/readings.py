@@ -38,7 +38,7 @@ from counterspin.inference.poses import indications_along
 from counterspin.input import read_file
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
-from counterspin.simulation.true_inputs import at_true_inputs, with_true_inputs
+from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
 from counterspin.toml_text import write_document
 from counterspin.units import unit_factor
 

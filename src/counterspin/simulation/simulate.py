@@ -48,11 +48,9 @@ from counterspin.simulation.simulable import (
     refuse_unsupported,
     require_room,
     simulation_problems,
-    unfit_readings,
-)
-from counterspin.simulation.true_inputs import (
     stamped_over_true,
     stated_over_true,
+    unfit_readings,
     with_true_inputs,
 )
 from counterspin.units import TEMPERATURE_SCALES

@@ -11,18 +11,25 @@ from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
 from counterspin.inference.two_stage.request import TwoStageRequest
-from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
-from counterspin.studies.bound import bounds
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import DRIFT, RIPPLE_AMPLITUDE, RIPPLE_RATIO, StudyTruth
-from counterspin.studies.engine import Cost, EnginePart, ReportedCoefficient, StudyEngine
-from counterspin.studies.full_engine import FullEngine
-from counterspin.studies.joint_engine import JointEngine
-from counterspin.studies.surrogate import Surrogate, box_of
+from counterspin.studies.joint_engine import JointEngine, bounds
 from counterspin.studies.tally import Driver, Tally
-from counterspin.studies.trial_readings import TrialReadings
-from counterspin.studies.two_stage_engine import TwoStageEngine, changes_by_inputs
-from counterspin.studies.validity import against_joint, against_strobes
+from counterspin.studies.two_stage_engine import (
+    Surrogate,
+    TwoStageEngine,
+    box_of,
+    changes_by_inputs,
+)
+from counterspin.studies.validity import (
+    Analysis,
+    JointRequest,
+    against_joint,
+    against_strobes,
+    analyses_of,
+)
+from counterspin.studies.whole_trials import FullEngine, TrialReadings
+from counterspin.studies.work import Cost, EnginePart, ReportedCoefficient, StudyEngine
 from counterspin.studies.world import World, world_of
 
 EngineName = Literal["auto", "surrogate", "exact", "full"]

@@ -43,8 +43,7 @@ from counterspin.simulation.simulable import (
     simulation_problems,
     unfit_readings,
 )
-from counterspin.studies.draws import OTHERS, VariedQuantity
-from counterspin.studies.noise import NOISE_LEVELS, WHITE
+from counterspin.studies.draws import NOISE_LEVELS, OTHERS, WHITE, VariedQuantity
 
 #: Kinds of distribution, as they are written.
 _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")

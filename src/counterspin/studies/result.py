@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Final
 
-from counterspin.reports.shown import ShownResult, loaded, on_axes
+from counterspin.reports.publication import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
-from counterspin.studies.engine import ReportedCoefficient
 from counterspin.studies.tally import LEVELS, Summary
+from counterspin.studies.work import ReportedCoefficient
 
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
 _GOOD_COVERAGE: Final = (0.94, 0.96)

@@ -18,7 +18,6 @@ from counterspin.inference.joint.unknowns import unit_of
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, VariedQuantity
-from counterspin.studies.engine import StudyEngine
 from counterspin.studies.folder import StudyFolder, StudyProgress
 from counterspin.studies.result import (
     AnalysisResult,
@@ -28,7 +27,7 @@ from counterspin.studies.result import (
     verdict_of,
 )
 from counterspin.studies.tally import summarise
-from counterspin.studies.work import Ledger, expected_duration, run_batches, work
+from counterspin.studies.work import Ledger, StudyEngine, expected_duration, run_batches, work
 from counterspin.workers import ALONE, Workers, one_blas_thread, worker_pool
 
 #: Hours of work above which a user is told before it begins.

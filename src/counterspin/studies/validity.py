@@ -1,31 +1,93 @@
-"""Where the shortcuts of a study hold; each reason against one is a sentence for the user."""
+"""What competes in a study, and where shortcuts hold: each reason against one is a sentence."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import JointProblem
+from counterspin.calibration.two_stage_request import request_of
+from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.joint.inputs import TIMING
-from counterspin.inference.joint.unknowns import RIPPLE
+from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns
+from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.physics import observation
-from counterspin.physics.terms import PLATFORM_TERMS, term
-from counterspin.studies.analyses import JointRequest
+from counterspin.physics.terms import OWN_TERMS, PLATFORM_TERMS, term
+from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import (
     DRIFT,
+    NOISE_LEVELS,
     RIPPLE_AMPLITUDE,
     RIPPLE_PHASE,
     RIPPLE_RATIO,
+    WHITE,
     StudyTruth,
     nominal,
     of_run,
 )
-from counterspin.studies.noise import NOISE_LEVELS, WHITE
 from counterspin.studies.strobed_effects import obstacle
 from counterspin.studies.world import World
+
+
+@frozen
+class JointRequest:
+    """What is asked of the joint fit."""
+
+    model: Unknowns  #: Unknowns, considered terms, uncertain inputs.
+    noise: Mapping[str, Noise]  #: Accelerometer -> its noise, given or to be estimated.
+
+    @property
+    def reported(self) -> list[int]:
+        """Places of the unknowns that a study reports: those asked for that the runs share."""
+        return [
+            place
+            for place, unknown in enumerate(self.model.unknowns)
+            if unknown.asked
+            and not (unknown.unstated and unknown.prior[1] >= unknown.limit)
+            and (
+                unknown.symbol in OWN_TERMS
+                or (not unknown.owner and unknown.symbol not in ROTATION)
+            )
+        ]
+
+
+@frozen
+class Analysis:
+    """One competitor."""
+
+    name: str  #: As the study calls it.
+    owner: str  #: The accelerometer of a two-stage analysis; empty for the joint fit of all.
+    request: TwoStageRequest | JointRequest  #: What is asked of the method.
+    #: The joint fit of the same campaign, which finds the noise that nobody states.
+    joint: JointRequest
+
+
+def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
+    """Return what competes: a two-stage analysis is one for each accelerometer."""
+    analyses = []
+    for described in study.analyses:
+        name, options, campaign = described.name, described.two_stage, described.campaign
+        problem = JointProblem(campaign)
+        joint = JointRequest(problem.model, problem.noise)
+        if options is None:
+            analyses.append(Analysis(name, "", joint, joint))
+            continue
+        if campaign.angle is None:
+            raise NotIdentifiableError(
+                f"{name}: a study of the two-stage method needs a recorded angle ([records] "
+                "angle); without it study the joint fit alone ([study.analyses])"
+            )
+        for owner, accelerometer in campaign.accelerometers.items():
+            request = request_of(problem, accelerometer, options)
+            analyses.append(Analysis(name, owner, request, joint))
+    return tuple(analyses)
+
 
 #: Largest noise of angle and time that is neglected, in parts of the displacement noise.
 _LARGEST_OTHER_NOISE: Final = 0.01

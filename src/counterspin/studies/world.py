@@ -21,8 +21,7 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.studies.draws import Draws
-from counterspin.studies.noise import RecordNoise
+from counterspin.studies.draws import Draws, RecordNoise
 from counterspin.studies.strobed_effects import StrobedMotion
 
 #: A displacement begins with an offset and a velocity of its own, which two samples would fit.

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.validation import files, stated
+from counterspin.validation import files
 from counterspin.validation.cases import (
     Case,
     document,
@@ -360,8 +360,8 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "judge": _judge,
     "calibrate": files.fitted,
     "forecast": _forecast,
-    "certificate": stated.numbers,
-    "apply": stated.corrected,
+    "certificate": files.numbers,
+    "apply": files.corrected,
     "unit_factor": _factors,
     "read_certificate": files.read_back,
     "check_schema": files.check_schema,

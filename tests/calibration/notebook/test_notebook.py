@@ -20,7 +20,7 @@ from counterspin.calibration.notebook.latex import (
 from counterspin.calibration.result import Result, read_result
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
-from counterspin.reports.shown import LINES
+from counterspin.reports.publication import LINES
 from counterspin.simulation.simulate import simulate
 
 mpl.use("Agg")

@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.reports.characters import escape_controls
+from counterspin.reports.blocks import escape_controls
 
 if TYPE_CHECKING:
     import polars as pl

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from counterspin.reports.characters import escape_controls
+from counterspin.reports.blocks import escape_controls
 
 _SPECIAL: Final = re.compile(r"([\\{}$&#^_~%])")
 

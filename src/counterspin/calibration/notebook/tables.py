@@ -12,9 +12,9 @@ from counterspin.calibration.notebook.latex import (
     latex_text,
     latex_unit,
 )
-from counterspin.reports.characters import escape_controls
+from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
-from counterspin.reports.shown import LINES
+from counterspin.reports.publication import LINES
 
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result

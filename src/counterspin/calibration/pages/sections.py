@@ -26,8 +26,7 @@ from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, RunResult, State
 from counterspin.inference.conformity import expanded_uncertainty
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.characters import Lines
+from counterspin.reports.blocks import Block, Column, Heading, Lines, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,

@@ -1,0 +1,382 @@
+"""A plan of readings: which positions and rates, how often, and in which order.
+
+The relaxation in which the numbers need not be whole is convex (`planning.possibilities`). It is
+rounded, and one reading after another is exchanged for a better one for as long as it gains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.calibration.model import model_of
+from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.readings import MOST_READINGS
+from counterspin.campaign.triads.grouped import poses_together
+from counterspin.errors import CounterspinError, NotIdentifiableError
+from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.linear_readings import Readings, rows_at
+from counterspin.inference.poses import TriadPoses
+from counterspin.planning.design import Criterion
+from counterspin.planning.feasibility import GAIN, RELAXATION, missed, not_determined
+from counterspin.planning.forecast import Forecast, expected_values, forecast
+from counterspin.planning.possibilities import Possibilities
+from counterspin.planning.predicted import other_plan, planned_readings, result_of
+from counterspin.planning.result import LimitResult, OtherPlan, PlanResult
+from counterspin.planning.stations import PossibleReading, ReadingPlan
+
+Counts = npt.NDArray[np.int64]
+
+#: Smallest relative gain of u for which readings are exchanged, and the largest number of them.
+_GAIN: Final = 1e-9
+_EXCHANGES: Final = 400
+
+#: Of at most so many possible readings the search begins from so many drawn numbers too.
+_FEW: Final = 60
+_DRAWN: Final = 6
+#: Of so few readings that exchanges of one end in many places it begins from so many.
+_FEW_READINGS: Final = 12
+_DRAWN_OF_FEW: Final = 60
+_SEED_OF_ROUNDING: Final = 1
+
+#: A target is reached to rounding.
+_ROUNDING: Final = 1e-9
+
+#: Steps of the search for the least limit.
+_BISECTIONS: Final = 12
+
+
+@frozen(eq=False)
+class Allocation:
+    """How often each possible reading is taken."""
+
+    counts: Counts  #: Shape (n,).
+    value: float  #: The criterion.
+    bound: float  #: What no other choice within the limits can be below.
+
+
+def best_counts(
+    possible: Possibilities, criterion: Criterion, number: float, time: float
+) -> Allocation:
+    """Return the numbers with the smallest criterion.
+
+    number, time: Largest sum of the numbers and of their times, s; one of them finite.
+    """
+    relaxed = possible.relaxed(criterion, number, time)
+    ends = [
+        _exchanged(possible, criterion, start, number, time)
+        for start in _starts(possible, relaxed.weight, number, time)
+    ]
+    value, counts = min(ends, key=lambda end: end[0])
+    return Allocation(counts, value, min(relaxed.bound, value))
+
+
+def _starts(possible: Possibilities, weight: Array, number: float, time: float) -> list[Counts]:
+    """Return numbers from which to exchange: some ends are worse than others.
+
+    weight: The numbers that need not be whole, shape (n,).
+    """
+    whole = np.floor(weight + 1e-6).astype(np.int64)
+    drawn = _DRAWN_OF_FEW if number <= _FEW_READINGS else _DRAWN
+    rng, drawn = np.random.default_rng(_SEED_OF_ROUNDING), drawn if weight.size <= _FEW else 0
+    # Rounded; nothing, to which the best is added one by one; and drawn about the first.
+    starts = [whole.copy(), np.zeros_like(whole), *(whole.copy() for _ in range(drawn))]
+    for counts in (starts[0], *starts[2:]):
+        first = weight - whole + (0.0 if counts is starts[0] else rng.uniform(size=weight.size))
+        for index in np.argsort(-first, kind="stable"):
+            counts[index] += _within(possible, counts, number, time)[index]
+    return starts
+
+
+def _exchanged(
+    possible: Possibilities, criterion: Criterion, counts: Counts, number: float, time: float
+) -> tuple[float, Counts]:
+    """Return the criterion and the numbers where no exchange of one reading gains any more."""
+    value = float(possible.value(criterion, counts))
+    for _ in range(_EXCHANGES):
+        found, better = math.inf, counts
+        for gone in (None, *np.flatnonzero(counts)):
+            left = counts.copy()
+            fits = np.ones(counts.size, dtype=np.bool_)
+            if gone is not None:
+                left[gone] -= 1
+                fits[gone] = False
+            fits &= _within(possible, left, number, time)
+            if not fits.any():
+                continue
+            values = np.where(fits, possible.with_one_more(criterion, left), math.inf)
+            best = int(np.argmin(values))
+            if values[best] < found:
+                found, better = float(values[best]), left
+                better[best] += 1
+        after = float(possible.value(criterion, better))
+        if not after < value - _GAIN:
+            break
+        value, counts = after, better
+    return value, counts
+
+
+def _within(
+    possible: Possibilities, counts: Counts, number: float, time: float
+) -> npt.NDArray[np.bool_]:
+    """Return of which observations there may be one more within the limits, shape (n,)."""
+    took = float(possible.cost @ counts) + possible.cost
+    return np.asarray((float(counts.sum()) + 1.0 <= number) & (took <= time * (1.0 + 1e-12)))
+
+
+def least_counts(
+    possible: Possibilities,
+    criterion: Criterion,
+    number: float,
+    time: float,
+    u_of: Callable[[Counts], Array],
+) -> tuple[Allocation, float] | None:
+    """Return the fewest readings, or the least time, with which every u is at most its scale.
+
+    u_of: What u will be, of all that the criterion asks for, in its order: what goes with time
+        makes it larger than `Possibilities` know.
+    Returns: the choice; the part of the limit below which none can be. None if all of the limit
+        does not suffice.
+    """
+    scales = np.array(criterion.scales)
+
+    def reached(chosen: Allocation) -> bool:
+        variance = np.diag(possible.covariance(chosen.counts))[list(criterion.places)]
+        near = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _ROUNDING)))
+        return near and bool(np.all(u_of(chosen.counts) <= scales * (1.0 + _ROUNDING)))
+
+    def limits(part: float) -> tuple[float, float] | None:
+        if math.isfinite(time):
+            return (number, part * time) if part * time >= float(possible.cost.min()) else None
+        return (whole, time) if (whole := math.floor(part * number + 1e-9)) else None
+
+    best = best_counts(possible, criterion, number, time)
+    if not reached(best):
+        return None
+    low, high = 0.0, 1.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        within = limits(middle)
+        chosen = None if within is None else best_counts(possible, criterion, *within)
+        if chosen is not None and reached(chosen):
+            best, high = chosen, middle
+        else:
+            low = middle
+    floor = 0.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (floor + high)
+        within = limits(middle)
+        if within is None or possible.relaxed(criterion, *within).bound > 0.0:
+            floor = middle
+        else:
+            high = middle
+    return best, floor
+
+
+#: Seed of the random order; the campaign's file has the order itself.
+_SEED: Final = 1
+
+
+class ReadingSearch:
+    """A plan's problem: which of the possible readings to take, and how often."""
+
+    def __init__(self, plan: ReadingPlan) -> None:
+        self.plan = plan
+        self.limits = (plan.readings, plan.total_time)
+        model = model_of(plan.stand_in)
+        self.possible = _possibilities(plan, model)
+        self.criterion = plan.goal.criterion_of([unknown.name for unknown in model.unknowns])
+
+    def best(self) -> tuple[PlanResult, list[PossibleReading]]:
+        """Find the readings for the plan's goal."""
+        self._require_determined()
+        chosen, floor = self._chosen()
+        prediction, cost = self.forecast(chosen.counts), self.possible.cost
+        if floor is None:
+            # Of what is reported: what goes with time is unknown to the search.
+            names = [unknown.name for unknown in prediction.fit.model.unknowns]
+            criterion = self.plan.goal.criterion_of(names)
+            value = float(criterion.value(prediction.fit.solution.covariance))
+            efficiency = math.exp(chosen.bound - value)
+        elif math.isfinite(self.plan.total_time):
+            efficiency = floor * self.plan.total_time / float(cost @ chosen.counts)
+        else:
+            efficiency = floor * self.plan.readings / float(chosen.counts.sum())
+        found = {
+            "readings": planned_readings(_new_of(self.plan, prediction.campaign)),
+            "order": self.plan.order,
+            "goal": self.plan.goal.met(min(1.0, efficiency)),
+            "others": self._others(chosen, prediction),
+            "limits": self._limits(chosen),
+        }
+        result = result_of(prediction, None, float(cost @ chosen.counts))
+        return result.model_copy(update=found), self._in_order(chosen.counts)
+
+    def forecast(self, counts: Counts) -> Forecast:
+        """Return the forecast of the campaign with these readings."""
+        return _forecast_of(self.plan, self._in_order(counts))
+
+    def _in_order(self, counts: Counts) -> list[PossibleReading]:
+        """Return readings in the order in which to take them; refused if they are too many."""
+        if counts.sum() > MOST_READINGS:
+            raise CounterspinError(
+                f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} readings, "
+                f"and a campaign has {MOST_READINGS} at most; state limits.readings, or less time"
+            )
+        return [self.plan.possible[index] for index in in_order(counts, self.plan.order)]
+
+    def _require_determined(self) -> None:
+        """Refuse a goal that all possible readings together do not determine."""
+        assessment = _forecast_of(self.plan, self.plan.possible * 4).assessment
+        by = "any number of these readings"
+        missing, text = not_determined(assessment, self.plan.goal.sizes, by)
+        if not missing:
+            return
+        if text.endswith(by) and all(r.motion == "static" for r in self.plan.stand_in.readings):
+            text += ": at 1 g the squares of the specific forces add up to one"
+        raise NotIdentifiableError(
+            text + ". Allow other stations, such as an arm or other axes, or state what is "
+            "known of the other terms in [model.priors]."
+        )
+
+    def _chosen(self) -> tuple[Allocation, float | None]:
+        """Return the readings, and for a target the part of the limit that it needs."""
+        goal = self.plan.goal
+        if goal.kind == "minimise":
+            return best_counts(self.possible, self.criterion, *self.limits), None
+
+        def u_of(counts: Counts) -> Array:
+            there = self.forecast(counts).u
+            return np.array([there[name] for name in goal.sizes])
+
+        least = least_counts(self.possible, self.criterion, *self.limits, u_of)
+        if least is not None:
+            return least
+        best = best_counts(self.possible, self.criterion, *self.limits).counts
+        text = missed(
+            self.forecast(best),
+            goal.sizes,
+            "no choice of readings within the limits",
+            f"The best, {best.sum()} readings,",
+        )
+        raise CounterspinError(text + ".")
+
+    def _others(self, chosen: Allocation, prediction: Forecast) -> list[OtherPlan]:
+        """Return the plan that takes every possible reading equally often, or nearly."""
+        size, number = chosen.counts.size, int(chosen.counts.sum())
+        spread = np.floor(np.arange(number) * size / number).astype(np.int64)
+        counts = np.bincount(spread, minlength=size)
+        there = self.forecast(counts)
+        if not all(there.assessment.determined[name] for name in self.plan.goal.sizes):
+            return []
+        often = "every reading equally often"
+        words = (
+            often if number % size == 0 else "the same number of readings, spread evenly over all"
+        )
+        time = float(self.possible.cost @ counts)
+        return [other_plan(words, time, prediction.u, there.u, self.plan.goal.sizes)]
+
+    def _limits(self, chosen: Allocation) -> list[LimitResult]:
+        """Return what a tenth more of each limit would gain; nothing of a plan for a target."""
+        if self.plan.goal.kind == "target":
+            return []
+        number, time = self.limits
+        more = 1.0 + RELAXATION
+        relaxed = {
+            "readings": (f"{number:.0f} readings at most", number, (np.ceil(number * more), time)),
+            "total_time": (f"total time {time:.6g} s", time, (number, time * more)),
+        }
+        lines = []
+        for key, (words, limit, limits) in relaxed.items():
+            if math.isfinite(limit):
+                after = best_counts(self.possible, self.criterion, *limits).value
+                gain = 1.0 - math.exp(after - chosen.value)
+                lines.append(LimitResult(key=key, words=words, binds=gain > GAIN, gain=gain))
+        return [line for line in lines if line.binds]
+
+
+def _possibilities(plan: ReadingPlan, model: Unknowns) -> Possibilities:
+    """Return what each possible reading tells, and what there is already."""
+    campaign = plan.stand_in
+    expected = expected_values(campaign, model.unknowns)
+    names = [reading.name for reading in plan.possible]
+    accelerometers = list(campaign.accelerometers)
+    readings = [r for r in campaign.readings if r.name in names]
+    poses = campaign.triad.poses if campaign.triad else ()
+    poses = tuple(pose for pose in poses if pose[0].name in names)
+    groups: list[Readings | TriadPoses] = [
+        *groups_of(campaign, readings),
+        *poses_together(campaign, poses),
+    ]
+    p, q = len(model.unknowns), len(model.considered)
+    design = np.zeros((len(names), len(accelerometers), p))
+    fixed = np.zeros((len(names), len(accelerometers), q))
+    for group, (own, others) in zip(groups, rows_at(groups, model, expected), strict=True):
+        places = [names.index(name) for name in group.names]
+        # All three accelerometers of a pose together tell one thing.
+        row = 0 if isinstance(group, TriadPoses) else accelerometers.index(group.accelerometer)
+        design[places, row], fixed[places, row] = own, others
+    blocks = _there(plan, model, expected)
+    known = np.diag([1.0 / unknown.spread for unknown in model.unknowns])
+    sizes = np.array(model.considered_sizes)
+    return Possibilities(
+        design,
+        fixed * sizes,
+        np.vstack([*(block.factor for block in blocks), known]),
+        np.vstack([*(block.considered * sizes for block in blocks), np.zeros((p, q))]),
+        np.array([reading.time for reading in plan.possible]),
+    )
+
+
+def _there(plan: ReadingPlan, model: Unknowns, expected: Array) -> Sequence[Block]:
+    """Return what the campaign has already."""
+    if not plan.taken:
+        return ()
+    rate, campaign = plan.sampling_rate, plan.campaign_as_it_is()
+    return forecast(campaign, sampling_rate=rate, model=model, expected=expected).fit.blocks
+
+
+def _new_of(plan: ReadingPlan, campaign: Campaign) -> Campaign:
+    """Return a planned campaign with the readings alone that are still to be taken."""
+    before = len(plan.campaign_as_it_is().readings)
+    triad = campaign.triad
+    if triad is not None:
+        triad = replace(triad, poses=triad.poses[len(plan.poses) :])
+    return replace(campaign, readings=campaign.readings[before:], triad=triad)
+
+
+def _forecast_of(plan: ReadingPlan, readings: Sequence[PossibleReading]) -> Forecast:
+    """Return the forecast of a campaign with these readings."""
+    return forecast(plan.campaign(readings), sampling_rate=plan.sampling_rate)
+
+
+def in_order(counts: Counts, order: str) -> list[int]:
+    """Return the possible readings in the order in which to take them.
+
+    counts: How often each is taken, shape (n,).
+    """
+    if order == "listed":
+        return [int(index) for index in np.repeat(np.arange(counts.size), counts)]
+    if order == "random":
+        everything = np.repeat(np.arange(counts.size), counts)
+        return [int(i) for i in np.random.default_rng(_SEED).permutation(everything)]
+    # Pairs about the middle; what is there once more stands in the middle itself.
+    half: list[int] = []
+    left = counts // 2
+    forward = True
+    while left.any():
+        places = np.flatnonzero(left)
+        half += [int(i) for i in (places if forward else places[::-1])]
+        left = left - (left > 0)
+        forward = not forward
+    middle = [int(index) for index in np.flatnonzero(counts % 2)]
+    return [*half, *middle, *reversed(half)]

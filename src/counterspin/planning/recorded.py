@@ -1,0 +1,229 @@
+"""Campaigns that are recorded: what records tell a forecast, and what further runs would add."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.calibration.joint import estimate_campaign
+from counterspin.calibration.joint_problem import JointProblem
+from counterspin.calibration.model import model_of
+from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
+from counterspin.calibration.posed.found_poses import noise_within, poses_of
+from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.memory.source import source_of
+from counterspin.campaign.noise_at_rest import said_noise
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.runs import Run
+from counterspin.campaign.settings import NoiseSettings, StatedNoise
+from counterspin.campaign.triads.grouped import poses_together
+from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.noise.model import Noise
+from counterspin.inference.readings import solve_readings
+from counterspin.planning.forecast import forecast
+from counterspin.workers import one_blas_thread
+
+
+def with_pose_noise(campaign: Campaign) -> Campaign:
+    """Return a campaign each of whose poses has a value and a standard uncertainty.
+
+    Those of records are found in them; the noise of those that state none is that of their fit.
+    """
+    if campaign.triad is None:
+        return campaign
+    found = poses_of(campaign)
+    poses = [one.pose for one in found]
+    blank = any(math.isnan(reading.value) for pose in poses for reading in pose)
+    if blank or all(reading.u is not None for pose in poses for reading in pose):
+        return campaign
+    *_, group = poses_together(campaign, poses, noise_within(found, campaign.gravity.value))
+    noise = solve_readings([group], model_of(campaign)).groups[0].noise
+    noisy = tuple(_with_noise(pose, noise) for pose in poses)
+    return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
+
+
+def _with_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
+    """Return a pose with a noise, of one repeat, where it states none."""
+    if all(reading.u is not None for reading in pose):
+        return tuple(pose)
+    repeats = min(reading.repeats for reading in pose)
+    return tuple(replace(reading, u=noise / math.sqrt(repeats)) for reading in pose)
+
+
+def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
+    """Return whether a forecast needs more than the description says, and the records are there.
+
+    sampling_rate: Hz, where it is known.
+    """
+    if not campaign.runs or campaign.simulation is not None:
+        return False
+    known = sampling_rate is not None and all(run.duration is not None for run in campaign.runs)
+    there = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
+    return there and not (known and _to_be_found(campaign) == set())
+
+
+def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
+    """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
+    campaign = with_recorded_temperatures(campaign)
+    observed, noise = observed_with_noise(campaign)
+    return as_recorded(campaign, observed, noise), rates_of(observed)
+
+
+def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
+    """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
+    observed = list(observe(campaign))
+    if not _to_be_found(campaign):
+        return observed, {}
+    estimated, _ = estimate_campaign(JointProblem(campaign, observed))
+    return observed, noise_of_fit(estimated.fit)
+
+
+def noise_of_fit(fit: JointFit) -> dict[str, Noise]:
+    """Return the noise that was found, with the random walk that may be there and not show."""
+    hidden = {name: level for name, (level, _) in fit.unseen.items()}
+    return {
+        name: replace(noise, random_walk=math.hypot(noise.random_walk, hidden.get(name, 0.0)))
+        for name, noise in fit.noise.items()
+    }
+
+
+def rates_of(observed: Sequence[ObservedRun]) -> dict[str, float]:
+    """Return run -> samples a second, Hz."""
+    return {one.run.name: 1.0 / one.record.report.step for one in observed}
+
+
+def as_recorded(
+    campaign: Campaign, observed: Sequence[ObservedRun], noise: Mapping[str, Noise]
+) -> Campaign:
+    """Return a campaign with the lengths of runs, and the noise, that it leaves to its records.
+
+    noise: By accelerometer, as it was found; the largest counts, since a description has one.
+    """
+    seconds = {one.run.name: float(one.record.time[-1]) for one in observed}
+    runs = tuple(
+        r.model_copy(update={"duration": seconds.get(r.name, r.duration)}) for r in campaign.runs
+    )
+    found: dict[str, float] = {}
+    for name, one in noise.items():
+        sizes = {
+            campaign.accelerometers[name].observable: one.white,
+            "acceleration": one.random_walk,
+            "flicker": one.flicker,
+            "bias_walk": one.bias_walk,
+        }
+        for key, size in sizes.items():
+            found[key] = max(size, found.get(key, 0.0))
+    angles = [one.rotation.rms for one in observed if one.rotation is not None]
+    stated = campaign.noise or NoiseSettings()
+    sizes = {key: found.get(key, 0.0) for key in _to_be_found(campaign)}
+    if not stated.angle and angles:
+        sizes["angle"] = max(angles)
+    return replace(campaign, runs=runs, noise=stated.model_copy(update=sizes))
+
+
+def _to_be_found(campaign: Campaign) -> set[str]:
+    """Return the components of noise that are left to the records."""
+    said = [one.sizes for one in said_noise(campaign).values()]
+    return {
+        key
+        for key in StatedNoise.model_fields
+        if any(sizes is None or isinstance(getattr(sizes, key), str) for sizes in said)
+    }
+
+
+#: Attitudes that a double turntable is easily set to.
+_ATTITUDES: Final = (
+    "90 deg about east",
+    "90 deg about north",
+    "180 deg about east",
+    "180 deg about north",
+)
+
+#: Runs are worth their time if they leave less than this part of what fewer of them would.
+_WORTH: Final = 0.8
+
+
+@frozen
+class FurtherRuns:
+    """Runs to be added, and what they would give."""
+
+    attitude: str  #: Of all of them.
+    runs: list[dict[str, Any]]  #: As in ``[[runs]]``.
+    seconds: float  #: That their records take.
+    u: float  #: Standard uncertainty of the coefficient then.
+    u_now: float  #: And without them, by the same forecast.
+
+
+@one_blas_thread()
+def further_runs(
+    campaign: Campaign, observed: Sequence[ObservedRun], noise: Mapping[str, Noise], name: str
+) -> FurtherRuns | None:
+    """Return the cheapest runs in another attitude that help a coefficient; None if none does.
+
+    campaign: As it was read, all of its runs with records.
+    noise: By accelerometer, as it was found.
+    name: Of the coefficient, such as ``Qx.K_II``.
+    """
+    if not campaign.runs:
+        return None
+    rates = rates_of(observed)
+
+    def u_of(runs: Sequence[dict[str, Any]]) -> float:
+        described = list(source_of(campaign).document["runs"])
+        changed = campaign.change(runs=[*described, *runs]) if runs else campaign
+        fastest = max(rates.values())
+        sampled = {run.name: rates.get(run.name, fastest) for run in changed.runs}
+        return forecast(as_recorded(changed, observed, noise), sampling_rate=sampled).u[name]
+
+    now = u_of(())
+    best: FurtherRuns | None = None
+    for attitude, runs in _candidates(as_recorded(campaign, observed, noise)):
+        seconds = sum(float(run["duration"].split()[0]) for run in runs)
+        try:
+            u = u_of(runs)
+        except NotIdentifiableError:
+            continue
+        found = FurtherRuns(attitude, runs, seconds, u, now)
+        longer = best is not None and seconds > best.seconds
+        if u < _WORTH * now and (best is None or u < (_WORTH if longer else 1.0) * best.u):
+            best = found
+    return best
+
+
+def _candidates(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Yield runs like those that there are, in other attitudes: the fastest, then all rates."""
+    attitudes = [
+        words
+        for words in _ATTITUDES
+        if not any(np.allclose(run.attitude, attitude_rows(words)) for run in campaign.runs)
+    ]
+    runs = sorted(campaign.runs, key=lambda run: -abs(run.rate))
+    by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]
+    for chosen in ([runs[0]], by_rate)[: 1 + (len(by_rate) > 1)]:
+        for words in attitudes:
+            yield words, [_turned(campaign, run, words) for run in chosen]
+
+
+def _turned(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
+    """Return a run as it is described that repeats another one in an attitude."""
+    taken = {other.name for other in campaign.runs}
+    name = next(
+        name
+        for number in range(1, len(taken) + 2)
+        if (name := f"{run.name} turned{'' if number == 1 else f' {number}'}") not in taken
+    )
+    return {
+        "name": name,
+        "rate": f"{run.rate:.9g} rad/s",
+        "attitude": attitude,
+        "duration": f"{run.duration:.6g} s",
+        "record": f"{name.replace(' ', '-')}{Path(run.record).suffix}",
+    }

@@ -1,0 +1,292 @@
+"""What a run would tell, as a smooth function of its rate and its revolutions: for planning.
+
+At constant rate every column of the term table is an exact combination of a few functions of the
+spindle angle th: th^2, th^3, and cos, sin, th cos, th sin of its first harmonics. The functions
+do not know the rate and their weights do not know the length of the run. So a run's square-root
+information is
+
+    R(rate, revolutions) @ W(rate),
+
+R a factor of the whitened functions with the run's own start errors projected out, W the weights,
+which are polynomials in the rate (`weights`). With white noise R has a closed form
+(`information_table.root`), exact for the very samples of the record; with a random walk, or noise
+of the time stamps, it is interpolated (`InformationTable`).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.terms import CONDITION_TERMS
+from counterspin.planning.information_table import EvenSamples, InformationTable, averaged, root
+from counterspin.planning.weights import (
+    A_SECOND,
+    Key,
+    PlannedInstrument,
+    Setup,
+    TermWeights,
+    expected_record,
+    key_of,
+)
+from counterspin.records.reduction import block_size
+
+
+class RunInformation:
+    """Square-root information of runs in one set-up.
+
+    rates: Smallest and largest size of the rate, rad/s.
+    revolutions: Smallest and largest number of revolutions, at least 1.
+    senses: +1, -1 or both.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        rates: tuple[float, float],
+        revolutions: tuple[float, float],
+        senses: Sequence[int],
+    ) -> None:
+        self.setup = setup
+        low, high = rates
+        # A single rate is a range too, or there would be nothing to interpolate.
+        self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rates
+        self._revolutions = revolutions
+        run_types = [(name, sense) for name in setup.attitudes for sense in senses]
+        self._run_types = {run_type: index for index, run_type in enumerate(run_types)}
+        self._terms = TermWeights(setup, self._rates, run_types)
+        self._tables = self._made_tables()
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Put the weights in the order of the set-up's model."""
+        setup = self.setup
+        #: Places, among the shared unknowns, of those that go with how warm a run is, and of those
+        #: that go with when it is made.
+        self._by_warmth, self._by_time = (
+            _by_condition(setup, condition) for condition in ("temperature", "time")
+        )
+        model = setup.model
+        late = [key_of(model.unknowns[setup.shared[i]], A_SECOND) for i in self._by_time]
+        owns = {name: setup.own(name) for name in setup.attitudes}
+        self._owns, known = (max(len(own[i]) for own in owns.values()) for i in (0, 1))
+        shared = [key_of(model.unknowns[i]) for i in setup.shared]
+        shared += [key_of(model.considered[i]) for i in setup.considered]
+        columns = {
+            name: [
+                *_filled([key_of(model.unknowns[i]) for i in own], self._owns),
+                *shared,
+                *_filled([key_of(model.considered[i]) for i in considered], known),
+            ]
+            for name, (own, considered) in owns.items()
+        }
+
+        def chosen(terms: Mapping[Key, Array], keys: Sequence[Key]) -> Array:
+            nothing = np.zeros(self._terms.shape)
+            return np.stack([terms.get(key, nothing) for key in keys] or [nothing[..., :0]], axis=2)
+
+        self._weights = [
+            np.array(
+                [
+                    chosen(terms, columns[name])
+                    for terms, (name, _) in zip(own, self._run_types, strict=True)
+                ]
+            )
+            for own in self._terms.terms
+        ]
+        #: Of what goes with time, the weights of one second later.
+        self._late = [
+            np.array([chosen(terms, late) for terms in own]) if late else None
+            for own in self._terms.terms
+        ]
+        self._priors = np.ones((len(self._run_types), self._owns))
+        for run_type, (name, _) in enumerate(self._run_types):
+            own = [model.unknowns[i] for i in owns[name][0]]
+            # Of nothing known, the solver's regularisation.
+            self._priors[run_type, : len(own)] = [1.0 / unknown.spread for unknown in own]
+
+    def of_model(self, setup: Setup) -> RunInformation:
+        """Return the same for a set-up whose model has some of these terms, in other parts."""
+        other = copy.copy(self)
+        other.setup = setup
+        other._arrange()
+        return other
+
+    def _made_tables(self) -> list[list[InformationTable | None]]:
+        """Return what is interpolated for each instrument and kind; None: there is a closed form.
+
+        Noise of the time stamps goes with the slope of what this very kind of run records.
+        """
+        tables: dict[tuple[PlannedInstrument, object], InformationTable] = {}
+        chosen: list[list[InformationTable | None]] = []
+        for instrument in self.setup.instruments:
+            noise = instrument.noise
+            if instrument.order == 0:  # a random walk of the velocity is white in specific force
+                walk = noise.random_walk**2 * self.setup.sampling_rate
+                noise = Noise(math.sqrt(noise.sample_variance + walk))
+            by_run_type: list[InformationTable | None] = []
+            for run_type in self._run_types:
+                if noise.random_walk == 0.0 and instrument.timing == 0.0:
+                    by_run_type.append(None)
+                    continue
+                key: tuple[PlannedInstrument, object] = (instrument, run_type)
+                if instrument.timing == 0.0:
+                    first = self.setup.instruments[0].mounting
+                    key = (replace(instrument, name="", mounting=first), None)
+                if key not in tables:
+                    tables[key] = InformationTable(
+                        instrument.order,
+                        noise,
+                        partial(self._of_time_stamps, instrument, *run_type)
+                        if instrument.timing > 0.0
+                        else None,
+                        self.setup.sampling_rate,
+                        self._rates,
+                        self._revolutions,
+                        self._terms.harmonics,
+                    )
+                by_run_type.append(tables[key])
+            chosen.append(by_run_type)
+        return chosen
+
+    def _of_time_stamps(
+        self, instrument: PlannedInstrument, attitude: str, sense: int, rate: float, angle: Array
+    ) -> Array:
+        """Return the variance that noise of its time stamp adds to a sample, at angles, (n,)."""
+        setup = self.setup
+        series = self._terms.series(instrument, attitude, sense * rate, angle / rate)
+        expected = dict(zip(setup.model.unknowns, setup.estimate.tolist(), strict=True))
+        expecting = expected_record(series, expected, setup.scale_factors[instrument.name])
+        return expecting.with_timing(instrument.timing).jitter_variance
+
+    def sampled_at(self, sampling_rate: float) -> RunInformation:
+        """Return the same for another sampling rate, Hz."""
+        other = copy.copy(self)
+        other.setup = replace(self.setup, sampling_rate=sampling_rate)
+        other._tables = other._made_tables()
+        return other
+
+    def blocks(
+        self,
+        types: Sequence[tuple[str, int]],
+        rate: Array,
+        revolutions: Array,
+        *,
+        whole_samples: bool = False,
+        conditions: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Return what runs say about the shared unknowns.
+
+        rate, revolutions: Size of the rate (rad/s) and length of each run, shape (..., n).
+        conditions: When each run begins (s) and how warm it is (K from the reference), of a shape
+            like the rate's; None: nothing changes from run to run.
+        whole_samples: Whether the last sample is the last one that a run of this length has; False:
+            as smooth functions of the length, with a part of a sample at the end.
+        Returns: rows of unit variance, shape (..., n, b, p + q), b = `rows`: columns of the shared
+            unknowns, then of the shared considered terms, then of the run's own considered terms,
+            zero where an attitude has fewer of these than others. The run's own unknowns, start
+            errors included, are projected out.
+        """
+        shape = rate.shape
+        of_run = np.array([self._run_types[run_type] for run_type in types], dtype=np.intp)
+        run_types = np.broadcast_to(of_run, shape).ravel()
+        rate, revolutions = rate.ravel(), revolutions.ravel()
+        samples = revolutions * (2.0 * math.pi * self.setup.sampling_rate) / rate
+        samples = np.floor(samples * (1.0 + 1e-12)) + 1.0 if whole_samples else samples + 1.0
+        start, warmth = (
+            np.broadcast_to(one, shape).ravel()[:, None, None]
+            for one in conditions or (np.zeros(()), np.zeros(()))
+        )
+        parts = []
+        for instrument, tables, weight, late in zip(
+            self.setup.instruments, self._tables, self._weights, self._late, strict=True
+        ):
+            weights = self._terms.at(weight, run_types, rate, instrument.order)
+            weights[..., [self._owns + place for place in self._by_warmth]] *= warmth
+            if late is not None:
+                since = start * self._terms.at(late, run_types, rate, instrument.order)
+                weights[..., [self._owns + place for place in self._by_time]] += since
+            part = np.empty((rate.size, weights.shape[1] - instrument.order, weights.shape[2]))
+            for table in dict.fromkeys(tables[run_type] for run_type in np.unique(run_types)):
+                here = np.array([tables[run_type] is table for run_type in run_types])
+                part[here] = self._root(
+                    instrument, table, weights[here], rate[here], samples[here], whole_samples
+                )
+            parts.append(part)
+        rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        for prior in self._priors[run_types].T:
+            rows = _without_first(rows, prior[:, None, None])
+        return rows.reshape(*shape, *rows.shape[1:])
+
+    @property
+    def dated(self) -> bool:
+        """Whether what a run tells depends on when it is made."""
+        return bool(self._by_warmth or self._by_time)
+
+    @property
+    def rows(self) -> int:
+        """How many rows a run has in `blocks`."""
+        size = 4 + 4 * self._terms.harmonics
+        return sum(size - instrument.order for instrument in self.setup.instruments)
+
+    def _root(
+        self,
+        instrument: PlannedInstrument,
+        table: InformationTable | None,
+        weights: Array,
+        rate: Array,
+        samples: Array,
+        with_ripple: bool,
+    ) -> Array:
+        """Return an instrument's rows, start errors projected out."""
+        step = 1.0 / self.setup.sampling_rate
+        block = np.array([block_size(step, float(w)) for w in rate], dtype=np.float64)
+        spread = rate * step * np.sqrt((block**2 - 1.0) / 12.0)
+        if table is not None:
+            return table.root(averaged(weights, spread), rate, samples, with_ripple=with_ripple)
+        records = EvenSamples(
+            first=0.5 * rate * step * (block - 1.0),
+            step=rate * step * block,
+            count=samples / block,
+            spread=spread,
+        )
+        variance = instrument.noise.sample_variance
+        if instrument.order == 0:  # a random walk of the velocity is white in specific force
+            variance = variance + instrument.noise.random_walk**2 / step
+        size: Array = np.sqrt(block / variance)[:, None, None]
+        return np.asarray(size * root(records, weights, instrument.order))
+
+
+def _without_first(rows: Array, prior: Array) -> Array:
+    """Project the first unknown out of rows, of which 1/u is known beforehand, (n, 1, 1).
+
+    What is left of the information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y less a
+    part of its component along x: exact, and no product is formed of which a root must be taken.
+    """
+    x, others = rows[:, :, :1], rows[:, :, 1:]
+    size = np.sum(x**2, axis=1, keepdims=True)
+    kept = prior / np.sqrt(prior**2 + size)
+    along = np.sum(x * others, axis=1, keepdims=True) / np.where(size > 0.0, size, 1.0)
+    return np.asarray(others - x * ((1.0 - kept) * along))
+
+
+def _by_condition(setup: Setup, condition: str) -> list[int]:
+    """Return the places of what goes with a condition, among the shared unknowns."""
+    rows = (CONDITION_TERMS.get(setup.model.unknowns[i].symbol) for i in setup.shared)
+    return [
+        place
+        for place, row in enumerate(rows)
+        if row is not None and row.effect.condition == condition
+    ]
+
+
+def _filled(keys: list[Key], count: int) -> list[Key]:
+    """Return as many keys as another attitude has, the last ones of nothing."""
+    return [*keys, *[("", "")] * (count - len(keys))]

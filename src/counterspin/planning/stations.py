@@ -1,0 +1,392 @@
+"""From ``PLAN.toml`` with [[stations]] to a `ReadingPlan`: where readings may be taken, and why.
+
+Every station becomes a run with a reading of a stand-in campaign, so that both are checked alike.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import BLANK
+from counterspin.campaign.description import Campaign, resolve_campaign
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.toml_file import list_of, mistakes, table_of
+from counterspin.campaign.triads.declared import TriadSettings
+from counterspin.campaign.triads.grouped import one_group
+from counterspin.frozen import frozen
+from counterspin.inference.poses import TriadPoses, indications_along
+from counterspin.planning.plan_file import (
+    Goal,
+    load_plan,
+    plan_name,
+    resolve_goal,
+    resolved_campaign,
+)
+from counterspin.planning.plan_sections import (
+    GoalSettings,
+    ReadingLimitsSettings,
+    ReadingPlanDocument,
+    StationsSettings,
+)
+from counterspin.planning.recorded import with_pose_noise
+
+#: Most possible readings: what an exchange of one for another would gain is asked of all pairs.
+_MOST_POSSIBLE: Final = 3600
+
+
+@frozen
+class PossibleReading:
+    """A reading that may be taken, any number of times."""
+
+    run: Mapping[str, Any]  #: As [[runs]] has it, its values blank.
+    time: float  #: That it takes, s.
+    #: Of a pose: accelerometer -> 1 where its input axis points up, -1 where it points down.
+    up: Mapping[str, float] | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.run["name"])
+
+
+@frozen(eq=False)
+class ReadingPlan:
+    """A plan of readings, checked and resolved."""
+
+    path: Path  #: Of the file, absolute.
+    document: Mapping[str, Any]  #: The campaign to be, without runs.
+    taken: tuple[Any, ...]  #: Runs that it has already, records and readings, as [[runs]] has them.
+    sampling_rate: float | None  #: Of the records among them, Hz; None where there is none.
+    stand_in: Campaign  #: The campaign with what it has, and each possible reading once.
+    possible: tuple[PossibleReading, ...]  #: The possible readings.
+    poses: tuple[tuple[Reading, ...], ...]  #: Those that it has already, with their u.
+    #: Most of them, and s; infinite where there is no such limit.
+    readings: float
+    total_time: float
+    order: str  #: ``mirrored``, ``random`` or ``listed``.
+    goal: Goal  #: What it is for.
+
+    def campaign_document(
+        self, chosen: Sequence[PossibleReading], *, value: str = BLANK
+    ) -> dict[str, Any]:
+        """Return the document of the campaign with readings in this order."""
+        timed = any(reading.time > 0.0 for reading in chosen)
+        now, runs = 0.0, []
+        for name, reading in zip(_numbered(chosen), chosen, strict=True):
+            run = _with_value(reading.run, value) | {"name": name}
+            if timed:
+                # The time in the middle of the reading, from the start of the first.
+                run["time"] = f"{round(now + 0.5 * reading.time, 6)!r} s"
+                now += reading.time
+            runs.append(run)
+        return {**self.document, "runs": [*self.taken, *runs]}
+
+    def campaign_as_it_is(self) -> Campaign:
+        """Return the campaign with what it has already, of the same model."""
+        names = {reading.name for reading in self.possible}
+        there = tuple(r for r in self.stand_in.readings if r.name not in names)
+        triad = self.stand_in.triad and replace(self.stand_in.triad, poses=self.poses)
+        return replace(self.stand_in, readings=there, triad=triad)
+
+    def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
+        """Return the campaign with readings in this order, their values zero."""
+        campaign = resolved_campaign(self.campaign_document(chosen, value="0"), self.path)
+        if campaign.triad is None:
+            return campaign
+        planned = _pointed(campaign, dict(zip(_numbered(chosen), chosen, strict=True)))
+        triad = replace(campaign.triad, poses=(*self.poses, *planned), records=())
+        return replace(campaign, triad=triad)
+
+
+def _numbered(chosen: Sequence[PossibleReading]) -> list[str]:
+    digits = len(str(len(chosen)))
+    return [f"{index:0{digits}d} {reading.name}" for index, reading in enumerate(chosen, start=1)]
+
+
+def _pointed(
+    campaign: Campaign, planned: Mapping[str, PossibleReading]
+) -> tuple[tuple[Reading, ...], ...]:
+    """Return the poses that are planned, by the names of their runs, as they will be read."""
+    assert campaign.triad is not None
+    poses = [pose for pose in campaign.triad.poses if pose[0].name in planned]
+    if not poses:
+        return ()
+    ups = [planned[pose[0].name].up or {} for pose in poses]
+    own = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
+    known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in own]
+    values = pointing_up(one_group(campaign, poses), ups, known).value.tolist()
+    return tuple(
+        tuple(replace(reading, value=value) for reading, value in zip(pose, row, strict=True))
+        for pose, row in zip(poses, values, strict=True)
+    )
+
+
+def pointing_up(
+    poses: TriadPoses, ups: Sequence[Mapping[str, float]], known: Sequence[Mapping[str, float]]
+) -> TriadPoses:
+    """Return poses with the values that they have where they point as `every_up` says.
+
+    known: Coefficients of each accelerometer; those not named are nominal.
+    """
+    up = np.array([[own.get(name, 0.0) for name in poses.accelerometers] for own in ups])
+    along = up @ poses.axes[:, 0]
+    unit = along / np.linalg.norm(along, axis=1)[:, None]
+    return replace(poses, value=indications_along(poses, known, unit))
+
+
+def every_up(names: Sequence[str]) -> list[dict[str, float]]:
+    """Return 26 directions: accelerometer -> 1 where its input axis points up, -1 where down.
+
+    First one axis, then two, then all three.
+    """
+    signs = [one for one in product((1.0, -1.0, 0.0), repeat=len(names)) if any(one)]
+    ups = [dict(zip(names, one, strict=True)) for one in signs]
+    return sorted(ups, key=lambda up: sum(map(abs, up.values())))
+
+
+def words_of_up(up: Mapping[str, float]) -> str:
+    """Return such a direction in words, such as "+X -Y up"."""
+    axes = (f"{'-' if sign < 0.0 else '+'}{name}" for name, sign in up.items() if sign)
+    return f"{' '.join(axes)} up"
+
+
+def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
+    reading = run["reading"]
+    if isinstance(reading, str):
+        return {**run, "reading": reading.replace(BLANK, value)}
+    return {**run, "reading": {name: text.replace(BLANK, value) for name, text in reading.items()}}
+
+
+def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
+    """Read and check a plan of readings."""
+    file, raw = plan_name(path), load_plan(path)
+    problems = Problems(raw)
+    problems.check(ReadingPlanDocument, raw, ())
+    limits = problems.check(ReadingLimitsSettings, table_of(raw, "limits"), ("limits",))
+    goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
+    apart = ("limits", "goal", "stations", "runs")
+    document = {k: v for k, v in raw.items() if k not in apart}
+    taken = list_of(raw, "runs")
+    names = list(table_of(raw, "accelerometers"))
+    triad = problems.check(TriadSettings, raw["triad"], ("triad",)) if "triad" in raw else None
+    possible: list[PossibleReading] = []
+    for index, entry in enumerate(list_of(raw, "stations")):
+        path_of_entry = ("stations", index)
+        settings = problems.check(StationsSettings, entry, path_of_entry)
+        if settings is not None:
+            read = triad.accelerometers if triad and settings.attitude else names
+            possible += _possible(settings, entry, read, raw, path_of_entry, problems)
+    seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
+    for reading in possible:
+        if reading.name in seen:
+            text = f'two have the name "{reading.name}"; give each entry its own name'
+            problems.add(("stations",), text)
+        seen.add(reading.name)
+    if len(possible) > _MOST_POSSIBLE:
+        words = f"make {len(possible)} possible readings, more than the limit of {_MOST_POSSIBLE}"
+        problems.add(("stations",), words)
+    runs = [_with_value(reading.run, "0") for reading in possible]
+    campaign = None
+    if runs and not problems.lines:
+        whole = {**document, "runs": [*taken, *runs]}
+        inside = Problems(whole)
+        campaign = resolve_campaign(whole, file, inside)
+        # One line for what is wrong with every reading alike.
+        lines = (_at_stations(line, len(taken)) for line in inside.lines)
+        problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
+    poses: tuple[tuple[Reading, ...], ...] = ()
+    if campaign is not None and campaign.triad is not None:
+        campaign, poses = _with_poses(campaign, possible)
+        # How many poses there are decides what is asked for; here the fewest count as enough.
+        model = {"terms": list(campaign.model.terms), **table_of(raw, "model")}
+        document = {**document, "model": model}
+    sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
+    if limits is not None and limits.readings is None and limits.total_time is None:
+        problems.add(("limits",), "give readings or total_time")
+    if limits is not None and limits.total_time is not None and not all(r.time for r in possible):
+        problems.add(("limits", "total_time"), "needs the time of a reading at every station")
+    if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
+        problems.add(("limits", "sampling_rate"), "is missing: that of the records in [[runs]]")
+    if problems.lines or campaign is None or sought is None or limits is None:
+        raise mistakes(file, problems.lines or ["stations: there are none"])
+    return ReadingPlan(
+        file.absolute(),
+        document,
+        tuple(taken),
+        limits.sampling_rate,
+        campaign,
+        tuple(possible),
+        poses,
+        float(limits.readings or math.inf),
+        limits.total_time or math.inf,
+        limits.order,
+        sought,
+    )
+
+
+def _with_poses(
+    campaign: Campaign, possible: Sequence[PossibleReading]
+) -> tuple[Campaign, tuple[tuple[Reading, ...], ...]]:
+    """Return a stand-in campaign with the values of possible poses; and those taken already."""
+    assert campaign.triad is not None
+    planned = {reading.name: reading for reading in possible}
+    pointed = _pointed(campaign, planned)
+    there = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
+    told = with_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=there)))
+    assert told.triad is not None
+    triad = replace(told.triad, poses=(*told.triad.poses, *pointed))
+    return replace(campaign, triad=triad), told.triad.poses
+
+
+def _at_stations(line: str, taken: int) -> str:
+    """Return a mistake of a run that stands for a station as one of the stations."""
+    match = re.match(r"runs\[(\d+)\]", line)
+    if match is None or int(match[1]) < taken:
+        return line
+    return f"stations{line[match.end() :]}"
+
+
+def _possible(
+    settings: StationsSettings,
+    entry: Mapping[str, Any],
+    names: Sequence[str],
+    raw: Mapping[str, Any],
+    path: KeyPath,
+    problems: Problems,
+) -> list[PossibleReading]:
+    """Return the readings that an entry of [[stations]] stands for."""
+    sizes = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
+    values = {name: f"{BLANK} ± {u}" for name, u in sizes.items()}
+    shared: dict[str, Any] = {"motion": settings.motion}
+    shared |= {key: entry[key] for key in ("attitude", "axes", "mounting") if key in entry}
+    reading: Any = next(iter(values.values())) if len(values) == 1 else values
+    before = len(problems.lines)
+    static = settings.motion == "static"
+    if static and (settings.rates or settings.specific_forces):
+        problems.add(path, "at rest there are no rates; give positions or attitudes")
+    if not static and bool(settings.rates) == bool(settings.specific_forces):
+        problems.add(path, "give one of rates and specific_forces")
+    if settings.positions is not None and settings.attitudes is not None:
+        problems.add(path, "give one of positions and attitudes")
+    if settings.attitude is None and settings.up is not None:
+        problems.add((*path, "up"), 'is for poses; write attitude = "unknown"')
+    if settings.attitude is not None:
+        if not static or settings.positions is not None or settings.attitudes is not None:
+            problems.add((*path, "attitude"), "is for poses at rest: no rate, no position")
+        if len(problems.lines) == before:
+            if "triad" in raw:
+                return _poses(settings, {**shared, "reading": reading}, names, path, problems)
+            problems.add((*path, "attitude"), 'is "unknown", which needs [triad]')
+        return []
+    if len(problems.lines) > before:
+        return []
+    made = _attitudes(settings) if static else _rates(settings, raw)
+    return [
+        PossibleReading(
+            {
+                "name": " ".join(filter(None, (settings.name, name))),
+                **shared,
+                **own,
+                "reading": reading,
+            },
+            settings.time,
+        )
+        for name, own in made
+    ]
+
+
+def _poses(
+    settings: StationsSettings,
+    shared: Mapping[str, Any],
+    names: Sequence[str],
+    path: KeyPath,
+    problems: Problems,
+) -> list[PossibleReading]:
+    """Return the poses that an entry of [[stations]] stands for; `names` are those of its triad."""
+    ups = every_up(names)
+    if settings.up is not None:
+        read = [
+            problems.attempt((*path, "up", place), _up, words, names)
+            for place, words in enumerate(settings.up)
+        ]
+        ups = [up for up in read if up is not None]
+    made = []
+    for up in ups:
+        run = {"name": " ".join(filter(None, (settings.name, words_of_up(up)))), **shared}
+        made.append(PossibleReading(run, settings.time, up))
+    return made
+
+
+def _up(text: str, names: Sequence[str]) -> dict[str, float]:
+    """Return accelerometer -> 1 or -1 of words such as "X - Y"."""
+    up, sign = {}, 1.0
+    for part in re.findall(r"[+-]|[^\s+-]\S*", text):
+        if part in "+-":
+            sign = -1.0 if part == "-" else 1.0
+        elif part in up:
+            raise ValueError(f'"{part}" is listed twice')
+        elif part not in names:
+            said = did_you_mean(part, names)
+            raise ValueError(f'"{part}" is not an accelerometer of the triad{said}')
+        else:
+            up[part], sign = sign, 1.0
+    if not up:
+        raise ValueError("names no accelerometer")
+    return up
+
+
+def _attitudes(settings: StationsSettings) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and attitude of every position at rest."""
+    head = f" ± {settings.u_angle!r} rad" if settings.u_angle else ""
+    if settings.positions is not None:
+        for place in range(settings.positions):
+            angle = 360.0 * place / settings.positions
+            turn = f"{math.radians(angle)!r}{head}" if head else f"{angle!r} deg"
+            yield f"{angle:.6g} deg", {"attitude": f"{turn} about {settings.about}"}
+    elif settings.attitudes is not None:
+        for attitude in settings.attitudes:
+            words = attitude if isinstance(attitude, str) else str(attitude)
+            yield words, {"attitude": attitude}
+    else:
+        yield "at rest" if not settings.name else "", {}
+
+
+def _rates(
+    settings: StationsSettings, raw: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and rate of every reading that turns."""
+    signs = (1.0, -1.0) if settings.senses == "both" else (1.0,)
+    named: list[tuple[str, float]] = [(f"{w:.6g} rad/s", w) for w in settings.rates or ()]
+    named += [(f"{force:.6g} g", math.nan) for force in settings.specific_forces or ()]
+    for index, (words, rate) in enumerate(named):
+        size = rate
+        if settings.specific_forces:
+            size = _rate_for(settings.specific_forces[index], raw)
+        for sign in signs:
+            name = words if sign > 0.0 else f"-{words}" if settings.rates else f"{words} reversed"
+            yield name, {"rate": f"{sign * size!r} rad/s"}
+
+
+def _rate_for(force: float, raw: Mapping[str, Any]) -> float:
+    """Return the rate at which the centripetal force has a size, g; 1 where the machine is wrong.
+
+    What is wrong with the machine is said where the campaign is checked.
+    """
+    from counterspin.campaign.quantity import parse
+
+    try:
+        gravity = parse(raw["site"]["gravity"], "m/s^2").value
+        radius = parse(raw["centrifuge"]["radius"], "m").value
+        return math.sqrt(force * gravity / radius)
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return 1.0

@@ -1,0 +1,376 @@
+"""Trials simulated without any shortcut, sample by sample, and analysed as `calibrate` does.
+
+The check of the faster engines, and the only one for readings, for noise that is not white or not
+stated, for a rotation that the joint fit has to find, and for terms with a kink.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.readings import with_groups
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import true_noise
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.triads.grouped import one_group
+from counterspin.frozen import frozen
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.inputs import CLOCK, TIMING
+from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_input
+from counterspin.inference.poses import TriadPoses, indications_along
+from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
+from counterspin.inference.two_stage.strobes import Strobes, by_angle, strobe_angle
+from counterspin.physics import observation, simulation
+from counterspin.physics.path_errors import encoder_error
+from counterspin.physics.spindle import Spindle, fit_spindle
+from counterspin.physics.terms import shown_by_readings
+from counterspin.records.mean import stretches
+from counterspin.simulation.readings import (
+    head_errors,
+    indications,
+    numbered_groups,
+    true_directions,
+    true_poses,
+)
+from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
+from counterspin.studies.validity import JointRequest
+from counterspin.studies.work import Trials
+from counterspin.studies.world import World
+
+
+@frozen
+class TrialRecords:
+    """What is recorded of all runs in one trial."""
+
+    world: World  #: With this trial's noise.
+    draws: Draws  #: What is true in it.
+    generator: np.random.Generator  #: Draws the noise.
+
+    @classmethod
+    def of(cls, world: World, draws: Draws, generator: np.random.Generator) -> TrialRecords:
+        """Return the records of a trial, with the levels of noise that are true in it."""
+        levels = {NOISE_LEVELS[symbol][1]: float(level[0]) for symbol, level in draws.noise.items()}
+        noise = replace(world.noise, white=float(draws.white[0]), **levels)
+        return cls(replace(world, noise=noise), draws, generator)
+
+    def series(self) -> list[Series]:
+        """Return the records of all runs and accelerometers."""
+        world = self.world
+        series = []
+        for run in range(len(world.runs)):
+            spindle = self.draws.spindle(world.spindles[run], run)
+            times = world.times(run)
+            shown = times * self._clock(run)
+            stamped = world.noise.stamps(self.generator, shown)
+            identified = self._identified(run, spindle, stamped, times)
+            for name in world.mountings:
+                signal = self._recorded(run, name, spindle, times)
+                assumed = world.trajectory(run, identified)
+                error = signal - observation.reference(
+                    assumed, world.mountings[name], stamped, attitude=world.attitudes[run]
+                )
+                series.append(world.series(run, name, identified, shown, error))
+        return series
+
+    def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
+        """Return a run of which one reading is taken at each strobe."""
+        world = self.world
+        spindle = self.draws.spindle(world.spindles[run], run)
+        strobed = world.strobed(run, name)
+        # The row in which the angle passes a strobe began earlier by the angle's delay.
+        passed = spindle.time_at(strobed.angles) - float(self.draws.off(TIMING)[0])
+        sampled, clock = world.times(run), self._clock(run)
+        identified = self._identified(run, spindle, sampled * clock, sampled)
+        times, noise = passed * clock, world.noise
+        taken = noise.stamps(self.generator, passed) if noise.timing > 0.0 else passed
+        signal = self._recorded(run, name, spindle, taken)
+        assumed = world.trajectory(run, identified)
+        error = signal - observation.reference(
+            assumed, world.mountings[name], times, attitude=strobed.attitude
+        )
+        readings = Strobes(times, error, np.ones_like(times), 0)
+        parabola = request.first_stage(readings, assumed)
+        return StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run])
+
+    def _clock(self, run: int) -> float:
+        """Return what the recorder of a run shows of a time, in parts of it."""
+        return 1.0 + float(self.draws.off(CLOCK, self.world.recorders[run])[0])
+
+    def _identified(self, run: int, true: Spindle, stamped: Array, times: Array) -> Spindle:
+        """Return the rotation that a run's recorded angle shows.
+
+        stamped: Times of the rows as they are recorded, s.
+        times: The same as they were.
+        """
+        world, late = self.world, float(self.draws.off(TIMING)[0])
+        if not world.angle_recorded:
+            return Spindle(world.spindles[run].rate)
+        angle = true.angle(times + late)
+        misread = encoder_error(self._values("", run), angle)
+        if world.noise.angle == 0.0 and not misread.any() and np.array_equal(stamped, times + late):
+            return true
+        recorded = world.noise.angles(self.generator, angle + misread)
+        return fit_spindle(stamped, recorded, world.spindles[run].rate).spindle
+
+    def _recorded(self, run: int, name: str, spindle: Spindle, times: Array) -> Array:
+        """Return the noisy displacement at the times."""
+        world = self.world
+        signal = simulation.recorded(
+            world.true_trajectory(run, spindle, self.draws),
+            world.mountings[name],
+            self._values(name, run),
+            self._values("", run),
+            times,
+            attitude=world.attitudes[run],
+        )
+        start = world.conditions[run].start
+        return world.noise.displacements(self.generator, times, signal, start)
+
+    def _values(self, owner: str, run: int) -> dict[str, float]:
+        """Return what is true of an accelerometer in a run, or of what all share."""
+        return {
+            symbol: float(of_run(values, run)[0])
+            for (one, symbol), values in self.draws.values.items()
+            if one == owner
+        }
+
+
+@frozen
+class DrawnPoses:
+    """Poses of a triad whose attitudes the analysis does not know."""
+
+    group: TriadPoses  #: As the fit takes them, with what is indicated without noise.
+    along: Array  #: True directions of the specific force, shape (n, 3).
+    noise: Array  #: True standard deviation of each indication, g, shape (n, 3).
+
+
+_NO_NOISE: Final = "the readings have no noise, so that results do not scatter"
+
+
+@frozen
+class TrialReadings:
+    """What is read of a campaign in each trial."""
+
+    readings: tuple[Reading, ...]  #: Of the campaign, m of them, in its order.
+    #: The same as the fit takes them, with the places of each.
+    grouped: tuple[tuple[Readings, tuple[int, ...]], ...]
+    noise: Array  #: True standard deviation of the mean of each reading's repeats, g, shape (m,).
+    #: Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
+    #: is; infinite where it is stated; shape (m,).
+    scattered: Array
+    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes beside them.
+
+    @classmethod
+    def of(cls, campaign: Campaign) -> TrialReadings:
+        """Return what is read of a campaign; raise ValueError if it has no noise."""
+        assert campaign.simulation is not None
+        known = campaign.simulation.truth.reading_noise
+        readings, noise, scattered = [], [], []
+        for reading in campaign.readings:
+            own = known.get(reading.accelerometer)
+            true = (reading.u or 0.0) if own is None else own / math.sqrt(reading.repeats)
+            dof = math.inf
+            if reading.record is not None:
+                true, dof = _of_record(campaign, reading)
+            if true <= 0.0 and reading.u is None:
+                raise ValueError(f"{_NO_NOISE}: {reading.name}")
+            # What is drawn is not rounded.
+            own_u = true if math.isfinite(dof) else reading.u
+            readings.append(replace(reading, value=0.0, u=own_u, resolution=0.0))
+            noise.append(true)
+            scattered.append(dof)
+        ready = replace(campaign, readings=tuple(readings))
+        return cls(
+            ready.readings,
+            tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
+            np.array(noise),
+            np.array(scattered),
+            tuple(_drawn_poses(campaign)),
+        )
+
+    def groups(
+        self, draws: Draws, generator: np.random.Generator, model: Unknowns
+    ) -> list[Readings | TriadPoses]:
+        """Return what one trial reads, as the fit takes it."""
+        return [*self._read(draws, generator, model), *self._posed(draws, generator)]
+
+    @property
+    def with_true_noise(self) -> list[Readings | TriadPoses]:
+        """Readings and poses, each with its true standard deviation as its uncertainty."""
+        readings = [
+            replace(group, u=np.maximum(self.noise[list(places)], 1e-15))
+            for group, places in self.grouped
+        ]
+        poses = [replace(own.group, u=np.maximum(own.noise, 1e-15)) for own in self.poses]
+        return [*readings, *poses]
+
+    def _posed(self, draws: Draws, generator: np.random.Generator) -> Iterator[TriadPoses]:
+        """Yield the poses of one trial."""
+        true = {key: float(value.mean()) for key, value in draws.values.items()}
+        for own in self.poses:
+            group = own.group
+            coefficients = [
+                {symbol: value for (owner, symbol), value in true.items() if owner == name}
+                for name in group.accelerometers
+            ]
+            value = indications_along(group, coefficients, own.along)
+            gravity = float(draws.off("site.gravity")[0])
+            value = value * (1.0 + group.in_si * gravity / group.gravity)
+            value = value + own.noise * generator.standard_normal(value.shape)
+            repeats = group.repeats[:, None]
+            again = 2.0 * generator.standard_gamma(np.tile(0.5 * (repeats - 1.0), 3))
+            scatter = np.sum(again * own.noise**2 * repeats, axis=1)
+            yield replace(group, value=value, scatter=scatter)
+
+    def _read(
+        self, draws: Draws, generator: np.random.Generator, model: Unknowns
+    ) -> Iterator[Readings]:
+        """Yield the readings of one trial."""
+        errors = head_errors(self.readings, generator)
+        noise = self.noise * generator.standard_normal(self.noise.size)
+        true = {key: float(value.mean()) for key, value in draws.values.items()}
+        machine = {
+            symbol: value
+            for (owner, symbol), value in true.items()
+            if not owner and shown_by_readings(symbol)
+        }
+        off = {symbol: float(draws.off(symbol)[0]) for symbol in INPUT_STEPS}
+        known = {other.symbol for other in (*model.unknowns, *model.considered)}
+        for group, places in self.grouped:
+            at = list(places)
+            own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
+            # The analysis assumes what is stated of the inputs, whatever is true.
+            actual = group
+            for symbol, by in off.items():
+                actual = with_input(actual, symbol, by, known | machine.keys())
+            value = indications(actual, own, machine, errors[at])
+            value = value * (1.0 + group.in_si * off["site.gravity"] / group.site.gravity)
+            value = value + noise[at]
+            one = replace(group, value=value)
+            if group.u is None:
+                repeats = group.repeats - 1.0
+                scatter = 2.0 * generator.standard_gamma(0.5 * repeats)
+                variances = self.noise[at] ** 2 * group.repeats
+                one = replace(one, scatter=scatter * variances)
+            elif np.isfinite(self.scattered[at]).any():
+                dof = np.where(np.isfinite(self.scattered[at]), self.scattered[at], 1.0)
+                sigma = self.noise[at] * np.sqrt(2.0 * generator.standard_gamma(0.5 * dof) / dof)
+                one = replace(one, u=np.where(np.isfinite(self.scattered[at]), sigma, group.u))
+            yield one
+
+
+def _drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
+    """Yield the poses of a campaign, those that state their noise and the others."""
+    assert campaign.simulation is not None
+    poses, along = true_poses(campaign), true_directions(campaign)
+    known = campaign.simulation.truth.reading_noise
+    for kind in (True, False):
+        places = [
+            place
+            for place, pose in enumerate(poses)
+            if all(one.u is not None for one in pose) is kind
+        ]
+        if not places:
+            continue
+        noise = np.array(
+            [
+                [
+                    known[one.accelerometer] / math.sqrt(one.repeats)
+                    if one.accelerometer in known
+                    else one.u or 0.0
+                    for one in poses[place]
+                ]
+                for place in places
+            ]
+        )
+        if not kind and not noise.all():
+            raise ValueError(f"{_NO_NOISE}: {poses[places[0]][0].name}")
+        # What is drawn is not rounded.
+        group = replace(one_group(campaign, [poses[place] for place in places]), resolution=0.0)
+        yield DrawnPoses(group, along[places], noise)
+
+
+def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
+    """Return the standard deviation of a record's mean, g, and the freedom of what it shows."""
+    assert campaign.simulation is not None
+    duration = reading.duration or 0.0
+    noise, rate = true_noise(campaign), campaign.simulation.sampling_rate
+    turns = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
+    if reading.rate and turns:
+        duration = turns * 2.0 * math.pi / abs(reading.rate)
+    white = float(noise.specific_force) / math.sqrt(max(duration * rate, 1.0))
+    walk = float(noise.acceleration) / math.sqrt(max(duration, 1.0 / rate))
+    freedom = max(stretches(math.floor(duration * rate)) - 1.0, 1.0)
+    return math.hypot(white, walk) / campaign.gravity.value, freedom
+
+
+@frozen
+class FullEngine:
+    """Trials of any analysis, one by one."""
+
+    world: World | None  #: What is simulated of records; None: there are none.
+    request: TwoStageRequest | JointRequest  #: What is asked of the analysis.
+    joint: JointRequest  #: The joint fit that finds the noise that nobody states.
+    owner: str = ""  #: The accelerometer of a two-stage analysis.
+    rows: tuple[int, ...] = ()  #: Places of the joint model's unknowns that are reported.
+    readings: TrialReadings | None = None  #: Of a joint analysis; None: there are none.
+
+    def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
+        """Return what the analysis says of n trials; see `Engine`."""
+        made = [self._trial(draws.take(place), generator) for place in range(draws.trials)]
+        return Trials(*(np.array(part).T for part in zip(*made, strict=True)))
+
+    def _trial(self, draws: Draws, generator: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Return estimate, u and degrees of freedom of one trial, shape (c,) each."""
+        records = None if self.world is None else TrialRecords.of(self.world, draws, generator)
+        if isinstance(self.request, TwoStageRequest):
+            assert records is not None
+            return self._two_stage(self.request, records)
+        model, estimated = self.request.model, None
+        if records is not None:
+            estimated = estimate(records.series(), model, self.request.noise)
+        if self.readings is not None:
+            groups = self.readings.groups(draws, generator, model)
+            estimated, _ = with_groups(estimated, model, groups)
+        assert estimated is not None
+        solution, unknowns = estimated.fit.solution, estimated.fit.model.unknowns
+        rows = list(self.rows)
+        nominal = np.array([unknowns[i].nominal for i in rows])
+        return solution.estimate[rows] + nominal, solution.u[rows], estimated.dof[rows]
+
+    def _two_stage(
+        self, request: TwoStageRequest, records: TrialRecords
+    ) -> tuple[Array, Array, Array]:
+        world, components = records.world, None
+        if request.random_walk is None:
+            series = records.series()
+            estimated = estimate(series, self.joint.model, self.joint.noise)
+            components = estimated.components[self.owner]
+            request = request.with_noise(components.noise)
+            own = [record for record in series if record.accelerometer == self.owner]
+            runs = [_strobed(record, request) for record in own]
+        else:
+            runs = [records.strobed_run(run, self.owner, request) for run in range(len(world.runs))]
+        second = second_stage(runs, world.mountings[self.owner], request, ignored=())
+        if components is not None:
+            second = with_found_noise(second, components.covariance, components.unseen)
+        solution = second.fit.solution
+        return solution.estimate, solution.u, np.asarray(second.dof)
+
+
+def _strobed(record: Series, request: TwoStageRequest) -> StrobedRun:
+    """Return a run whose strobes are read from its whole record, as `calibrate` does."""
+    phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
+    angle = record.trajectory.spindle.angle(record.time)
+    strobes = by_angle(record.time, angle, record.error, phase)
+    parabola = request.first_stage(strobes, record.trajectory)
+    return StrobedRun(record.run, record.trajectory, parabola, record.attitude)

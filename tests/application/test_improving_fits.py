@@ -1,0 +1,58 @@
+"""Data and fit of a run, without the parabola that hides both."""
+
+import numpy as np
+import pytest
+from served import InlineJobs
+
+from counterspin.application.improving import less_polynomial
+from counterspin.calibration.result import Result
+
+RUN = {"name": "three", "run": "fast", "fit": True}
+
+
+def test_data_and_fit_differ_by_the_residuals(page, desk, folder):
+    assert page.get("/api/record-about", params=RUN).status_code == 404
+    desk.jobs = InlineJobs()
+    assert page.post("/api/fit", json={"name": "three"}).json()["state"] == "done"
+    about = page.get("/api/record-about", params=RUN).json()
+    assert about["together"] == 2
+    assert [column["name"] for column in about["columns"]] == [
+        "Qx: data less its parabola",
+        "Qx: fit less its parabola",
+        "Qy: data less its parabola",
+        "Qy: fit less its parabola",
+    ]
+    window = RUN | {"low": about["first"], "high": about["last"], "parts": 4000}
+    told = page.get("/api/record", params=window).json()
+    assert told["whole"]
+    data, fitted = (np.array(column, float) for column in told["columns"][:2])
+    trace = Result.read(folder / "three" / "result.json").accelerometers["Qx"].traces["fast"]
+    assert np.sqrt(np.mean((data - fitted) ** 2)) == pytest.approx(trace.rms, rel=1e-3)
+    # 2.7e-5 g/g^2 at 1 rev/s is a wave of a millimetre, and the bias a parabola of metres.
+    assert 1e-5 < np.ptp(fitted) < 0.1
+    time = np.array(told["time"])
+    powers = np.vander(time, 3)
+    assert np.abs(powers.T @ data).max() < 1e-6 * np.abs(powers.T @ np.abs(data)).max()
+
+
+def test_a_changed_description_is_fitted_anew(page, desk, folder):
+    desk.jobs = InlineJobs()
+    page.post("/api/fit", json={"name": "three"})
+    file = folder / "three" / "campaign.toml"
+    file.write_text(file.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
+    assert page.get("/api/record-about", params=RUN).status_code == 404
+
+
+def test_readings_have_no_such_picture(page):
+    page.post("/api/campaign", json={"name": "rest", "test": "tumble"})
+    refused = page.post("/api/fit", json={"name": "rest"})
+    assert refused.status_code == 422
+    assert "takes records of a double turntable" in refused.json()["error"]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_a_polynomial_is_taken_whole_and_nothing_else(degree):
+    time = np.linspace(0.0, 400.0, 1000)
+    wave = less_polynomial(time, np.sin(time), degree)
+    more = less_polynomial(time, np.sin(time) + 3.0 * time**degree - 1.0, degree)
+    assert more == pytest.approx(wave, abs=1e-9 * 400.0**degree)

@@ -1,0 +1,77 @@
+"""A campaign that is followed, as long as somebody looks."""
+
+import re
+import shutil
+import time
+
+import pytest
+from served import told_inline
+
+from counterspin.application import jobs
+from counterspin.monitoring.result import WatchState
+
+
+def look(page, until):
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        told = page.get("/api/watch", params={"name": "three"}).json()
+        if until(told):
+            return told
+        time.sleep(0.1)
+    raise AssertionError(told)
+
+
+def test_what_is_new_is_told(page, folder):
+    three = folder / "three"
+    shutil.move(three / "fast.csv", folder / "later.csv")
+    told = look(page, lambda told: told["html"])
+    assert "slow" in told["html"]
+    assert told["command"].startswith("counterspin watch ")
+    before = told["html"]
+    reached = told["reached"]
+    assert [one["name"] for one in reached["u"]] == ["Qx.K_II, µg/g²", "Qy.K_II, µg/g²"]
+    # Six revolutions at 0.25 and 0.5 rev/s.
+    assert reached["minutes"] == pytest.approx(36.0 / 60.0, rel=1e-2)
+    shown = re.findall(r"± ([\d.]+) µg/g²", told["html"])
+    assert [float(f"{one['u']:.2g}") for one in reached["u"]] == list(map(float, shown))
+    shutil.move(folder / "later.csv", three / "fast.csv")
+    assert look(page, lambda told: told["html"] != before)
+
+
+def test_what_happened_is_told_once(monkeypatch):
+    """The page lists it."""
+    event = "slow.csv was replaced."
+    state = WatchState(
+        title="By hand",
+        runs=[],
+        coefficients=[],
+        goals=[],
+        events=[event],
+        trouble=None,
+        complete=True,
+    )
+    monkeypatch.setattr("counterspin.monitoring.watch.watch", lambda *_, **__: [state])
+    (_, told), *_ = told_inline(jobs.follow_into, None, "")
+    assert told["events"] == [event]
+    assert event not in told["html"]
+    assert told["html"].count("Every run is as long as the campaign states.") == 1
+
+
+def test_nobody_is_followed_whom_nobody_looks_at(desk, page, monkeypatch):
+    monkeypatch.setattr(jobs, "UNSEEN_SECONDS", 0.2)
+    page.get("/api/watch", params={"name": "three"})
+    (view,) = desk.live._views.values()
+    # Of two threads that wait for a process at once, one is told nothing of its end.
+    deadline = time.monotonic() + 30.0
+    while desk.live._views and time.monotonic() < deadline:
+        time.sleep(0.02)
+    with desk.live._lock:
+        assert not view.worker.is_alive
+
+
+@pytest.mark.parametrize("goal", ["0.001", "K_II", "K_9 1e-8 g/g^2", "K_II 1e-8 m"])
+def test_a_goal_that_is_none_is_refused_before_anything_is_begun(desk, page, goal):
+    answered = page.get("/api/watch", params={"name": "three", "goal": goal})
+    assert answered.status_code == 422
+    assert "goal.target" in answered.json()["error"]
+    assert not desk.live._views

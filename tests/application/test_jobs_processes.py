@@ -1,0 +1,63 @@
+"""A process that says how far it is, and can be ended."""
+
+import time
+
+import pytest
+
+from counterspin.application.jobs import Worker, report_progress
+from counterspin.errors import CounterspinError
+
+
+def heard(worker):
+    """Return all that a worker tells, to its end."""
+    told = []
+    while not told or told[-1][0] not in ("done", "failed"):
+        told.append(worker.hear(30.0))
+    worker.end()
+    return told
+
+
+def doubled(there, number):
+    def work(progress):
+        progress(1, 2)
+        there.send(("told", there.recv()))
+        return 2 * number
+
+    report_progress(there, work)
+
+
+def wrong(there, kind):
+    def work(_):
+        raise kind("in words")
+
+    report_progress(there, work)
+
+
+def endless(there):
+    report_progress(there, lambda _: time.sleep(1000.0))
+
+
+def test_it_tells_its_progress_its_answers_and_what_it_made():
+    worker = Worker(doubled, 21)
+    worker.ask("question")
+    assert heard(worker) == [("progress", 1, 2), ("told", "question"), ("done", 42)]
+    assert not worker.is_alive
+
+
+@pytest.mark.parametrize(
+    ("work", "words", "told"),
+    [
+        (wrong, (CounterspinError,), "in words"),
+        (wrong, (ValueError,), "internal error (ValueError: in words)"),
+        (exit, (), "its process died; perhaps memory ran out"),
+    ],
+)
+def test_that_it_failed_is_told(work, words, told):
+    assert heard(Worker(work, *words)) == [("failed", told)]
+
+
+def test_it_is_ended_whatever_it_does():
+    worker = Worker(endless)
+    assert worker.hear() is None
+    worker.end()
+    assert not worker.is_alive

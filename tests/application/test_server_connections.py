@@ -1,0 +1,141 @@
+"""Connections of others leave the page answering."""
+
+import http.client
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pytest
+from served import serving, token_of
+
+from counterspin.application import server
+from counterspin.application.server import Connection
+
+HALF = b"GET /api/folder HTTP/1.1\r\nHost: 127.0"
+
+
+def _ask(port, key):
+    """Return the status of what the page asks, and how long it took, s."""
+    begun = time.monotonic()
+    asked = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+    asked.request("GET", "/api/folder", headers={"Authorization": f"Bearer {key}"})
+    with asked.getresponse() as answer:
+        answer.read()
+    asked.close()
+    return answer.status, time.monotonic() - begun
+
+
+def test_who_has_no_key_cannot_stop_it(tmp_path):
+    """More connections than descriptors, half-sent, and then a hundred whole requests."""
+    limited = ["sh", "-c", 'ulimit -n 256; exec "$@"', "sh"]
+    words = [*limited, sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    others = []
+    with subprocess.Popen(words, **pipes) as server:
+        server.stdout.readline()
+        link = re.search(r":(\d+)/#token=(\S+)", server.stdout.readline())
+        port = int(link[1])
+        asked = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+        headers = {"Origin": f"http://127.0.0.1:{port}"}
+        asked.request("POST", "/api/session", json.dumps({"token": link[2]}), headers)
+        with asked.getresponse() as answer:
+            key = json.load(answer)["key"]
+        asked.close()
+        whole = f"GET /api/folder HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode()
+        taken = []
+        for sent, number in ((HALF, 300), (whole, 100)):
+            for _ in range(number):
+                others.append(socket.create_connection(("127.0.0.1", port), timeout=30))
+                others[-1].sendall(sent)
+            taken.append(_ask(port, key))
+        server.send_signal(signal.SIGINT)
+        out, err = server.communicate(timeout=30)
+    for one in others:
+        one.close()
+    assert [status for status, _ in taken] == [200, 200]
+    # It takes some milliseconds; where descriptors had run out it took 40 s.
+    assert max(seconds for _, seconds in taken) < 10.0
+    assert (server.returncode, out.splitlines()[-1], err) == (0, "Ended.", "")
+
+
+@pytest.fixture
+def served(desk):
+    """Return the door of a server that runs."""
+    with serving(desk) as door:
+        yield door
+
+
+def _ended(other):
+    """Wait until the other side has ended a connection."""
+    with suppress(ConnectionResetError):
+        while other.recv(1 << 16):
+            pass
+
+
+def _trickle(other):
+    for _ in range(400):
+        other.sendall(b"x")
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        HALF,
+        b"POST /api/session HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: http://127.0.0.1:%d\r\n"
+        b"Content-Length: 1000\r\n\r\n{",
+    ],
+    ids=["nothing", "half a head", "half a body"],
+)
+def test_a_request_that_does_not_come_ends(served, monkeypatch, sent):
+    monkeypatch.setattr(server, "STRANGER_SECONDS", 0.2)
+    sent = sent.replace(b"%d", str(served.port).encode())
+    with socket.create_connection(("127.0.0.1", served.port), timeout=30) as other:
+        other.sendall(sent)
+        # A byte now and then gains no time.
+        with pytest.raises(ConnectionError):
+            _trickle(other)
+
+
+def test_little_is_read_of_who_has_no_key(served):
+    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n"
+    head += f"Origin: http://127.0.0.1:{served.port}\r\nContent-Length: 4000000\r\n\r\n"
+    read = []
+    before = Connection.buffer_updated
+
+    def updated(one, nbytes):
+        read.append(nbytes)
+        before(one, nbytes)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Connection, "buffer_updated", updated)
+        with socket.create_connection(("127.0.0.1", served.port), timeout=30) as other:
+            other.settimeout(30)
+            with suppress(ConnectionError):
+                other.sendall(head.encode() + b"x" * 3_900_000)
+            _ended(other)
+    assert 0 < sum(read) <= 2 * 4096
+
+
+def test_who_has_the_key_stays_whatever_others_do(served, monkeypatch):
+    monkeypatch.setattr(server, "MOST_STRANGERS", 3)
+    key = served.key_for(token_of(served))
+    page = http.client.HTTPConnection("127.0.0.1", served.port, timeout=30)
+    others = []
+    for _ in range(3):
+        page.request("GET", "/api/jobs", headers={"Authorization": f"Bearer {key}"})
+        assert page.getresponse().read() == b"[]"
+        own = page.sock
+        for _ in range(5):
+            others.append(socket.create_connection(("127.0.0.1", served.port), timeout=30))
+        _ended(others[-4])
+    assert page.sock is own
+    for other in others:
+        other.close()
+    page.close()

@@ -1,0 +1,248 @@
+"""A triad's parameters stand in the certificate, with U and covariance, in XML and on the pages."""
+
+import numpy as np
+import pytest
+import triads
+
+import counterspin as cs
+from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
+from counterspin.calibration.result_parts import Correlation
+from counterspin.certificates.amendment import changes
+from counterspin.certificates.coverage import coverage_factor, region_factor
+from counterspin.certificates.front import front_blocks
+from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.schema import NAMESPACES, check_schema
+from counterspin.certificates.statements import statements
+from counterspin.cli import main
+from counterspin.reports.blocks import Paragraph, Table
+from counterspin.reports.numbers import field_unit, format_estimate
+
+G = 9.81
+OWN = LAB + '\n[evidence]\nall = "Type test 4714."\n'
+PART = "//dcc:measurementResult[dcc:name/dcc:content='Triad X, Y, Z']/dcc:results/dcc:result"
+
+
+def _values(count, noise=3e-4):
+    generator = np.random.default_rng(7)
+    values = triads.indications(triads.directions(count, generator))
+    return values + noise * generator.standard_normal(values.shape)
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory):
+    """Return the result of a triad in 25 poses, whose noise is estimated."""
+    return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), _values(25)))
+
+
+def _numbers(made, path):
+    (text,) = find(made, path)
+    return np.array([float(word) for word in text.text.split()])
+
+
+def _pages(folder, result, text=OWN):
+    lab = lab_of(folder, result, text)
+    return list(front_blocks(lab, result, ISSUE, {}))
+
+
+def test_parameters_stand_in_si_with_their_covariance(tmp_path, poses):
+    made, triad = document(tmp_path, poses, text=OWN), poses.triad
+    quantities = find(made, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']")
+    scale = np.array([G, G, G, 1, 1, 1, 1, 1, 1])  # offsets alone are accelerations
+    units = [r"\metre\second\tothe{-2}"] * 3 + [r"\one"] * 3 + [r"\radian"] * 3
+    assert len(quantities) == 9
+    for quantity, (name, c), by, unit in zip(
+        quantities, triad.parameters.items(), scale, units, strict=True
+    ):
+
+        def text(path, within=quantity):
+            return within.xpath(path, namespaces=NAMESPACES)[0].text
+
+        assert text(".//si:label") == name
+        assert text(".//si:unit") == unit
+        assert float(text("si:real/si:value")) == pytest.approx(by * c.value, rel=1e-14)
+        k = float(text(".//si:coverageFactor"))
+        assert k == coverage_factor(16.0) == pytest.approx(2.120, abs=5e-4)  # GUM, table G.2
+        assert float(text(".//si:valueExpandedMU")) / k == pytest.approx(by * c.u, rel=1e-14)
+    u = scale * [c.u for c in triad.parameters.values()]
+    covariance = [
+        float(one.text) for one in find(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
+    ]
+    np.testing.assert_allclose(
+        np.reshape(covariance, (9, 9)), triad.correlation.values * np.outer(u, u), rtol=1e-12
+    )
+    assert _numbers(made, f"{PART}//si:coverageFactorXMLList[../si:covarianceMatrixXMLList]") == (
+        pytest.approx(region_factor(9, 16.0), abs=1e-4)
+    )
+    # No accelerometer more is read than there are.
+    assert set(read_certificate(made, "x.xml").accelerometers) == {"X", "Y", "Z"}
+
+
+def test_parameters_and_matrix_are_read_back(tmp_path, poses):
+    triad, found = poses.triad, read_certificate(document(tmp_path, poses, text=OWN), "x").triad
+    assert found.accelerometers == ("X", "Y", "Z")
+    coefficients = found.parameters.coefficients
+    assert list(coefficients) == list(triad.parameters)
+    for name, c in triad.parameters.items():
+        read = coefficients[name]
+        assert (read.unit, read.dof) == (c.unit, pytest.approx(16.0, abs=1e-3))
+        assert (read.value, read.u) == pytest.approx((c.value, c.u), rel=1e-4)  # k has five digits
+    u = [c.u for c in triad.parameters.values()]
+    np.testing.assert_allclose(
+        found.parameters.covariance, triad.correlation.values * np.outer(u, u), rtol=1e-9
+    )
+    np.testing.assert_allclose(found.matrix, triad.matrix, rtol=1e-15)
+    np.testing.assert_allclose(found.expanded / found.factor, triad.u_matrix, rtol=1e-4)
+    np.testing.assert_allclose(found.bias, triad.bias, rtol=1e-14)
+
+
+def test_verify_shows_them_and_names_a_matrix_that_is_another(tmp_path, poses, capsys):
+    made = document(tmp_path, poses, text=OWN)
+    file = tmp_path / "c.xml"
+    file.write_bytes(made)
+    assert main(["certificate", "--verify", str(file)]) == 0
+    told = capsys.readouterr().out
+    for words in ("sensitivity of Z", "angle between Y and Z less 90 deg", "M ± U", "are those of"):
+        assert words in told
+    first = f"{poses.triad.matrix[2][2]!r}".encode()
+    assert made.count(first) == 1
+    file.write_bytes(made.replace(first, f"{poses.triad.matrix[2][2] + 1e-9!r}".encode()))
+    assert main(["certificate", "--verify", str(file)]) == 1
+    assert "matrix and offsets make sensitivity.Z" in capsys.readouterr().err
+
+
+def test_an_amendment_names_changed_parameters(tmp_path, poses):
+    one = document(tmp_path, poses, text=OWN)
+    other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
+    shown = shown_of(poses.triad.parameters["angle.X.Y"])
+    assert [line for line in changes(one, other) if "triad" in line] == [
+        f"angle.X.Y of the triad: it was {shown}, and is not certified.",
+        f"angle.Y.X of the triad: it was not certified, and is {shown}.",
+    ]
+
+
+def shown_of(c):
+    """Return a parameter with U as an amendment shows it."""
+    unit, factor = field_unit(c.unit)
+    return format_estimate(c.value * factor, coverage_factor(16.0) * c.u * factor, unit)
+
+
+def test_matrix_and_bias_correct_what_the_sensor_indicates(tmp_path, poses):
+    made = document(tmp_path, poses, text=OWN)
+    output = f"{PART}[dcc:name/dcc:content='Corrected output']"
+    matrix = _numbers(made, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
+    bias = _numbers(made, f"{output}//dcc:quantity[2]//si:valueXMLList")
+    along = triads.directions(5, np.random.default_rng(8))
+    corrected = (G * triads.indications(along) - bias) @ matrix.T
+    np.testing.assert_allclose(corrected, G * along, atol=5.0 * G * 3e-4)
+    np.testing.assert_allclose(bias, G * triads.BIAS, atol=5.0 * G * 3e-4)
+    expanded = _numbers(made, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
+    np.testing.assert_allclose(expanded, coverage_factor(16.0) * np.array(poses.triad.u_matrix))
+    assert np.all(np.abs(matrix - np.linalg.inv(triads.ROWS)) <= 2.0 * expanded)
+
+
+@needs_schema
+def test_it_conforms_to_the_schema(tmp_path, poses):
+    check_schema(document(tmp_path, poses, text=OWN), SCHEMA, "a triad's certificate")
+
+
+def test_pages_and_xml_say_the_same(tmp_path, poses):
+    lab = lab_of(tmp_path, poses, OWN)
+    (said,) = (
+        one for one in statements(lab, poses, poses, ISSUE, {}) if one.name == "Triad X, Y, Z"
+    )
+    assert "25 poses whose attitudes were unknown" in " ".join(said.lines)
+    declared = find(
+        document(tmp_path, poses, text=OWN),
+        "//dcc:statement[dcc:name/dcc:content='Triad X, Y, Z']/dcc:declaration/dcc:content",
+    )
+    assert declared[0].text == "\n".join(said.lines)
+    blocks = _pages(tmp_path, poses)
+    paragraphs = [block.text for block in blocks if isinstance(block, Paragraph)]
+    plain = [text.replace("²", "^2").replace("\u00a0", " ") for text in paragraphs]
+    assert set(said.lines) <= set(plain)
+    tables = {block.columns[0].title: block for block in blocks if isinstance(block, Table)}
+    first = [row[0] for row in tables["Parameter"].rows]
+    assert first[0] == "offset of X"
+    assert first[-1] == "angle between Y and Z less 90 deg"
+    assert [row[0] for row in tables["M ± U"].rows] == ["f_x", "f_y", "f_z"]
+    assert tables["M ± U"].rows[0][2:4] == ("0", "0")  # by choice of the frame
+
+
+def test_the_method_is_that_of_poses(tmp_path, poses):
+    method = find(document(tmp_path, poses, text=OWN), "//dcc:usedMethod[1]/dcc:description")
+    words = "".join(method[0].itertext())
+    assert "At rest in 25 poses of unknown attitude." in words
+    assert "turntable" not in words
+    assert "spindle" not in words
+
+
+def test_two_of_three_are_no_triad(tmp_path, poses):
+    text = OWN.replace("[certificate]", '[certificate]\naccelerometers = ["X", "Y"]')
+    assert b"Triad" not in document(tmp_path, poses, text=text)
+    assert not any("Triad" in str(block) for block in _pages(tmp_path, poses, text))
+
+
+def test_what_the_poses_do_not_determine_has_no_value(tmp_path):
+    faces = np.vstack([np.eye(3), -np.eye(3)])
+    model = 'terms = ["K_F", "K_I"]\nassume = ["all"]'
+    folder = triads.table(
+        tmp_path / "faces",
+        triads.indications(faces),
+        u=1e-3,
+        description=triads.head(model=model),
+    )
+    result = cs.calibrate(folder)
+    angles = [c for name, c in result.triad.parameters.items() if name.startswith("angle")]
+    assert not any(c.estimated for c in angles)
+    made = document(tmp_path, result, text=OWN)
+    labels = [one.text for one in find(made, f"{PART}//si:real/si:label")]
+    assert labels == [f"{kind}.{name}" for kind in ("offset", "sensitivity") for name in "XYZ"]
+    said = "".join(find(made, "//dcc:statements")[0].itertext())
+    assert "angle between X and Y: not determined by the records" in said
+
+
+def test_no_uncertainty_of_a_parameter_is_below_the_capability(tmp_path, poses):
+    cmc = '\n[cmc]\nK_F = "1 mg"\nK_I = "1e-6 g/g"\ndelta_O = "200 arcsec"\ndelta_P = "1 arcsec"\n'
+    made = document(tmp_path, poses, text=OWN + cmc)
+    expanded = {
+        one.getparent().getparent().getparent().findtext("si:label", namespaces=NAMESPACES): float(
+            one.text
+        )
+        for one in find(made, f"{PART}//si:real//si:valueExpandedMU")
+    }
+    assert expanded["offset.Y"] == pytest.approx(1e-3 * G, rel=1e-12)
+    assert expanded["angle.X.Z"] == pytest.approx(np.deg2rad(200 / 3600), rel=1e-12)
+    c = poses.triad.parameters["sensitivity.Z"]
+    assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
+    said = "".join(find(made, "//dcc:statements")[0].itertext())
+    assert "offset of Y: the evaluated uncertainty is U = " in said
+    assert "sensitivity of Z: evaluated" not in said
+
+
+def test_what_is_sure_of_g_in_g_units_is_not_in_si(tmp_path, poses):
+    # Offsets that were read in m/s^2 and moved in g-units as g does, and do not move in m/s^2.
+    triad = poses.triad
+    u_g, parameters, moved = 1e-2, {}, {}
+    for name, c in triad.parameters.items():
+        moved[name] = -c.value / G if name.startswith("offset") else 0.0
+        u = float(np.hypot(c.u, moved[name] * u_g))
+        parameters[name] = c.model_copy(update={"u": u, "dof": None})
+    given = poses.model_copy(
+        update={
+            "inputs": poses.inputs.model_copy(update={"u_gravity": u_g}),
+            "triad": triad.model_copy(
+                update={
+                    "parameters": parameters,
+                    "by_gravity": moved,
+                    "correlation": Correlation(terms=list(parameters), matrix=np.eye(9).tolist()),
+                }
+            ),
+        }
+    )
+    expanded = [
+        float(one.text)
+        for one in find(document(tmp_path, given, text=OWN), f"{PART}//si:real//si:valueExpandedMU")
+    ]
+    scale = [G] * 3 + [1.0] * 6
+    exact = [1.96 * by * c.u for by, c in zip(scale, triad.parameters.values(), strict=True)]
+    assert expanded == pytest.approx(exact, rel=1e-9)

@@ -1,0 +1,171 @@
+"""Results, certificates and amendments come into the ledger, with their checksums and reasons."""
+
+import hashlib
+import subprocess
+import sys
+
+import pytest
+from results import result
+
+from certificates import LAB, write_lab
+from counterspin import cli
+from counterspin.certificates.ledger import verify_ledger
+
+KEPT = LAB.replace('language = "de"', 'ledger = "ledger.jsonl"')
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
+    result().write("r.json")
+    write_lab(tmp_path, KEPT)
+    return tmp_path
+
+
+def run(*words):
+    return cli.main(["certificate", *words])
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_result_its_certificate_and_the_amendment(desk, capsys):
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    why = ("--amends", "a.xml", "--reason", "The customer has moved.")
+    assert run("r.json", "LAB.toml", "-o", "b.pdf", *why) == 0
+    found = verify_ledger(desk / "ledger.jsonl").entries
+    assert [entry.what for entry in found] == ["result", "certificate", "amendment"]
+    assert found[0].of == {"file": "r.json", "sha256": digest(desk / "r.json")}
+    assert found[1].of["sha256"] == found[1].of["file_sha256"] == digest(desk / "a.xml")
+    assert found[1].of["result"] == digest(desk / "r.json")
+    assert found[2].of["file_sha256"] == digest(desk / "b.pdf")
+    assert found[2].of["amends"] == found[1].of["identifier"]
+    assert (found[2].why, found[2].who) == ("The customer has moved.", "A. Erste")
+    assert found[1].when == "2027-01-15T08:00:00Z"
+    capsys.readouterr()
+    assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 0
+    assert found[2].digest in capsys.readouterr().out
+    more = ("--who", "B. Zweite", "--why", "once more")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
+    assert verify_ledger(desk / "ledger.jsonl").entries[3].who == "B. Zweite"
+
+
+def test_what_cannot_be_entered_is_not_issued(desk, capsys):
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    ledger = desk / "ledger.jsonl"
+    ledger.write_bytes(ledger.read_bytes().replace(b"r.json", b"s.json"))
+    assert run("r.json", "LAB.toml", "-o", "b.xml") == 1
+    assert "entry 1 was altered" in capsys.readouterr().err
+    assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
+    assert run("r.json", "LAB.toml", "-o", "b.xml", "--ledger", "no/ledger.jsonl") == 1
+    assert not (desk / "b.xml").exists()
+
+
+def test_a_draft_is_not_entered(desk):
+    assert run("--init", "mine.toml") == 0
+    assert run("r.json", "mine.toml", "-o", "draft.xml", "--ledger", "other.jsonl") == 0
+    assert not (desk / "other.jsonl").exists()
+
+
+def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
+    assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
+    assert "give only the ledger" in capsys.readouterr().err
+    more = ("--who", "B", "--why", "w")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *more]) == 1
+    assert not (desk / "ledger.jsonl").exists()
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
+    with (desk / "ledger.jsonl").open("ab") as file:
+        file.write(b'{"number"')
+    capsys.readouterr()
+    assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
+    assert "after entry 1 comes an incomplete line of 9 bytes" in capsys.readouterr().err
+
+
+class KilledError(BaseException):
+    """Nothing catches it but the test."""
+
+
+@pytest.fixture
+def killed(monkeypatch):
+    """Return a function that runs a command which is killed before it calls a function."""
+
+    def kill(name, *words):
+        def die(*_, **__):
+            raise KilledError
+
+        with monkeypatch.context() as patched:
+            patched.setattr(f"counterspin.certificates.ledger.{name}", die)
+            with pytest.raises(KilledError):
+                run(*words)
+
+    return kill
+
+
+@pytest.mark.parametrize("moment", ["write_whole", "_enter", "finish"])
+def test_a_certificate_that_stands_is_in_its_ledger_wherever_it_was_killed(desk, killed, moment):
+    words = ("r.json", "LAB.toml", "-o", "a.xml")
+    killed(moment, *words)
+    assert not (desk / "a.xml").exists()
+    assert run(*words) == 0
+    found = verify_ledger(desk / "ledger.jsonl").entries
+    assert [entry.what for entry in found] == ["result", "certificate"]
+    assert found[1].of["file_sha256"] == digest(desk / "a.xml")
+    assert not [path for path in desk.iterdir() if path.name.startswith(".")]
+
+
+def test_one_entered_on_another_day_is_found_and_told(desk, killed, monkeypatch, capsys):
+    words = ("r.json", "LAB.toml", "-o", "a.xml")
+    killed("finish", *words)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
+    assert run(*words) == 0
+    assert "An interrupted command had entered certificate" in capsys.readouterr().out
+    found = verify_ledger(desk / "ledger.jsonl").entries
+    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
+    assert b"2027-01-15" in (desk / "a.xml").read_bytes()
+
+
+def test_an_identifier_stands_for_one_content(desk, monkeypatch, capsys):
+    write_lab(desk, KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"'))
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    # The same in another form, and in another place.
+    assert run("r.json", "LAB.toml", "-o", "a.pdf") == 0
+    assert run("r.json", "LAB.toml", "-o", "b.xml") == 0
+    found = verify_ledger(desk / "ledger.jsonl").entries
+    assert [entry.of.get("file") for entry in found] == ["r.json", "a.xml", "a.pdf", "b.xml"]
+    assert len({entry.of["sha256"] for entry in found[1:]}) == 1
+    capsys.readouterr()
+    result(serial_number="Q-105").write("r.json", overwrite=True)
+    assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert "has certificate K 7 already (entry 4), with different content" in told
+    assert not (desk / "c.xml").exists()
+    assert verify_ledger(desk / "ledger.jsonl").entries == found
+
+
+def test_two_at_once_make_one_certificate(desk):
+    """As two labs' files with one identifier and one output."""
+    program = (
+        "import sys; from counterspin import cli; sys.stdin.readline()\n"
+        "sys.exit(cli.main(['certificate', 'r.json', sys.argv[1], '-o', 'a.xml']))"
+    )
+    other = KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"')
+    for name, place in (("one.toml", "Ort"), ("two.toml", "Stadt")):
+        (desk / name).write_text(other.replace("Ort", place), encoding="utf-8")
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", program, name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for name in ("one.toml", "two.toml")
+    ]
+    for process in both:
+        process.communicate(b"\n")
+    assert sorted(process.returncode for process in both) == [0, 1]
+    found = verify_ledger(desk / "ledger.jsonl").entries
+    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]

@@ -1,0 +1,187 @@
+"""The signature of a certificate's pages: added behind them, and void after any change."""
+
+import io
+import re
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pypdf
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.hazmat.primitives.serialization import Encoding
+from signing_keys import write_pair
+
+from counterspin.certificates.signature import pages_signature, sign_pages
+from counterspin.certificates.signers import read_signer
+from counterspin.errors import CounterspinError
+
+#: PDF/A-3a and PDF/UA-1, with the XML attached.
+PAGES = Path(__file__).parents[2] / "docs/examples/three-rate/certificate.pdf"
+DATE = datetime(2026, 3, 9, 10, 30, tzinfo=UTC)
+KEYS = {
+    "rsa": lambda: rsa.generate_private_key(65537, 2048),
+    "ec": lambda: ec.generate_private_key(ec.SECP256R1()),
+    "long ec": lambda: ec.generate_private_key(ec.SECP521R1()),
+}
+
+
+@pytest.fixture(scope="module")
+def signers(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("keys")
+    return {kind: read_signer(*write_pair(folder / kind, KEYS[kind]())) for kind in KEYS}
+
+
+@pytest.fixture(scope="module")
+def signed(signers):
+    return {kind: sign_pages(PAGES.read_bytes(), signer, DATE) for kind, signer in signers.items()}
+
+
+def public(signer):
+    return signer.certificates[0].public_bytes(Encoding.DER)
+
+
+@pytest.mark.parametrize("kind", KEYS)
+def test_signed_pages_are_of_their_signer_alone(signers, signed, kind):
+    assert pages_signature(signed[kind], public(signers[kind])) == "valid"
+    for other in set(KEYS) - {kind}:
+        assert pages_signature(signed[kind], public(signers[other])) == "invalid"
+    assert pages_signature(PAGES.read_bytes(), public(signers[kind])) == "none"
+
+
+def ranges(made):
+    """Return where the signed parts of a file begin, and their lengths, the first's end second."""
+    reader = pypdf.PdfReader(io.BytesIO(made))
+    return [int(n) for n in reader.pages[0]["/Annots"][0]["/V"]["/ByteRange"]]
+
+
+def test_any_change_is_found(signers, signed):
+    """A byte of the pages, of their metadata, of the signature, and what is added at the end."""
+    made, of = signed["ec"], public(signers["ec"])
+    for mark in (b"/StructTreeRoot", b"<pdfaid:part>3", b"20260309"):
+        place = made.rindex(mark) + len(mark) - 1
+        changed = made[:place] + bytes([made[place] ^ 1]) + made[place + 1 :]
+        assert pages_signature(changed, of) == "changed", mark
+    assert pages_signature(made + b"\n% more\n", of) == "changed"
+    assert pages_signature(made.replace(b"/SubFilter", b"/SubFiltre"), of) == "invalid"
+    _, start, end, _ = ranges(made)
+    place = start + len(made[start : end - 1].rstrip(b"0")) - 20
+    changed = made[:place] + (b"1" if made[place : place + 1] != b"1" else b"2") + made[place + 1 :]
+    assert pages_signature(changed, of) == "invalid"
+
+
+def test_what_is_added_later_is_covered_by_no_signature(signers, signed):
+    """A reader that appends, as PDF allows, whatever it says of the page."""
+    writer = pypdf.PdfWriter(io.BytesIO(signed["ec"]), incremental=True)
+    writer.add_metadata({"/Title": "Another certificate"})
+    out = io.BytesIO()
+    writer.write(out)
+    assert out.getvalue().startswith(signed["ec"])
+    assert pages_signature(out.getvalue(), public(signers["ec"])) == "changed"
+
+
+def test_a_second_signature_of_somebody_else_does_not_count(signers, signed, tmp_path):
+    from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
+    from pyhanko.sign import signers as theirs
+    from pyhanko.sign.signers import PdfSignatureMetadata
+
+    key, cert = write_pair(tmp_path / "k", KEYS["ec"]())
+    other = theirs.SimpleSigner.load(str(key), str(cert))
+    plain = IncrementalPdfFileWriter(io.BytesIO(PAGES.read_bytes()))
+    once = theirs.sign_pdf(plain, PdfSignatureMetadata(field_name="A"), other)
+    writer = IncrementalPdfFileWriter(once)
+    twice = theirs.sign_pdf(writer, PdfSignatureMetadata(field_name="B"), other).getvalue()
+    assert pages_signature(twice, public(signers["ec"])) == "invalid"
+    assert pages_signature(twice, public(read_signer(key, cert))) == "valid"
+
+
+@pytest.mark.parametrize("kind", KEYS)
+def test_pages_metadata_and_attachments_stay_as_they_are(signed, kind):
+    """Conformance: the file before is its beginning, and what PDF/A and PDF/UA ask is unchanged."""
+    before, after = PAGES.read_bytes(), signed[kind]
+    assert after.startswith(before)
+    # PDF/A-3, 6.1.9: an object begins on a line of its own.
+    assert re.match(rb"\n\d+ 0 obj\n", after[len(before) :])
+    old, new = pypdf.PdfReader(io.BytesIO(before)), pypdf.PdfReader(io.BytesIO(after))
+    roots = [reader.trailer["/Root"] for reader in (old, new)]
+    assert set(roots[1]) - set(roots[0]) == {"/AcroForm", "/Perms"}
+    assert roots[1]["/Metadata"].get_data() == roots[0]["/Metadata"].get_data()
+    assert dict(new.metadata) == dict(old.metadata)
+    assert {k: [bytes(v) for v in vs] for k, vs in new.attachments.items()} == {
+        k: [bytes(v) for v in vs] for k, vs in old.attachments.items()
+    }
+    assert [page.extract_text() for page in new.pages] == [p.extract_text() for p in old.pages]
+    (widget,) = new.pages[0]["/Annots"]
+    # PDF/A-3, 6.3.2: it is printed, and neither hidden nor without a view; 6.3.3: nothing to see.
+    flags = widget.get_object()["/F"]
+    assert flags & 4
+    assert not flags & (1 | 2 | 32 | 256)
+    assert widget.get_object()["/Rect"] == [0, 0, 0, 0]
+    # PDF/UA-1, 7.18.1 and 7.18.3: what a screen reader says, and the order of tabs.
+    assert widget.get_object()["/TU"] == "Electronic signature of this certificate"
+    assert new.pages[0]["/Tabs"] == "/S"
+    assert roots[1]["/AcroForm"].get("/NeedAppearances") is None
+    # PAdES: CAdES inside, and the certified document allows no change.
+    value = widget.get_object()["/V"]
+    assert value["/SubFilter"] == "/ETSI.CAdES.detached"
+    assert value["/M"] == "D:20260309103000Z"
+    assert value["/Reference"][0]["/TransformParams"]["/P"] == 1
+    first, length, second, rest = value["/ByteRange"]
+    assert (first, second + rest) == (0, len(after))
+    assert after[length : length + 1] == b"<"
+    assert after[second - 1 : second] == b">"
+
+
+@pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
+@pytest.mark.parametrize("flavour", ["3a", "ua1"])
+def test_verapdf_finds_no_fault(tmp_path, signed, flavour):
+    (tmp_path / "c.pdf").write_bytes(signed["ec"])
+    words = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
+    told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    assert told.startswith("PASS"), told
+
+
+def test_with_rsa_the_same_pages_give_the_same_file(signers, signed):
+    assert sign_pages(PAGES.read_bytes(), signers["rsa"], DATE) == signed["rsa"]
+
+
+def test_a_key_is_asked_once(signers):
+    """A card asks for its PIN at each signature."""
+    from dataclasses import replace
+
+    asked = []
+
+    def sign(data):
+        asked.append(data)
+        return signers["ec"].signed(data)
+
+    sign_pages(PAGES.read_bytes(), replace(signers["ec"], signed=sign), DATE)
+    assert len(asked) == 1
+
+
+@pytest.mark.skipif(shutil.which("pdfsig") is None, reason="pdfsig (poppler) is not installed")
+@pytest.mark.parametrize("kind", KEYS)
+def test_another_program_reads_the_signature(tmp_path, signed, kind):
+    """Poppler's, which knows no trust root here, and says so apart from the signature."""
+
+    def said(content):
+        path = tmp_path / "c.pdf"
+        path.write_bytes(content)
+        words = ["pdfsig", "-nocert", str(path)]
+        return subprocess.run(words, capture_output=True, text=True, check=False).stdout
+
+    told = said(signed[kind])
+    assert "Signature Type: ETSI.CAdES.detached" in told
+    assert "Total document signed" in told
+    assert "Signature Validation: Signature is Valid." in told
+    place = signed[kind].index(b"/StructTreeRoot") + 4
+    changed = signed[kind][:place] + b"X" + signed[kind][place + 1 :]
+    assert "Signature is Valid." not in said(changed)
+
+
+def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, signers):
+    monkeypatch.setitem(sys.modules, "pyhanko.sign", None)
+    with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):
+        sign_pages(PAGES.read_bytes(), signers["ec"], DATE)

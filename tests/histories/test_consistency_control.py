@@ -1,0 +1,29 @@
+"""Limits of an individuals chart, and what lies beyond them."""
+
+import pytest
+
+from counterspin.histories.consistency import WARNING_SIGMAS, individuals
+
+
+def test_limits_by_hand():
+    # Changes 2, 4, 2: mean 8/3, over 1.1284.
+    found = individuals([1.0, 3.0, -1.0, 1.0])
+    assert (found.centre, found.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
+    assert found.sigma == pytest.approx(8.0 / 3.0 / 1.128379, rel=1e-6)
+    assert found.limits(WARNING_SIGMAS) == pytest.approx(
+        (1.0 - 2.0 * found.sigma, 1.0 + 2.0 * found.sigma)
+    )
+    # The factor D4 of two: 3.267.
+    assert found.range_limit == pytest.approx(3.267 * 8.0 / 3.0, rel=2e-4)
+    assert (found.beyond, found.leaps) == ((), ())
+
+
+def test_what_lies_beyond_is_named():
+    values = [0.0, 1.0] * 8 + [20.0] + [0.0, 1.0] * 4
+    found = individuals(values)
+    assert found.beyond == (16,)
+    assert found.leaps == (16, 17)
+
+
+def test_fewer_than_three_results_have_no_limits():
+    assert individuals([1.0, 2.0]) is None

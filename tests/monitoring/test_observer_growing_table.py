@@ -1,0 +1,132 @@
+"""Growing tables: whatever is appended is read once, and nothing is taken for what it is not."""
+
+import numpy as np
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.monitoring import observer
+from counterspin.monitoring.observer import GrowingTable
+from counterspin.records.formats import open_columns
+from counterspin.records.tables import read_numbers
+
+NAMES = ["t", "x"]
+
+
+def lines(first, last):
+    return b"".join(b"%.3f,%.6g,ok\n" % (0.01 * k, np.sin(k)) for k in range(first, last))
+
+
+HEAD = b"# made by a recorder\nt,x,note\n"
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "run.csv"
+
+
+def append(file, content):
+    with file.open("ab") as opened:
+        opened.write(content)
+
+
+def test_parts_of_any_length_make_the_whole(file):
+    content = HEAD + lines(0, 40) + b"# a remark\n" + lines(40, 300)
+    followed, random = GrowingTable(file, NAMES), np.random.default_rng(1)
+    done = 0
+    while done < len(content):
+        step = int(random.integers(1, 400))
+        append(file, content[done : done + step])
+        done += step
+        followed.follow()
+        assert followed.rows <= content[:done].count(b",ok\n")
+    whole = read_numbers(file, NAMES)
+    assert followed.rows == 300
+    for name in NAMES:
+        assert np.array_equal(followed.table.columns[name], whole[name])
+    assert followed.follow() == (False, None)
+
+
+def test_a_line_without_its_end_is_waited_for(file):
+    followed = GrowingTable(file, NAMES)
+    append(file, HEAD + lines(0, 30) + b"0.300,0.1")
+    assert followed.follow() == (True, None)
+    assert followed.rows == 30
+    append(file, b"4112,ok\n")
+    assert followed.follow() == (True, None)
+    assert followed.table.columns["x"][30] == 0.14112
+
+
+def test_names_without_rows_are_waited_for(file):
+    followed = GrowingTable(file, NAMES)
+    append(file, HEAD)
+    assert followed.follow() == (False, None)
+    append(file, lines(0, 5))
+    assert followed.follow() == (False, None)
+    append(file, lines(5, 25))
+    assert followed.follow() == (True, None)
+    assert followed.rows == 25
+
+
+def test_a_recorder_s_own_style_is_kept(file):
+    head = b"Station;7\r\nBegun;2026-03-01\r\nt;x\r\ns;V\r\n"
+    rows = b"".join(b"%d,5;-%d,25\r\n" % (k, k) for k in range(400))
+    whole, followed = head + rows, GrowingTable(file, NAMES)
+    for begin in range(0, len(whole), 700):
+        append(file, whole[begin : begin + 700])
+        followed.follow()
+    assert followed.rows == 400
+    assert np.array_equal(followed.table.columns["t"], np.arange(400) + 0.5)
+    assert np.array_equal(followed.table.columns["x"], -np.arange(400) - 0.25)
+
+
+def test_old_bytes_are_not_read_again(file, monkeypatch):
+    read = []
+    monkeypatch.setattr(
+        observer,
+        "open_columns",
+        lambda path, dialect: read.append(path.stat().st_size) or open_columns(path, dialect),
+    )
+    followed = GrowingTable(file, NAMES)
+    append(file, HEAD + lines(0, 5000))
+    followed.follow()
+    before = len(read)
+    append(file, lines(5000, 5010))
+    followed.follow()
+    assert followed.rows == 5010
+    assert max(read[before:]) < 2000
+
+
+@pytest.mark.parametrize(
+    ("happens", "words"),
+    [("replaced", "was replaced"), ("shorter", "has become shorter"), ("anew", "was rewritten")],
+)
+def test_another_file_is_told_and_read_from_its_start(happens, words, file):
+    followed = GrowingTable(file, NAMES)
+    append(file, HEAD + lines(0, 100))
+    followed.follow()
+    if happens == "replaced":
+        (file.parent / "other").write_bytes(HEAD + lines(7, 60))
+        (file.parent / "other").replace(file)
+    elif happens == "shorter":
+        file.write_bytes(HEAD + lines(7, 60))
+    else:
+        file.write_bytes(HEAD + lines(7, 200))
+    changed, event = followed.follow()
+    assert changed
+    assert words in event
+    assert followed.table.columns["t"][0] == 0.07
+
+
+def test_rows_that_are_none_are_refused_and_nothing_before_is_lost(file):
+    followed = GrowingTable(file, NAMES)
+    append(file, HEAD + lines(0, 600))
+    followed.follow()
+    append(file, b"0.1,word,ok\n")
+    with pytest.raises(
+        RecordError, match=r"run\.csv, line 603: column 't'|'x' holds the text 'word'"
+    ):
+        followed.follow()
+    assert followed.rows == 600
+    file.write_bytes(HEAD + lines(0, 602))
+    followed.follow()
+    assert followed.rows == 602

@@ -1,0 +1,41 @@
+"""What further runs would give is what a calibration with them states."""
+
+import pytest
+from campaigns import SMALL, changed
+from recorded_campaigns import record
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.description import read_campaign
+from counterspin.planning.recorded import further_runs, observed_with_noise
+from counterspin.toml_text import write_document
+
+#: Nothing is taken as perfect: K_OO, 2 ug/g^2, looks like K_II.
+HONEST = changed(SMALL, ('[model]\nassume = "all"\n', ""))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), HONEST)
+
+
+def further(campaign, name="Qx.K_II"):
+    return further_runs(campaign, *observed_with_noise(campaign), name)
+
+
+def test_runs_in_another_attitude_give_what_they_promise(recorded, tmp_path):
+    found = further(read_campaign(recorded))
+    before = calibrate(recorded).accelerometers["Qx"].coefficients["K_II"].u
+    assert found.u_now == pytest.approx(before, rel=1e-3)
+    assert found.u < 0.8 * before
+    more = [dict(run) for run in found.runs]
+    for run in more:
+        run["revolutions"] = 20
+        assert float(run.pop("duration").split()[0]) > 0.0
+    text = HONEST.replace("[simulation]", f"{write_document({'runs': more})}\n[simulation]")
+    after = calibrate(record(tmp_path / "more", tmp_path / "plan", text))
+    assert after.accelerometers["Qx"].coefficients["K_II"].u == pytest.approx(found.u, rel=1e-2)
+
+
+def test_where_the_runs_decide_all_there_is_no_other_attitude_to_add(recorded):
+    perfect = read_campaign(recorded).change(assume=["all"], priors={"Qx.K_II": "0 ± 1e-12 g/g^2"})
+    assert further(perfect) is None

@@ -1,0 +1,234 @@
+"""What would move K_II unseen: against considered terms, estimated terms and faulty records."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.physics.accelerometer import QX, QY
+from counterspin.physics.motion import Trajectory
+from counterspin.physics.observation import ORDERS
+from counterspin.planning.design import Design, RunType
+from counterspin.planning.forecast import forecast
+from counterspin.planning.plan import plan
+from counterspin.planning.plan_file import read_plan
+from counterspin.planning.search import Search
+from counterspin.planning.sensitivities import (
+    faults_of,
+    mean_square,
+    of_path,
+    sensitivities,
+    square,
+)
+from counterspin.reports.text import report_console
+
+SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
+FORCE = [
+    ('displacement = "0.01 m"', 'specific_force = "1e-4 g"'),
+    ("bias = ", 'specific_force = { column = "f", unit = "m/s^2" }\nbias = '),
+]
+VELOCITY = [
+    ('displacement = "0.01 m"', 'velocity = "1e-3 m/s"'),
+    ("bias = ", 'velocity = { column = "v", unit = "m/s" }\nbias = '),
+]
+LEVEL = RunType("level", 1)
+
+
+@pytest.fixture
+def predict(starter):
+    """Return the forecast of three runs of the example plan, changed by pairs of text."""
+
+    def made(*changes, rates=(2.0, 4.0, 6.0)):
+        search = Search(read_plan(starter(*changes)))
+        rate = np.array(rates)
+        design = Design((LEVEL,) * rate.size, rate, np.full(rate.size, 30.3))
+        return forecast(search.campaign(design))
+
+    return made
+
+
+ECCENTRICITY = of_path("encoder.harmonic.1")
+IMBALANCE = of_path("centrifuge.imbalance.1")
+
+
+def place_of(prediction, name="Qx.K_II"):
+    return [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
+
+
+def fault(prediction, symbol):
+    """Return what a fault of those of a campaign would do."""
+    found = sensitivities(prediction, faults_of(prediction.campaign, "Qx"))
+    return next(one for one in found if one.fault.symbol == symbol)
+
+
+def shown_by(fault, series):
+    """Return what a record shows of one unit of each part of a fault."""
+    return series.columns([part.symbol for part in fault.parts], 1.0)
+
+
+# Against the model that knows them
+
+
+@pytest.mark.parametrize(
+    ("symbol", "size"),
+    [("K_OO", "2e-6 g/g^2"), ("delta_O", "5e-5 rad"), ("platform.tilt.north", "0.5 arcsec")],
+)
+def test_shift_is_what_the_term_adds_to_u_when_it_is_held(symbol, size, predict):
+    name = symbol.rpartition(".")[0] or symbol
+    out = [('"platform.tilt", ', ""), ('"platform.tilt" = "0 ± 0.5 arcsec"', "")]
+    known = f'[model.priors]\n"{name}" = "0 ± {size}"'
+    named = ('# hold = ["K_PP"]  ', f'hold = ["{name}"]')
+    held = [named, ("[model.priors]", known)]
+    left_out = predict(*out)
+    found = fault(left_out, symbol)
+    told = predict(*out, *held).fit.solution
+    place = place_of(left_out)
+    added = math.sqrt(told.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
+    assert found.shift(place) == pytest.approx(added, rel=1e-6)
+
+
+@pytest.mark.parametrize("symbol", ["K_OO", "K_IO"])
+def test_deviation_is_that_of_a_fit_that_estimates_it(symbol, predict):
+    left_out = predict(*VELOCITY)
+    found = fault(left_out, symbol)
+    estimated = predict(*VELOCITY, ('"K_III", ', f'"K_III", "{symbol}", '))
+    u = estimated.u[f"Qx.{symbol}"]
+    size = found.fault.size
+    assert found.deviation(place_of(left_out)) == pytest.approx(size / u, rel=1e-6)
+
+
+# Against records that have the fault
+
+
+OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE}
+
+
+@pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
+def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
+    prediction = predict(*changes)
+    (found,) = sensitivities(prediction, [ECCENTRICITY])
+    place = place_of(prediction)
+    moved = found.moved[place]
+    phase = moved / np.linalg.norm(moved)
+    prepared = []
+    for part in prediction.fit.prepared:
+        shown = shown_by(ECCENTRICITY, part.series)
+        error = ECCENTRICITY.size * (shown @ phase)
+        prepared.append(replace(part, series=replace(part.series, error=error)))
+    fit = solve_joint(prepared, prediction.fit.model, prediction.fit.noise)
+    estimate = float(fit.solution.estimate[place])
+    assert estimate == pytest.approx(found.shift(place), rel=1e-6)
+    # And what it leaves in the residuals is what the test of them will see.
+    left = sum(float(residual.whitened @ residual.whitened) for residual in fit.residuals)
+    seen = found.square(found.left_in["Qx"], place)
+    assert left == pytest.approx(seen, rel=1e-4)
+
+
+def derivatives(position, time, order):
+    """Return a function's value, first or second derivative, by central differences."""
+    step = 2e-3
+    if order == 2:
+        return position(time)
+    ahead, here, behind = position(time + step), position(time), position(time - step)
+    return (ahead - behind) / (2 * step) if order == 1 else (ahead - 2 * here + behind) / step**2
+
+
+@pytest.mark.parametrize("mounting", [QX, QY], ids=["Qx", "Qy"])
+@pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
+@pytest.mark.parametrize("phase", [0, 1], ids=["cosine", "sine"])
+def test_columns_are_the_motion_s(phase, changes, mounting, predict):
+    part = predict(*changes, rates=(2.9,)).fit.prepared[0]
+    series = replace(part.series, mounting=mounting)
+    axis = mounting.input_axis[:2]
+    radius, rate = series.trajectory.radius, series.trajectory.spindle.rate
+    wave = (np.cos, np.sin)[phase]
+
+    def place(distance, angle):
+        return distance * (np.cos(angle) * axis[0] + np.sin(angle) * axis[1])
+
+    def imbalanced(t):
+        return place(wave(rate * t), rate * t)
+
+    def eccentric(t):
+        # The reference goes where the encoder says; what is recorded is that much behind.
+        ahead, behind = (rate * t + small * wave(rate * t) for small in (1e-3, -1e-3))
+        return (place(radius, behind) - place(radius, ahead)) / 2e-3
+
+    time = series.time[:400]
+    for one, position in ((IMBALANCE, imbalanced), (ECCENTRICITY, eccentric)):
+        expected = derivatives(position, time, ORDERS[series.observable])
+        shown = shown_by(one, series)[:400, phase]
+        assert np.abs(shown - expected).max() < 1e-4 * np.abs(expected).max(), one.symbol
+
+
+def test_stretch_looks_like_a_radius_for_each_rate(predict):
+    series = predict(rates=(5.0,)).fit.prepared[0].series
+    stretch = next(one for one in faults_of(predict().campaign, "Qx") if "stretch" in one.symbol)
+    motion = series.trajectory
+    grown = motion.radius * (1.0 + 1e-6 * motion.radius * 25.0)
+    longer = Trajectory(motion.spindle, grown, motion.site)
+    change = (series.reference(longer) - series.reference()) / 1e-6
+    assert shown_by(stretch, series)[:, 0] == pytest.approx(change, rel=1e-4, abs=1e-6)
+
+
+# How much of K_II rests on its harmonic
+
+
+def share(prediction):
+    place = place_of(prediction)
+    found = sensitivities(prediction, [mean_square("Qx"), square("Qx")])
+    mean, whole = (one.moved[place, 0] for one in found)
+    return 1.0 - mean / whole
+
+
+def test_share_of_the_harmonic(starter, predict):
+    text = starter().read_text(encoding="utf-8")
+    terms = next(line for line in text.splitlines() if line.startswith("terms"))
+    priors = text.partition("[model.priors]\n")[2].partition("\n[limits]")[0]
+    alone = [*FORCE, (priors, ""), ('bias = "0 ± 5e-7 g" ', "")]
+    # a_I^2 = A^2/2 (1 + cos 2 th): mean squares 1 of the mean to 1/2 of the harmonic.
+    known = predict(*alone, (terms, 'terms = ["K_II"]'), rates=(6.0,))
+    assert share(known) == pytest.approx(1.0 / 3.0, abs=1e-3)
+    # One rate and a free bias leave the harmonic alone.
+    free = predict(*alone, (terms, 'terms = ["K_F", "K_II"]'), rates=(6.0,))
+    assert share(free) == pytest.approx(1.0, abs=1e-3)
+    assert abs(share(predict())) < 1e-3
+
+
+# What a user reads
+
+
+def test_report_and_result_name_what_is_not_noticed(starter, capsys):
+    result = plan(starter(SMALL)).result
+    told = result.accelerometers["Qx"]
+    unseen = {effect.symbol: effect for effect in told.faults if not effect.noticed}
+    assert {"K_OO", "delta_O"} <= set(unseen)
+    ratios = [effect.ratio for effect in told.faults]
+    assert ratios == sorted(ratios, reverse=True)
+    assert min(ratios) > 1.0
+    k_oo = unseen["K_OO"]
+    assert k_oo.shift / told.coefficients["K_II"].u == pytest.approx(k_oo.ratio)
+    console = report_console()
+    console.width = 140
+    console.print(result)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "Effects on Qx that the plan cannot detect" in printed
+    assert "second-order output-axis coefficient (K_OO) 2 ug/g^2" in printed
+    assert "Less than 0.1 % of the information on K_II comes from its second harmonic" in printed
+
+
+def test_a_force_campaign_rests_on_the_harmonic_and_sees_less_of_an_eccentric_encoder(starter):
+    told = plan(starter(SMALL, *FORCE)).result.accelerometers["Qx"]
+    assert told.harmonic_share > 0.3
+    faults = {effect.symbol: effect for effect in told.faults}
+    assert faults["encoder.harmonic.1"].ratio > 10.0
+    assert faults["encoder.harmonic.3"].noticed
+
+
+def test_nothing_is_said_of_a_model_without_k_ii(starter):
+    file = starter(SMALL, ('"K_II", ', ""), ('minimise = ["K_II"]  ', 'minimise = ["K_I"]  '))
+    told = plan(file).result.accelerometers["Qx"]
+    assert told.harmonic_share is None
+    assert told.faults is None

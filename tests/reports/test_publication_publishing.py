@@ -1,0 +1,203 @@
+"""A report as a file: the format by its name, whole or not at all, dated as one asks."""
+
+from datetime import UTC, datetime, timedelta, timezone
+
+import pytest
+from prose import ROOT
+from results import result
+
+from counterspin.cli import main
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.reports.publication import FORMATS, issue_date, report, write_report
+
+EXAMPLE = ROOT / "docs" / "examples" / "three-rate" / "result.json"
+
+FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suffix, tmp_path):
+    first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    write_report(result(), first, issued=FIXED)
+    write_report(result(), second, issued=FIXED)
+    assert first.read_bytes() == second.read_bytes()
+    assert len(first.read_bytes()) > 1000
+    other = result(warnings=["Qx: odd"])
+    with pytest.raises(CounterspinError, match="exists; name another file, or give `overwrite"):
+        write_report(other, second, issued=FIXED)
+    assert first.read_bytes() == second.read_bytes()
+    write_report(other, second, issued=FIXED, overwrite=True)
+    assert first.read_bytes() != second.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
+
+
+@pytest.mark.parametrize("kind", ["html", "md", "pdf"])
+def test_a_report_is_returned_as_it_is_written(kind, tmp_path):
+    file = tmp_path / f"a.{kind}"
+    write_report(result(), file, identifier="LAB 7/26", issued=FIXED)
+    made = report(result(), kind, identifier="LAB 7/26", issued=FIXED)
+    assert (made if isinstance(made, bytes) else made.encode()) == file.read_bytes()
+    with pytest.raises(CampaignError, match="kind: 'txt' is not html, md or pdf"):
+        report(result(), "txt")
+
+
+def test_a_report_replaces_no_other_file(tmp_path):
+    record = tmp_path / "record.md"
+    record.write_text("mine", encoding="utf-8")
+    with pytest.raises(CounterspinError, match="is not a calibration report of counterspin"):
+        write_report(result(), record, issued=FIXED, overwrite=True)
+    assert record.read_text(encoding="utf-8") == "mine"
+
+
+def test_the_identifier_is_on_paper_and_screen(tmp_path):
+    write_report(result(), tmp_path / "a.md", identifier="LAB 7/26", issued=FIXED)
+    told = (tmp_path / "a.md").read_text(encoding="utf-8")
+    assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
+    write_report(result(), tmp_path / "a.html", issued=FIXED)
+    assert result().identifier in (tmp_path / "a.html").read_text(encoding="utf-8")
+    write_report(result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED, overwrite=True)
+    assert "LAB 7/26" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("2026-03-01", datetime(2026, 3, 1, tzinfo=UTC)),
+        ("2026-03-01T14:30:00", datetime(2026, 3, 1, 14, 30, tzinfo=UTC)),
+        (
+            "2026-03-01T14:30:00+01:00",
+            datetime(2026, 3, 1, 14, 30, tzinfo=timezone(timedelta(hours=1))),
+        ),
+    ],
+)
+def test_dates_by_iso_8601(text, wanted):
+    assert issue_date(text) == wanted
+    assert issue_date(text).utcoffset() == wanted.utcoffset()
+
+
+def test_the_date_of_reproducible_builds(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    assert issue_date() == datetime(1970, 1, 2, tzinfo=UTC)
+    assert issue_date("2026-03-01").year == 2026
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "soon")
+    with pytest.raises(CampaignError, match="SOURCE_DATE_EPOCH: 'soon' is no date"):
+        issue_date()
+
+
+def test_the_clock_s_date_has_whole_seconds(monkeypatch):
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    made = issue_date()
+    assert made.microsecond == 0
+    assert abs(made - datetime.now(UTC)) < timedelta(seconds=5)
+
+
+# As typed
+
+
+@pytest.fixture
+def stored(tmp_path):
+    path = tmp_path / "result.json"
+    result().write(path)
+    return path
+
+
+def test_without_a_file_the_report_is_printed(stored, capsys):
+    assert main(["report", str(stored)]) == 0
+    said = capsys.readouterr().out
+    assert "27.0000 ± 0.0010 µg/g²" in said
+    assert "Is it good?" in said
+    assert "counterspin calibrate ." in said
+
+
+def test_a_campaign_is_calibrated_first(tmp_path, capsys):
+    assert main(["demo", "-o", str(tmp_path / "demo")]) == 0
+    assert main(["report", str(tmp_path / "demo"), "-o", str(tmp_path / "r.md")]) == 0
+    assert "Is it good?" in (tmp_path / "r.md").read_text(encoding="utf-8")
+    assert capsys.readouterr().out.endswith(f"Wrote {tmp_path / 'r.md'}.\n")
+
+
+def test_a_result_may_have_any_name(stored, capsys):
+    other = stored.rename(stored.with_name("result of May"))
+    assert main(["report", str(other)]) == 0
+    assert "Is it good?" in capsys.readouterr().out
+    other.write_text("hello", "utf-8")
+    assert main(["report", str(other)]) == 1
+    assert "not a result file" in capsys.readouterr().err
+
+
+def test_a_description_is_calibrated_first(tmp_path, capsys):
+    assert main(["report", str(tmp_path / "campaign.toml")]) == 2
+    assert "file not found; `counterspin init DIR`" in capsys.readouterr().err
+    (tmp_path / "campaign.toml").write_text("schema = 1", "utf-8")
+    assert main(["report", str(tmp_path / "campaign.toml")]) == 2
+    assert "site: is missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
+        (["-o", "{}/none/report.md"], 1, "report.md: cannot be written"),
+        (["--date", "yesterday"], 2, "--date: 'yesterday' is no date"),
+        (["--date", "9999-12-31T23:59:00-05:00"], 2, "is no date"),
+    ],
+)
+def test_what_cannot_be_is_said(arguments, status, words, stored, tmp_path, capsys):
+    typed = [argument.format(tmp_path) for argument in arguments]
+    assert main(["report", str(stored), *typed]) == status
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [stored]
+
+
+def test_a_damaged_or_newer_result_leaves_no_report(stored, tmp_path, capsys):
+    target = tmp_path / "report.html"
+    text = stored.read_text(encoding="utf-8")
+    for spoilt, words in (
+        (text[: len(text) // 2], "not a result file, or a damaged one"),
+        (text.replace('"schema": 2', '"schema": 99'), "written by a newer counterspin"),
+    ):
+        stored.write_text(spoilt, encoding="utf-8")
+        assert main(["report", str(stored), "-o", str(target)]) == 1
+        assert words in capsys.readouterr().err
+        assert not target.exists()
+
+
+@pytest.fixture(scope="module")
+def demonstration(tmp_path_factory):
+    """A small campaign with its result beside it, in a folder of files that commands write."""
+    folder = tmp_path_factory.mktemp("files")
+    assert main(["demo", "-o", str(folder / "demo")]) == 0
+    assert main(["calibrate", str(folder / "demo"), "--json", str(folder / "result.json")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("command", "title", "mark"),
+    [
+        (["history", str(EXAMPLE)], "History of K_II", "a history"),
+        (["compare", "result.json", str(EXAMPLE)], "Comparison of results", "a comparison"),
+        (["plan", "--check", "demo"], "", "a plan's result"),
+        (["rerun", "result.json"], "A result calibrated again", "a repeat of a result"),
+        (["check", "--campaign", "demo", "demo/run1.csv"], "run1: ", "a check"),
+        (["reproduce"], "", "a reproduction"),
+        (["study", "demo", "--trials", "3"], "", "a study's result"),
+    ],
+)
+def test_the_result_of_any_command_has_a_report(
+    command, title, mark, demonstration, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(demonstration)
+    file = tmp_path / "found.json"
+    assert main([*command, "--json", str(file)]) in (0, 1)
+    capsys.readouterr()
+    assert main(["report", str(file), "-o", str(tmp_path / "found.md")]) == 0
+    written = (tmp_path / "found.md").read_text(encoding="utf-8")
+    assert f"# {title}".replace("_", r"\_") in written
+    assert f"<!-- Made by counterspin: {mark}. -->" in written
+    capsys.readouterr()
+    assert main(["report", str(file)]) == 0
+    assert title in capsys.readouterr().out
+    # What is not a report of the same kind stays.
+    write_report(result(), tmp_path / "other.md", issued=FIXED)
+    assert main(["report", str(file), "-o", str(tmp_path / "other.md"), "--overwrite"]) == 1
+    assert f"is not {mark} of counterspin" in capsys.readouterr().err

@@ -1,0 +1,67 @@
+"""Files of an installation against the hashes of its RECORD."""
+
+import base64
+import hashlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import counterspin
+from counterspin.validation import validate as validating
+from counterspin.validation.validate import checked_files, installation, validate
+
+
+def record_of(folder):
+    lines = ["counterspin-9.dist-info/RECORD,,"]
+    for path in sorted(folder.rglob("*.py")):
+        digest = hashlib.sha256(path.read_bytes()).digest()
+        text = base64.urlsafe_b64encode(digest).rstrip(b"=").decode()
+        name = path.relative_to(folder).as_posix()
+        lines.append(f"counterspin/{name},sha256={text},{path.stat().st_size}")
+    return "\n".join(lines)
+
+
+def test_an_altered_and_a_missing_file_are_named(tmp_path):
+    for name in ("a.py", "b.py", "c.py"):
+        (tmp_path / name).write_text(f"# {name}\n")
+    record = record_of(tmp_path)
+    assert checked_files(record, tmp_path)[1:] == ([], [])
+    assert set(checked_files(record, tmp_path)[0]) == {"a.py", "b.py", "c.py"}
+    (tmp_path / "b.py").write_text("# b.py \n")
+    (tmp_path / "c.py").unlink()
+    assert checked_files(record, tmp_path)[1:] == (["b.py"], ["c.py"])
+
+
+@pytest.mark.parametrize("editable", [True, False])
+def test_a_record_is_that_of_the_files_beside_it(editable, monkeypatch, tmp_path):
+    site = tmp_path if editable else Path(counterspin.__file__).parents[1]
+    delivered = SimpleNamespace(
+        requires=[],
+        read_text=lambda name: "counterspin/application/documentation/gone.md,sha256=AAAA,1",
+        locate_file=lambda name: site / name,
+    )
+    monkeypatch.setattr(validating.metadata, "distribution", lambda name: delivered)
+    missing = [] if editable else ["application/documentation/gone.md"]
+    assert installation().missing == missing
+
+
+def test_what_is_installed_is_said():
+    there = installation()
+    assert there.files > 300
+    assert "numpy" in there.packages
+    assert there.environment["python"]
+    assert there.checksum == installation().checksum
+
+
+def test_an_altered_installation_does_not_pass(monkeypatch, tmp_path, capsys):
+    from counterspin.cli import main
+
+    altered = installation().model_copy(update={"altered": ["errors.py"], "recorded": 400})
+    monkeypatch.setattr(validating, "installation", lambda: altered)
+    dossier = validate(chosen=[])
+    assert not dossier.passed
+    assert "errors.py" in repr(dossier)
+    monkeypatch.setattr(validating, "cases", lambda: ())
+    assert main(["validate", "-o", str(tmp_path / "d")]) == 1
+    assert "altered or missing: errors.py; reinstall counterspin" in capsys.readouterr().err
