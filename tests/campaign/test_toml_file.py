@@ -8,9 +8,8 @@ import pytest
 from campaigns import SMALL as BASE
 from campaigns import write
 
-from counterspin.campaign.checking import key_path
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.toml_file import lines_of, lines_of_messages
+from counterspin.campaign.toml_file import key_path, lines_of, lines_of_messages
 from counterspin.certificates.lab import write_example
 from counterspin.errors import CampaignError
 from counterspin.planning.plan_file import read_plan

@@ -10,6 +10,8 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
+from counterspin.campaign.toml_file import key_path
+
 Path = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
@@ -36,18 +38,6 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
 
 #: How pydantic names the one of several types as which a value was read, in a mistake's place.
 _ONE_OF_SEVERAL: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict)\[.*\]")
-
-
-def key_path(path: Path) -> str:
-    """Write the path of a key as TOML users know it; list items count from 0."""
-    text = ""
-    for part in path:
-        if isinstance(part, int):
-            text += f"[{part}]"
-        else:
-            plain = part.replace("_", "").replace("-", "").isalnum()
-            text += ("." if text else "") + (part if plain else f'"{part}"')
-    return text
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.campaign.checking import key_path
 from counterspin.errors import CampaignError
 from counterspin.input import looks_like, read_file
 
@@ -43,6 +42,18 @@ _OF_MESSAGE: Final = re.compile(rf"({_PART}(?:\.{_PART}|\[\d+\])*): ")
 _LAST: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
+
+
+def key_path(path: tuple[str | int, ...]) -> str:
+    """Write the path of a key as TOML users know it; list items count from 0."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            plain = part.replace("_", "").replace("-", "").isalnum()
+            text += ("." if text else "") + (part if plain else f'"{part}"')
+    return text
 
 
 def description_file(where: Path | str) -> Path:

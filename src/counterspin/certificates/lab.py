@@ -17,7 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems, Section, did_you_mean, key_path
+from counterspin.campaign.checking import Problems, Section, did_you_mean
 from counterspin.campaign.kinds import SettingsSection, described
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
@@ -26,7 +26,14 @@ from counterspin.campaign.specification import (
     SpecificationSettings,
     resolve_specifications,
 )
-from counterspin.campaign.toml_file import flat_keys, list_of, load_document, mistakes, table_of
+from counterspin.campaign.toml_file import (
+    flat_keys,
+    key_path,
+    list_of,
+    load_document,
+    mistakes,
+    table_of,
+)
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
 from counterspin.certificates.schema import clean
 from counterspin.errors import CounterspinError

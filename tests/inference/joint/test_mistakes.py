@@ -1,13 +1,15 @@
-"""What a mistake does to a record is what it does to an exact one."""
+"""What a mistake does to a record is what it does to an exact one; which of several is likelier."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from joint_campaign import three_rates, unknowns
+from scipy import integrate, stats
 
 from counterspin.inference.joint import mistakes
-from counterspin.inference.joint.alternatives import scores
+from counterspin.inference.joint.alternatives import Alternative, scores
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.unknowns import Unknowns
@@ -42,3 +44,48 @@ def test_a_step_of_the_bias_is_found_where_and_as_large_as_it_is(sound):
         assert (other.kind, other.owner) == (mistakes.BIAS_STEP, f"{last.run}.Qx")
         assert other.at == pytest.approx(at, abs=1e-9 * high)
         assert float(every.value[best]) == pytest.approx(SIZE, rel=1e-3)
+
+
+def of_term(typical, value, u):
+    return mistakes.log_evidence(Alternative("term", "Qx", "K_OO", typical=typical), value, u)
+
+
+@pytest.mark.parametrize("value", [5e-7, 2e-6, 1e-5])
+def test_the_evidence_is_the_likelihood_averaged_over_what_was_known(value):
+    """For u well below the typical size: Laplace's approximation, within u^2 over its square."""
+    typical, u = 2e-6, 1e-8
+
+    def density(x):
+        return stats.norm.pdf(value, x, u) * stats.cauchy.pdf(x, 0.0, typical)
+
+    average, _ = integrate.quad(density, value - 10 * u, value + 10 * u)
+    # A likelihood whose largest value is 1 has sqrt(2 pi) u for the normal density's 1.
+    assert of_term(typical, value, u) == pytest.approx(math.log(average * u), abs=1e-3)
+
+
+def test_the_nearer_to_its_typical_size_the_likelier():
+    # 1 arcsec of the encoder looks like 12 um of imbalance, which is typically 1 um.
+    encoder = of_term(4.85e-6, 4.85e-6, 1e-9)
+    imbalance = of_term(1e-6, 12e-6, 12e-6 * 1e-9 / 4.85e-6)
+    # ln(1/(2 pi)) and ln(12/(145 pi)), the same u over the value in both.
+    assert encoder - imbalance == pytest.approx(math.log(0.5 * 145 / 12), rel=1e-9)
+
+
+def test_a_mistake_is_of_any_size():
+    def of_mistake(kind, value):
+        return mistakes.log_evidence(Alternative(kind, "Qx", "scale"), value, 1e-3 * value)
+
+    assert of_mistake(mistakes.SCALE, 1e-5) == pytest.approx(of_mistake(mistakes.SCALE, 0.1))
+    assert of_mistake(mistakes.JUMP, 0.1) < of_mistake(mistakes.SCALE, 0.1)
+
+
+def test_what_is_stated_may_be_mistaken_and_what_is_not_stated_may_not():
+    # A radius of 10 cm off is no typical error, but a mistaken digit; nobody writes a clock down.
+    radius = Alternative("input", "", "centrifuge.radius", typical=1e-5, stated=True)
+    clock = Alternative("input", "", "records.clock", typical=2e-5)
+    assert mistakes.log_evidence(radius, 0.1, 1e-4) > mistakes.log_evidence(clock, 0.005, 5e-6)
+
+
+def test_what_cannot_be_told_is_the_last():
+    assert of_term(1e-6, 1e-6, math.inf) == -math.inf
+    assert of_term(1e-6, 0.0, 1e-7) == -math.inf

@@ -7,8 +7,13 @@ import pytest
 from scipy.special import ndtri, stdtrit
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.noise.growth import information_lost
-from counterspin.inference.noise.model import WANTED, Differences, Noise, make_whitener
+from counterspin.inference.noise.model import (
+    WANTED,
+    Differences,
+    Noise,
+    information_lost,
+    make_whitener,
+)
 from counterspin.inference.noise.reduced import RecordData
 from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
 from counterspin.inference.noise.search import KEEPING_GAIN, _step, effective_dof, find_noise

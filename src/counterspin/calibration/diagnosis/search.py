@@ -45,7 +45,6 @@ from counterspin.inference.joint.estimation import Estimate, estimate_again
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.found_noise import unseen_covariance
 from counterspin.inference.joint.inputs import TIMING
-from counterspin.inference.joint.plausible import log_evidence
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
@@ -398,7 +397,9 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
     def plausible(k: int) -> tuple[bool, bool, float, bool, int]:
         # What is short of the best by all that is allowed is short of it by a decisive chi-square.
         short = _DECISIVE_CHI2 * (float(held.size[place]) ** 2 - float(held.size[k]) ** 2) / slack
-        evidence = log_evidence(every[k], float(held.value[k]), float(held.u[k])) - 0.5 * short
+        evidence = (
+            mistakes.log_evidence(every[k], float(held.value[k]), float(held.u[k])) - 0.5 * short
+        )
         # Of what rounding alone tells apart, what the whole campaign has comes first.
         weight, own = round(-evidence, 6), bool(every[k].owner)
         return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, weight, own, k

@@ -10,7 +10,6 @@ from counterspin.calibration.diagnosis.record_counts import rejected_of
 from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.kinds import kind_blocks
 from counterspin.calibration.pages.motions import table_of_tests
-from counterspin.calibration.pages.records import count_blocks, note_blocks
 from counterspin.calibration.pages.uncertainty import dominance, named, telling
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -18,6 +17,7 @@ from counterspin.calibration.result_parts import (
     Comparison,
     NoiseLine,
     ReadingResult,
+    RunResult,
 )
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
@@ -380,3 +380,16 @@ def _budget_row(line: BudgetLine, factor: float) -> tuple[str, ...]:
         format_uncertainty(line.contribution * factor),
         format_share(line.share),
     )
+
+
+def note_blocks(name: str, found: RunResult | ReadingResult) -> Iterator[Block]:
+    """Yield one paragraph for each thing that reading found."""
+    for note in found.notes:
+        yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
+
+
+def count_blocks(name: str, found: RunResult | ReadingResult) -> Iterator[Block]:
+    """Yield how many rows of each kind there are."""
+    counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in found.counts.items())
+    if counts:
+        yield Paragraph(f"{name}: {counts}.")

@@ -11,10 +11,11 @@ from counterspin.calibration.pages.accelerometer import (
     accelerometer_blocks,
     budget_blocks,
     coefficient_table,
+    count_blocks,
     in_field_units,
+    note_blocks,
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
-from counterspin.calibration.pages.records import count_blocks, note_blocks
 from counterspin.calibration.pages.triad import triad_blocks, triad_line
 from counterspin.calibration.pages.uncertainty import (
     assumption,

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.checking import Problems, key_path
+from counterspin.campaign.checking import Problems
 from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.toml_file import key_path
 
 
 def plain(value: Any, path: KeyPath, problems: Problems) -> Any:

@@ -18,8 +18,7 @@
 - `kinds`: whether data of several kinds agree; `runs_left_out`: what becomes of an estimate
   without a run
 - `relaxed`, `alternatives`, `mistakes`: what is assumed taken as unknown; what else would explain
-  the records; mistakes that are likely
+  the records; mistakes that are likely, and which explanation is the likelier one
 - `turned`: an accelerometer turned about its input axis
-- `plausible`: which of several explanations is the likelier one
 - `slow_parts`: whether noise that was found is alike in all runs
 """
