@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import noisy, simulated, three_rates, unknowns
 from scipy.signal import lfilter
 
 from counterspin.inference.joint.estimation import estimate
@@ -58,3 +58,17 @@ def test_independent_rows_noise_of_the_accelerometer_and_vibrations_stay(observa
         want = Noise(WANTED, 0.0 if observable == "specific_force" else WANTED)
         found = estimate(drawn, MODEL, {"Qx": want})
         assert {one.every for one in found.series} == {1}
+
+
+def test_waves_of_the_spindle_are_no_memory_of_a_filter():
+    """An encoder that errs four times a revolution leaves a fifth harmonic in specific force."""
+    rng = np.random.default_rng(3)
+    drawn = []
+    for rate, revolutions in ((3.72, 18), (4.77, 31), (5.34, 24), (5.56, 39), (-2.58, 24)):
+        rows = round(math.tau / abs(rate) * (50 if rate > 5.5 else 25))
+        more = {"revolutions": revolutions, "per_revolution": rows}
+        one = simulated(f"{rate}", rate, TRUTH, observable="specific_force", **more)
+        wave = 1e-4 * rate**2 * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
+        drawn.append(noisy(replace(one, error=one.error + wave), Noise(1e-4), rng))
+    found = estimate(drawn, MODEL, {"Qx": Noise(WANTED)})
+    assert {one.every for one in found.series} == {1}

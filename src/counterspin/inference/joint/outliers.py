@@ -50,7 +50,7 @@ def outlying(
     Returns: shape (n,); false where a sample has been left out already.
     """
     n, there = residuals.size, np.isfinite(residuals)
-    if np.count_nonzero(there) < 2 * _MEDIAN_REACH:
+    if np.count_nonzero(there) <= 2 * _MEDIAN_REACH:
         return np.zeros(n, dtype=bool)
     place = np.arange(float(n)) if time is None else time
     filled = np.interp(place, place[there], residuals[there])
