@@ -9,7 +9,8 @@ from results import result
 import counterspin as cs
 from certificates import write_lab
 from counterspin import cli
-from counterspin.calibration.findings import judge_result, lack_of_fit, refusal
+from counterspin.calibration.diagnosis.causes import Cause
+from counterspin.calibration.findings import judge_result, lack_of_fit, ranked, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
 from counterspin.inference.distributions import chi_square_tail
@@ -102,6 +103,17 @@ def test_half_the_true_value_is_never_good():
 def test_the_gravest_comes_first():
     found = judged(jackknife=run(-6.1), two_stage=other_method(10.0), noise=walk(5000.0))
     assert codes(found) == ["noise-implausible", "run-disagrees", "methods-disagree"]
+
+
+def test_the_cause_that_explains_most_comes_first_whatever_lies_below_it():
+    small = Finding(code="wrong-scale", subject="r2.Qx", text="Scale.", size=10.0)
+    above = small.model_copy(update={"explains": [Finding(code="jump", subject="Qx", text="It.")]})
+    large = Finding(code="term-missing", subject="Qx.K_4", text="Term.", size=18.0)
+    causes = [Cause(large, ("Qx",), {}), Cause(small, ("Qx",), {})]
+    assert ranked([above, large], causes) == [large, above]
+    assert ranked([large, above]) == [above, large]  # where nobody says which are causes
+    grave = above.model_copy(update={"contradicts": True})
+    assert ranked([large, grave], causes) == [grave, large]
 
 
 def test_one_cause_is_one_finding():

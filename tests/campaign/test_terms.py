@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from campaigns import campaign_of
+from reading_descriptions import ACCELEROMETER, at_rest, place
 
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Problems
@@ -100,6 +102,21 @@ def test_a_component_prior_overrides_that_of_the_bare_name():
     assert model.priors["platform.tilt.east"].u == pytest.approx(ARCSEC, rel=1e-14)
     assert model.priors["platform.tilt.north"].u == pytest.approx(2 * ARCSEC, rel=1e-14)
     assert set(model.priors) == {f"platform.tilt.{axis}" for axis in ("east", "north", "up")}
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_component_prior_of_the_head_overrides_wider_ones_in_any_order(tmp_path, order):
+    stated = [
+        '"head.harmonic.1.sin" = "0 ± 3 arcsec"\n',
+        '"head.harmonic.1" = "0 ± 2 arcsec"\n',
+        '"head.harmonic" = "0 ± 1 arcsec"\n',
+    ]
+    read = (at_rest(f"{angle}", f"{angle} deg about north", "1 mA") for angle in (0, 60, 120))
+    text = place() + ACCELEROMETER + "".join(["[model.priors]\n", *stated[::order], *read])
+    priors = campaign_of(tmp_path, text).model.priors
+    found = {symbol: round(prior.u / ARCSEC, 9) for symbol, prior in priors.items()}
+    first = {"head.harmonic.1.cos": 2.0, "head.harmonic.1.sin": 3.0}
+    assert found == {**first, "head.harmonic.2.cos": 1.0, "head.harmonic.2.sin": 1.0}
 
 
 def test_one_accelerometer_prior_overrides_that_of_all():

@@ -80,6 +80,13 @@ def test_logarithm_of_a_binomial_coefficient():
     assert log_binomial(5000, 200) == pytest.approx(math.log(math.comb(5000, 200)), rel=1e-13)
 
 
+@pytest.mark.parametrize("dof", [1e-300, 1e-3, 0.05])
+def test_less_than_a_tenth_of_a_degree_of_freedom_is_a_tenth(dof):
+    """The quantile would be beyond what a number can be: 1e320 of 0.005."""
+    assert student_quantile(dof, 0.025) == student_quantile(0.1, 0.025) < -1e12
+    assert 0.0 < dof_beside(0.06, dof) == min(dof_beside(0.06, 0.1), dof / 0.06**2)
+
+
 @pytest.mark.parametrize("dof", [1.0, 2.0, 5.0, 20.0])
 @pytest.mark.parametrize("share", [1e-3, 0.03, 0.3, 0.9])
 def test_an_interval_of_something_estimated_beside_something_known(share, dof):

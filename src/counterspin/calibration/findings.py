@@ -68,7 +68,7 @@ def judge_result(
     own = [finding for judged in accelerometers.values() for finding in judged.findings]
     # What has just been calibrated was held to what its campaign says is credible.
     shared = [*result.findings, *(_not_credible(result) if result.assumes_all else ())]
-    everything = ranked(merged([*below_causes("", shared, causes), *own]))
+    everything = ranked(merged([*below_causes("", shared, causes), *own]), causes)
     state = state_of(everything)
     return result.model_copy(
         update={
@@ -140,7 +140,7 @@ def _judge(
     ]
     if result.assumes_all:
         found += incredible(widest_limit, name, accelerometer.coefficients)
-    findings = ranked(below_causes(name, found, causes))
+    findings = ranked(below_causes(name, found, causes), causes)
     return accelerometer.model_copy(
         update={
             "findings": findings,
@@ -151,13 +151,20 @@ def _judge(
     )
 
 
-def ranked(findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings, contradictions first, then wrong equations, causes, and the rest by size."""
+def ranked(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
+    """Return findings, contradictions first, then wrong equations, causes, and the rest by size.
+
+    causes: In the order in which they were found, the one that explains most first.
+    """
+    order = {
+        (cause.finding.code, cause.finding.subject): place for place, cause in enumerate(causes)
+    }
     return sorted(
         findings,
         key=lambda finding: (
             not finding.contradicts,
             finding.code != "as-printed",
+            order.get((finding.code, finding.subject), len(order)),
             not finding.explains,
             -(finding.size or 0.0),
         ),

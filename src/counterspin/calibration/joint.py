@@ -18,6 +18,7 @@ from counterspin.calibration.diagnosis.reading_findings import (
     outliers_of_means,
 )
 from counterspin.calibration.diagnosis.search import causes_of
+from counterspin.calibration.diagnosis.untested import untested
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
     compare,
@@ -128,6 +129,7 @@ def joint(problem: JointProblem) -> Outcome:
         causes=causes_of(views, accelerometers, mountings),
         remarks=(
             *unseen_axes(mountings),
+            *untested(views),
             *no_more_than_rounded(views),
             *hidden_walk(views),
             *other_noise(views),

@@ -279,7 +279,7 @@ def _unknown(name: str, path: Path, problems: Problems) -> None:
 
 def _widest_first(names: Iterable[str]) -> list[str]:
     """Return names in an order in which narrower ones overwrite wider ones."""
-    return sorted(names, key=lambda name: -len(BARE_NAMES.get(name, ())))
+    return sorted(names, key=lambda name: name.count("."))
 
 
 def _resolve_priors(

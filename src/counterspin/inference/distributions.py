@@ -33,6 +33,10 @@ _NORMAL: Final = NormalDist()
 _TAIL: Final = 0.025
 _MANY_DOF: Final = 50.0
 _LEAST_SHARE: Final = 1e-6
+
+#: Of fewer degrees of freedom 95 % lie within more than 1e12 standard uncertainties, and beyond
+#: what a number can be: nothing is known.
+_LEAST_DOF: Final = 0.1
 _NODES: Final = 80
 
 #: Difference of tails, and of logarithms of what they are tails of, that no digit shows.
@@ -94,7 +98,7 @@ def student_quantile(dof: float, p: float) -> float:
     """
     if math.isinf(dof):
         return normal_quantile(p)
-    tail = min(p, 1.0 - p)
+    tail, dof = min(p, 1.0 - p), max(dof, _LEAST_DOF)
     if tail == 0.5:
         return 0.0
     t = -normal_quantile(tail)
@@ -143,6 +147,7 @@ def dof_beside(share: float, dof: float) -> float:
     satterthwaite = dof / share**2 if share > 0.0 else math.inf
     if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
         return satterthwaite
+    dof = max(dof, _LEAST_DOF)
     # Between the normal quantile and Student's own, both over the logarithm.
     low, high = -normal_quantile(_TAIL), -student_quantile(dof, _TAIL)
     q = math.exp(

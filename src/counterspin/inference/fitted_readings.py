@@ -49,6 +49,16 @@ class Position:
 
 
 @frozen
+class Outlying:
+    """A reading, or the readings of one position together, that the noise does not explain."""
+
+    places: tuple[int, ...]  #: Among the readings.
+    name: str  #: Of the reading, or of each of them.
+    residual: float  #: g.
+    z: float  #: Residual over its standard deviation, by the noise of the others.
+
+
+@frozen
 class FittedReadings:
     """A group of readings or poses, and how it fits a solution that has followed it."""
 
@@ -114,8 +124,8 @@ class FittedReadings:
         """What these readings are called."""
         return WORDS[self.readings.motion]
 
-    def outlying(self) -> list[tuple[str, float, float]]:
-        """Return name, residual (g) and standardised residual of what noise leaves open.
+    def outlying(self) -> list[Outlying]:
+        """Return what noise leaves open.
 
         Each reading, and the readings of each position that was read more than once together, are
         compared with the noise of the others (externally studentised), at the level of the other
@@ -126,7 +136,7 @@ class FittedReadings:
         every = [*self.positions, *self.single]
         z = [each.beside_others for each in every]
         p = [each.p for each in every]
-        far_off: list[tuple[str, float, float]] = []
+        far_off: list[Outlying] = []
         said: dict[int, float] = {}
         for i in np.flatnonzero(np.array(p) < _OF_SINGLE / len(every)):
             places, size = every[i].places, abs(z[i])
@@ -134,8 +144,8 @@ class FittedReadings:
             if any(size <= said.get(place, 0.0) for place in places):
                 continue
             said |= dict.fromkeys(places, size)
-            names = list(dict.fromkeys(self.readings.names[place] for place in places))
-            far_off.append((", ".join(names), every[i].residual, z[i]))
+            names = ", ".join(dict.fromkeys(self.readings.names[place] for place in places))
+            far_off.append(Outlying(tuple(places), names, every[i].residual, z[i]))
         return far_off
 
     @property

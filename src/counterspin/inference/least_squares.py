@@ -168,13 +168,29 @@ class Solution:
         count, and none that is known exactly.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
+        stacked, rotation = self._stacked(data, priors), self._rows.rotation
+        # Twice: what rounding leaves of the first projection matters where little is left.
+        for _ in range(2):
+            stacked -= rotation @ (rotation.T @ stacked)
+        return stacked
+
+    def taken_up(self, data: Array, priors: Array) -> Array:
+        """Return by how much the unknowns move, shape (p, c), where columns go unnoticed.
+
+        What `unexplained` leaves; arguments as of that.
+        """
+        rows = self._rows
+        moved = np.zeros((self.estimate.size, data.shape[1]))
+        stacked = self._stacked(data, priors)
+        moved[rows.free] = np.linalg.solve(rows.triangle, rows.rotation.T @ stacked)
+        return moved
+
+    def _stacked(self, data: Array, priors: Array) -> Array:
+        """Return columns in all rows: of the blocks, the priors and the unknowns that are held."""
         rows = self._rows
         stacked = np.zeros((rows.rotation.shape[0], data.shape[1]))
         stacked[: rows.data] = data
         stacked[rows.data : rows.data + rows.prior_of.size] = priors[rows.prior_of]
-        # Twice: what rounding leaves of the first projection matters where little is left.
-        for _ in range(2):
-            stacked -= rows.rotation @ (rows.rotation.T @ stacked)
         return stacked
 
     def combine(self, weights: npt.ArrayLike) -> Combination:

@@ -296,10 +296,10 @@ def poses_state(
             threshold=poses.threshold,
             rms=campaign.gravity.value * float(np.sqrt(np.mean(np.square(left)))) if left else None,
             outlying=[
-                name
+                far_off.name
                 for part in (fit.posed if fit else ())
-                for name, _, _ in part.outlying()
-                if name in own
+                for far_off in part.outlying()
+                if far_off.name in own
             ],
             missing=missing_directions(campaign, found, fit),
         ),

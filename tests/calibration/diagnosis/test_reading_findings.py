@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 
 import numpy as np
 import pytest
@@ -236,6 +237,52 @@ def test_a_cubic_term_on_the_arm_is_named(tmp_path):
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     (found,) = misfits(calibrate(tmp_path))
     assert found.text.startswith("The residuals of the readings on the arm follow K_III")
+
+
+def on_an_arm(folder, radius, drift=0.0):
+    """Calibrate six forces inward and outward on an arm of some radius, with rest before and after.
+
+    drift: g from each reading to the next.
+    """
+    terms = '["K_F", "K_I", "K_II", "K_III", "centrifuge.radius"]'
+    rates = [math.sqrt(size * 9.80665) for size in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0)]
+    rest = [(0.0, "up", 1.0), (0.0, "down", -1.0)]
+    earth = 2.0 * 7.292115e-5 * math.sin(0.8)  # along the spindle
+    turning = [
+        (rate, way, sign * radius * (rate**2 + rate * earth) / 9.80665)
+        for rate in rates
+        for way, sign in (("inward", 1.0), ("outward", -1.0))
+    ]
+    rng, runs = np.random.default_rng(11), []
+    for k, (rate, way, force) in enumerate([*rest, *turning, *rest]):
+        value = 2e-3 + 1.0005 * force + 15e-6 * force**2 + k * drift + SIGMA * rng.standard_normal()
+        written = f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA"
+        if rate:
+            runs.append(on_arm(f"{k}", f"{rate!r} rad/s", written, side=way, mounting=way))
+        else:
+            pose = f'motion = "static"\naxes = {{ input = "{way}", pendulous = "east" }}\n'
+            runs.append(f'[[runs]]\nname = "{k}"\n{pose}reading = "{written}"\n')
+    model = f'[model]\nassume = "all"\nterms = {terms}\n'
+    (folder / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
+    return calibrate(folder)
+
+
+def test_no_more_readings_are_off_than_there_are(tmp_path):
+    """A position that is off twice over, and each of its readings, are two readings."""
+    result = on_an_arm(tmp_path, 1.0, drift=4e-6)
+    text = " ".join(finding.text for finding in result.findings)
+    said = re.findall(r"(\d+) of (\d+) readings", text)
+    assert result.state == "contradicted"
+    assert all(int(off) <= int(there) for off, there in said)
+
+
+def test_a_radius_of_all_mountings_is_one_mistake(tmp_path):
+    """1 mm more in both mountings, known to 1 um each: gravity, or the radius as it is stated."""
+    assert on_an_arm(tmp_path, 1.0).state == "good"
+    first = next(f for f in on_an_arm(tmp_path, 1.001).findings if f.code == "wrong-input")
+    assert {first.subject, *first.as_well} >= {"centrifuge.radius"}
+    shown = re.search(r"radius of the centrifuge(?: of ([\d.]+) ±)?", first.text)
+    assert shown.group(1) is None or float(shown.group(1)) == pytest.approx(1.001, abs=1e-5)
 
 
 @pytest.mark.parametrize(("count", "codes"), [(7, ["unjudged-readings"]), (8, [])])

@@ -5,6 +5,7 @@
 - `stated_noise`: whether the stated noise is that of all runs, or of some
 - `words`: what is said of a cause
 - `mountings`: whether an accelerometer is mounted as it is stated
+- `untested`: what a coefficient rests on that the data cannot check
 - `credible`: estimates that no instrument has, whatever the fit
 - `attitude_findings`: whether drift and tilts are small enough for the theory
 - `reading_findings`: what speaks against readings

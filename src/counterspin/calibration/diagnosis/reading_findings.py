@@ -18,7 +18,7 @@ from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings
+from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings, Outlying
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.linear_readings import Readings
@@ -93,7 +93,7 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
         outlying = lone_or_many(view.name, part)
         if place in followed:
             general = _explained(view.name, part, followed[place], general)
-            if len(part.outlying()) > _most_lone(part):
+            if _positions(part.outlying()) > _most_lone(part):
                 general, outlying = _with_many(general, part, outlying[0]), []
         findings += [general, *outlying] if general else outlying
     return findings
@@ -203,8 +203,7 @@ def group_of(part: FittedReadings, place: int) -> Group:
     place: Among the observations of the fit.
     """
     readings, estimated = part.readings, not part.weighed
-    names = {name for name, _, _ in part.outlying()}
-    lone = tuple(k for k, name in enumerate(readings.names) if name in names)
+    lone = tuple(sorted({place for one in part.outlying() for place in one.places}))
     return Group(
         readings,
         place,
@@ -275,11 +274,11 @@ def clause_of(other: Alternative) -> str:
 def lone_or_many(name: str, part: FittedReadings) -> list[Finding]:
     """Return a finding for each position that stands out, or one where many do."""
     far_off = part.outlying()
-    if len(far_off) <= _most_lone(part):
-        return [_outlying(part, name, *one) for one in far_off]
-    worst = _outlying(part, name, *max(far_off, key=lambda one: abs(one[2])))
+    if _positions(far_off) <= _most_lone(part):
+        return [_outlying(part, name, one) for one in far_off]
+    worst = _outlying(part, name, max(far_off, key=lambda one: abs(one.z)))
     text = (
-        f"{len(far_off)} of {part.readings.size} {part.words} deviate from the model: so many "
+        f"{_count(far_off)} of {part.readings.size} {part.words} deviate from the model: so many "
         f"suggest a fault of the model rather than of single readings. {worst.text}"
     )
     return [worst.model_copy(update={"text": text})]
@@ -287,7 +286,7 @@ def lone_or_many(name: str, part: FittedReadings) -> list[Finding]:
 
 def _with_many(misfit: Finding, part: FittedReadings, worst: Finding) -> Finding:
     """Return a misfit of known shape with the many positions that it puts off the model."""
-    many = f"{len(part.outlying())} of {part.readings.size} {part.words} deviate from the model."
+    many = f"{_count(part.outlying())} of {part.readings.size} {part.words} deviate from the model."
     said = {
         "text": f"{misfit.text} {many}",
         "size": max(misfit.size or 0.0, worst.size or 0.0),
@@ -300,16 +299,27 @@ def _most_lone(part: FittedReadings) -> float:
     return max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size)
 
 
-def _outlying(part: FittedReadings, name: str, reading: str, residual: float, z: float) -> Finding:
+def _count(far_off: Sequence[Outlying]) -> int:
+    """Return how many readings are off, by themselves or with those of their position."""
+    return len({place for one in far_off for place in one.places})
+
+
+def _positions(far_off: Sequence[Outlying]) -> int:
+    """Return how many positions are off: a reading that is named beside its own is none more."""
+    whole = [set(one.places) for one in far_off]
+    return sum(1 for one in whole if not any(one < other for other in whole))
+
+
+def _outlying(part: FittedReadings, name: str, one: Outlying) -> Finding:
     what = "pose" if part.readings.motion == "poses" else "position"
-    deviations = f"{abs(z):.1f}" if abs(z) < _COUNTABLE else f"more than {_COUNTABLE}"
+    deviations = f"{abs(one.z):.1f}" if abs(one.z) < _COUNTABLE else f"more than {_COUNTABLE}"
     return Finding(
         code="outlying-reading",
-        subject=f"{name}.{reading}",
-        text=f'The {what} "{reading}" reads {format_number(residual * 1e6, 3)} ug off the model, '
-        f"{deviations} standard deviations: check this reading, or look for a missing term.",
-        size=abs(z),
-        contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
+        subject=f"{name}.{one.name}",
+        text=f'The {what} "{one.name}" reads {format_number(one.residual * 1e6, 3)} ug off the '
+        f"model, {deviations} standard deviations: check this reading, or look for a missing term.",
+        size=abs(one.z),
+        contradicts=abs(one.z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )
 
 

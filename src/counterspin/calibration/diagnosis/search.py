@@ -174,7 +174,9 @@ def _causes(
         now = after
     if given:
         seen = (replace(view, estimate=now) for view in views if view.has_records)
-        causes += [Cause(one, (one.subject,), {}) for view in seen for one in wrong_noise(view)]
+        wrong = (one for view in seen for one in wrong_noise(view))
+        by_size = sorted(wrong, key=lambda one: -(one.size or 0.0))
+        causes += [Cause(one, (one.subject,), {}) for one in by_size]
     return tuple(causes)
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
+from typing import Final
 
 import numpy as np
 
@@ -29,7 +30,10 @@ from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.relaxed import widened
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Solution
-from counterspin.physics.terms import INPUTS
+from counterspin.physics.terms import INPUTS, mounting_of
+
+#: Of the centrifuge, and behind a point each mounting's.
+RADIUS: Final = "centrifuge.radius"
 
 
 @frozen
@@ -91,7 +95,8 @@ def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
     """Return the alternatives that a relaxed fit has in itself: one prior is wrong, or several.
 
     One for each unknown of which something is stated; one for each term that several runs have
-    anew, and one for all its components: they are off alike if one mistake made them so.
+    anew, one for all its components, and one for the radius of several mountings: they are off
+    alike if one mistake made them so.
     """
     known = [(place, unknown) for place, unknown in _known(fit) if not unknown.unstated]
     single = (
@@ -136,7 +141,10 @@ def _reach(unknown: Unknown) -> tuple[float, float]:
 
 
 def _together(fit: JointFit, known: Sequence[tuple[int, Unknown]]) -> Iterator[Alternative]:
-    """Yield one alternative for each term, and each family of terms, that several runs have."""
+    """Yield one alternative for each term, and each family of terms, that several runs have.
+
+    And one for the radius that several mountings have by one statement.
+    """
     runs = {part.run for part in fit.prepared}
     together: dict[str, dict[int, float]] = {}
     for place, unknown in known:
@@ -144,12 +152,15 @@ def _together(fit: JointFit, known: Sequence[tuple[int, Unknown]]) -> Iterator[A
             whole, _, _ = unknown.symbol.rpartition(".")
             for name in (unknown.symbol, whole) if whole else (unknown.symbol,):
                 together.setdefault(name, {})[place] = 1.0
+        elif unknown.symbol == f"{RADIUS}.{mounting_of(unknown.symbol)}":
+            together.setdefault(RADIUS, {})[place] = 1.0
     said: list[Mapping[int, float]] = []
     for symbol, places in together.items():
         if len(places) > 1 and places not in said:
             said.append(places)
             limit = min(fit.model.unknowns[place].limit for place in places)
-            yield Alternative("priors", "", symbol, priors=places, between=(-limit, limit))
+            kind = "prior" if symbol == RADIUS else "priors"  # one statement, or one a run
+            yield Alternative(kind, "", symbol, priors=places, between=(-limit, limit))
 
 
 def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: bool) -> Scores:

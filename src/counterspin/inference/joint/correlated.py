@@ -45,8 +45,8 @@ _GROWS: Final = 1.1
 #: Standard deviations beyond which a third difference is an outlier's.
 _CLIP: Final = 5.0
 
-#: Harmonics of the spindle, and powers of time, that are no noise: an encoder that errs four times a
-#: revolution makes five, K_OQ makes seven that show.
+#: Harmonics of the spindle, and powers of time, that are no noise: an encoder that errs four times
+#: a revolution makes five, K_OQ makes seven that show.
 _HARMONICS: Final = 8
 _POWERS: Final = 4
 

@@ -1,0 +1,127 @@
+"""What a coefficient rests on that the data cannot check is said, with what an error of it does."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from campaigns import PLACE, campaign_of, changed, runs, write
+from reading_descriptions import at_rest
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.simulation.simulate import simulate
+
+TUMBLE = """
+schema = 1
+site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
+
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+
+[model]
+terms = ["K_F", "K_I", "delta_O"]
+priors = { "head.harmonic" = "0 ± 0.2 arcsec" }
+
+"""
+
+#: Nothing is stated of the clock; the bias and the scale factor are.
+RECORDED = f"""{PLACE}
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+bias = "0.005 ± 2e-6 g"
+scale_factor = "1.002 ± 5e-6 g/g"
+velocity = {{ column = "east", unit = "m/s" }}
+
+[noise]
+velocity = "1e-3 m/s"
+
+{runs("slow", "middle", "fast")}
+[simulation]
+sampling_rate = "20 Hz"
+revolutions = 30
+
+[truth.Qx]
+K_F = "0.005 g"
+K_I = "1.002 g/g"
+K_II = "2e-5 g/g^2"
+"""
+
+
+def remarks(result):
+    return [text for text in result.warnings if "rests on what its data cannot check" in text]
+
+
+def tumble(folder, mountings=(0,), more=""):
+    rng = np.random.default_rng(4)
+    text = changed(TUMBLE, ("priors = {", f"priors = {{ {more}"))
+    for turn in mountings:
+        for angle in range(0, 360, 30):
+            value = 2e-3 + math.cos(math.radians(angle)) + 2e-6 * rng.standard_normal()
+            text += at_rest(
+                f"{turn} {angle}",
+                f"{angle} deg about north",
+                f"{value:.9f} ± 2e-6 g",
+                f'head = "{(angle + turn) % 360} deg"\nmounting = "m{turn}"\n',
+            )
+    return calibrate(write(folder, text).parent)
+
+
+def test_a_head_that_is_said_to_err_by_little(tmp_path):
+    """Once a turn, 2.06 arcsec of it move K_F by 10 ug, and by nothing else are they seen."""
+    result = tumble(tmp_path / "stated")
+    assert (result.state, result.findings) == ("good", [])
+    (text,) = remarks(result)
+    said = re.search(
+        r"what is stated of head\.harmonic\.1\.sin is off by ([\d.]+) arcsec, "
+        r"K_F is wrong by ([\d.]+) ug, ([\d.]+) of its u",
+        text,
+    )
+    size, shift, times = (float(number) for number in said.groups())
+    assert size == pytest.approx(math.degrees(1e-5) * 3600.0, rel=0.03)
+    erring = f'"head.harmonic.1.sin" = "{size} ± 0.2 arcsec", '
+    before, after = (
+        one.accelerometers["A"].coefficients["K_F"]
+        for one in (result, tumble(tmp_path / "erring", more=erring))
+    )
+    assert 1e6 * abs(after.value - before.value) == pytest.approx(shift, rel=0.05)
+    assert shift * 1e-6 / before.u == pytest.approx(times, rel=0.05)
+    assert times > 3.0
+
+
+@pytest.mark.parametrize("size", ["2.06 arcsec", "0.2 arcsec"])
+def test_what_is_stated_as_its_typical_size_or_tested_needs_no_remark(tmp_path, size, monkeypatch):
+    """Two mountings show what the head does, whatever is stated of it."""
+    monkeypatch.setitem(globals(), "TUMBLE", changed(TUMBLE, ("0.2 arcsec", size)))
+    typical = size.startswith("2")
+    assert remarks(tumble(tmp_path, (0,) if typical else (0, 90, 180))) == []
+
+
+def test_the_clock_of_one_run_alone(tmp_path):
+    """20 ppm of it are taken for K_III, and no residual shows them."""
+    made = tmp_path / "made"
+    simulate(campaign_of(tmp_path / "true", RECORDED), made)
+    result = calibrate(made)
+    assert (result.state, result.findings) == ("good", [])
+    (text,) = remarks(result)
+    run, shift = re.search(
+        r"if the clock in (\w+) alone is off by 20 ppm, K_III is wrong by ([\d.]+) ug", text
+    ).groups()
+    record = made / f"{run}.csv"
+    head, *rows = record.read_text().splitlines()
+    late = (row.split(",", 1) for row in rows)
+    record.write_text(
+        "\n".join([head, *(f"{float(time) * (1 + 2e-5):.12g},{rest}" for time, rest in late)])
+    )
+    off = calibrate(made)
+    assert off.state == "good"
+    before, after = (one.accelerometers["Qx"].coefficients["K_III"] for one in (result, off))
+    assert 1e6 * abs(after.value - before.value) == pytest.approx(float(shift), rel=0.1)
+    # Another recorder has a clock of its own, which u then holds.
+    text = (made / "campaign.toml").read_text()
+    line = f'record = "{run}.csv"'
+    named = changed(text, (line, f'{line}\nrecords = {{ recorder = "B" }}'))
+    own = calibrate(write(made, named).parent)
+    assert f"clock in {run}" not in "".join(remarks(own))
+    assert own.accelerometers["Qx"].coefficients["K_III"].u > 1.5 * before.u
