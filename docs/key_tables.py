@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from counterspin import schemas
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Section
-from counterspin.campaign.kinds import SettingsSection, known
+from counterspin.campaign.kinds import SettingsSection, extra_of, known
 from counterspin.campaign.truth_tables import AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
@@ -30,7 +30,7 @@ from counterspin.toml_text import write_value
 from counterspin.validation.page import Dossier
 
 HERE = Path(__file__).parent
-PLACE = re.compile(r"^<!-- (keys|fields): (\w+) -->\n(?:\|.*\n)*", re.MULTILINE)
+PLACE = re.compile(r"^<!-- (keys|fields): ([\w ]+) -->\n(?:\|.*\n)*", re.MULTILINE)
 HEAD = "| key | kind | default | example | meaning |\n|---|---|---|---|---|\n"
 FIELDS_HEAD = "| key | kind | meaning |\n|---|---|---|\n"
 
@@ -159,12 +159,17 @@ def table(name: str) -> str:
 
 
 def keys(name: str) -> dict[str, FieldInfo]:
-    """Return key -> field, without terms and without those of a class that has a table itself."""
+    """Return key -> field, without terms and without those of a class that has a table itself.
+
+    name: Of the class; "Run of readings" where it has keys that only some of its tables have.
+    """
+    name, _, some = name.partition(" of ")
     model = model_of(name)
     bases = [b for b in model.__bases__ if b.__name__ in SHOWN]
     told = {key for base in bases for key in base.model_fields} | set(OWN_TERMS)
     named = {field.alias or name: field for name, field in model.model_fields.items()}
-    return {key: field for key, field in named.items() if key not in told}
+    own = {key: field for key, field in named.items() if key not in told}
+    return {key: f for key, f in own.items() if extra_of(f).get("x-of", some) == some}
 
 
 def model_of(name: str) -> type[BaseModel]:
@@ -188,7 +193,7 @@ def _models(annotation: Any) -> set[type[BaseModel]]:
 
 
 def _row(key: str, field: FieldInfo) -> str:
-    extra: Any = field.json_schema_extra or {}
+    extra = extra_of(field)
     kind = extra.get("x-kind") or _kind(field.annotation, field.metadata)
     (value,) = field.examples or [None]
     example = f"`{key} = {write_value(value)}`"

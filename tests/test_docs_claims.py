@@ -20,7 +20,8 @@ from counterspin.calibration import (
     two_stage_findings,
 )
 from counterspin.calibration.diagnosis import attitude_findings, credible, record_counts, search
-from counterspin.campaign import conditions, resolved
+from counterspin.campaign import conditions, runs
+from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
 from counterspin.inference import (
@@ -73,18 +74,18 @@ NUMBERS = [
         ],
     ),
     *(
-        (page, words, [resolved.MOST_ROWS])
+        (page, words, [runs.MOST_ROWS])
         for page, words in (
             ("bulwark", "has room for {} rows at once"),
             ("plan", "a checked campaign may have {} rows together"),
             ("study", "in memory: at most {} rows of all runs"),
         )
     ),
-    ("bulwark", "each of at most {} samples.", [resolved.MOST_SIMULATED_ROWS]),
+    ("bulwark", "each of at most {} samples.", [runs.MOST_SIMULATED_ROWS]),
     (
         "bulwark",
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
-        [resolved.MOST_RECORDS, resolved.MOST_READINGS],
+        [MOST_RECORDS, MOST_READINGS],
     ),
     ("study", "With fewer than {} trials it says that they are too few", [FEWEST_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),

@@ -185,6 +185,7 @@ def _plain(value: Any, *, nulls: bool) -> Any:
             made["title"], said = table[1], table[2][:1].upper() + table[2][1:]
         made["description"] = unlinked(said)
     made.pop("x-kind", None)
+    made.pop("x-of", None)
     if (absent := made.pop("x-absent", None)) is not None and "description" in made:
         made["description"] += f" (if left out: {unlinked(absent)})"
     if "x-unit" in json.dumps([made.get("anyOf"), *made]):

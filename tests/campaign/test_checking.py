@@ -8,7 +8,7 @@ from pydantic import Field
 
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.kinds import SettingsSection, Text
-from counterspin.campaign.readings import OfEach
+from counterspin.campaign.runs import OfEach
 
 
 class Inner(SettingsSection):

@@ -194,6 +194,18 @@ SLIPS = {
         HEAD + RUN.replace("30 ± 0.001 deg about north", "level") + 'head = "30 deg"\n',
         'runs[0].head: turns about an axis: write attitude = "30 deg about north"',
     ),
+    "a number alone, of an output": (
+        HEAD + RUN.replace('"1.082532 ± 2e-6 mA"', "1.082532"),
+        'runs[0].reading: a number without its unit; write it as text, such as "1.082532 mA"',
+    ),
+    "a key of records": (
+        HEAD + RUN + 'start = "2 s"\n',
+        "runs[0].start: belongs to a run with a record of a double turntable; leave it out",
+    ),
+    "an attitude of no words": (
+        HEAD + RUN.replace("30 ± 0.001 deg about north", ""),
+        "runs[0].attitude: is not an attitude",
+    ),
     "no temperature": (
         HEAD + RUN + 'temperature = "warm"\n',
         "runs[0].temperature: 'warm' is not a temperature",
@@ -309,3 +321,17 @@ def test_what_is_known_of_one_position_takes_precedence(tmp_path):
 def test_a_setting_error_is_about_nothing_and_has_a_size(tmp_path, error):
     (line,) = problems(tmp_path, HEAD + SET.replace("0 ± 0.5 deg", error) + FACES)
     assert line.startswith("fixture.position: ")
+
+
+def test_all_that_is_wrong_in_a_run_is_told_together(tmp_path):
+    wrong = RUN.replace("mA", "V").replace("about north", "about nort")
+    told = problems(tmp_path, HEAD + wrong + 'rate = "1 rad/s"\nu = 3\n')
+    assert [line.partition(":")[0] for line in told] == [
+        "runs[0].attitude",
+        "runs[0].u",
+        "runs[0].rate",
+        "runs[0].reading",
+    ]
+    # What hangs on a wrong key is not told: how it moves says whether it needs a rate.
+    told = problems(tmp_path, HEAD + RUN.replace('"static"', '"statc"'))
+    assert [line.partition(":")[0] for line in told if "runs" in line] == ["runs[0].motion"]

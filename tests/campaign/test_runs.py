@@ -110,6 +110,11 @@ def test_one_file_may_have_a_run_in_each_of_its_tables(tmp_path, key):
         ('name = "slow"', 'name = "slow"\nstart = "9 s"\nstop = "8 s"', "runs[0].stop: must come"),
         (
             'name = "slow"',
+            'name = "slow"\nmounting = "in"',
+            "runs[0].mounting: belongs to a run with a reading; leave it out",
+        ),
+        (
+            'name = "slow"',
             'name = "slow"\nrecords = { reference = 1 }',
             "runs[0].records.reference",
         ),

@@ -20,11 +20,12 @@ from counterspin.campaign.kinds import (
     STAMPS,
     a_temperature,
     angle_unit,
+    extra_of,
     force_or_output,
     temperatures,
     time_unit,
 )
-from counterspin.campaign.readings import ReadingRunSettings, is_reading
+from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth_tables import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
@@ -71,7 +72,8 @@ def campaign_form() -> tuple[Field, ...]:
     for key, model in SECTIONS.items():
         section = _section(key, model, "campaign")
         if key == "runs":
-            section["of_readings"] = _fields(ReadingRunSettings, "campaign")
+            section["fields"] = _fields(model, "campaign", READINGS)
+            section["of_readings"] = _fields(model, "campaign", RECORDS)
         if key == "specification":
             section["of_names"] = _limits()
             section["fields"] = section["of_names"] + section["fields"]
@@ -132,14 +134,19 @@ def _section(key: str, model: type[BaseModel], page: str) -> Field:
     }
 
 
-def _fields(model: type[BaseModel], page: str) -> list[Field]:
+def _fields(model: type[BaseModel], page: str, left_out: str = "") -> list[Field]:
+    """Return the fields of a table, without those of some tables only; page: as of `_section`."""
     page = (explained(model) or page).partition("#")[0]
-    return [_field(field.alias or name, field, page) for name, field in model.model_fields.items()]
+    return [
+        _field(field.alias or name, field, page)
+        for name, field in model.model_fields.items()
+        if not left_out or extra_of(field).get("x-of") != left_out
+    ]
 
 
 def _field(key: str, field: FieldInfo, page: str) -> Field:
     base, metadata = _unwrapped(field.annotation, field.metadata)
-    extra: Any = field.json_schema_extra or {}
+    extra = extra_of(field)
     absent = extra.get("x-absent")
     meaning = "" if key in OWN_TERMS else (field.description or "").removesuffix("; see below")
     said = "; ".join(filter(None, [meaning, f"if left out: {absent}" if absent else ""]))

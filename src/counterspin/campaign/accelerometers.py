@@ -23,7 +23,7 @@ from counterspin.campaign.columns import (
 from counterspin.campaign.kinds import Direction, SettingsSection, Text, described, known
 from counterspin.campaign.model import about_nominal
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.readings import is_reading
+from counterspin.campaign.runs import is_reading
 from counterspin.campaign.settings import (
     OBSERVABLES,
     Output,

@@ -5,16 +5,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.quantity import parse
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, direction
 
+#: Written for an attitude that nobody knows.
+UNKNOWN: Final = "unknown"
+
 #: What an attitude may look like, for messages.
-_FORMS = '"level", "90 deg about east" or { x = "east", y = "up" }'
+NO_ATTITUDE: Final = (
+    'is not an attitude; write "level", "90 deg about east" or { x = "east", y = "up" }'
+)
 
 TURN_WORDS = re.compile(r"(.+?)\s+about\s+(\w+)")
 
@@ -34,28 +41,34 @@ def read_direction(value: object) -> tuple[float, float, float]:
     return float(vec[0]), float(vec[1]), float(vec[2])
 
 
-def attitude_rows(value: object) -> Array:
-    """Return where the platform's axes point.
+@frozen(eq=False)
+class Attitude:
+    """Where a platform's axes point, and the dividing head that turned them there."""
 
-    value: ``"level"``; a right-handed turn of the level platform such as ``"90 deg about east"``
-        (which takes y from north to up); or a table of the directions of x and y, and of z if
-        wanted.
-    Returns: rows x, y, z in east-north-up, shape (3, 3); the identity when level.
+    rows: Array  #: Of x, y, z in east-north-up, shape (3, 3); the identity when level.
+    head: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: Its axis; zero without a turn.
+    angle: float = 0.0  #: Of the turn, rad.
+    u: float = 0.0  #: Its standard uncertainty, rad.
+    unknown: bool = False  #: Of a pose that nobody knows, whose axes count as level.
+
+
+def read_attitude(value: object) -> Attitude:
+    """Return an attitude as it is written.
+
+    value: ``"level"``, ``"unknown"``; a right-handed turn of the level platform such as ``"90 deg
+        about east"`` (which takes y from north to up); or a table of the directions of x and y, and
+        of z if wanted.
     """
-    if value == "level":
-        return np.eye(3)
+    if value in ("level", UNKNOWN):
+        return Attitude(np.eye(3), unknown=value == UNKNOWN)
     if isinstance(value, str):
         match = TURN_WORDS.fullmatch(value.strip())
         if match is None:
-            raise ValueError(f"is not an attitude; write {_FORMS}")
-        turn = parse(match[1], "rad")
-        if turn.u != 0.0:
-            raise ValueError(
-                "an attitude takes no uncertainty here; give platform.tilt a prior instead"
-            )
-        return _turned(turn.value, np.array(read_direction(match[2])))
+            raise ValueError(NO_ATTITUDE)
+        turn, axis = parse(match[1], "rad"), read_direction(match[2])
+        return Attitude(_turned(turn.value, np.array(axis)), axis, turn.value, turn.u)
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:
-        raise ValueError(f"is not an attitude; write {_FORMS}")
+        raise ValueError(NO_ATTITUDE)
     x, y = (np.array(read_direction(value[axis])) for axis in "xy")
     if abs(float(x @ y)) > 1e-6:
         raise ValueError("the axes x and y must be at right angles")
@@ -68,7 +81,23 @@ def attitude_rows(value: object) -> Array:
             raise ValueError("the axes are left-handed: x cross y must be z")
         if agreement < 1.0 - 1e-6:
             raise ValueError("the axis z must be at right angles to x and y")
-    return np.stack([x, y, z])
+    return Attitude(np.stack([x, y, z]))
+
+
+def of_platform(attitude: Attitude) -> Attitude:
+    """Return an attitude that a platform holds; ValueError of one that is uncertain or unknown."""
+    if attitude.unknown:
+        raise ValueError(NO_ATTITUDE)
+    if attitude.u != 0.0:
+        raise ValueError(
+            "an attitude takes no uncertainty here; give platform.tilt a prior instead"
+        )
+    return attitude
+
+
+def attitude_rows(value: object) -> Array:
+    """Return where the axes of a platform point, shape (3, 3); `value` as of `read_attitude`."""
+    return of_platform(read_attitude(value)).rows
 
 
 def attitude_words(rows: Array) -> str:

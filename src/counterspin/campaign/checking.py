@@ -99,6 +99,8 @@ class Problems:
     def check(self, model: type[M], raw: Any, path: Path, **context: object) -> M | None:
         """Return the section as its model, or None with its mistakes noted.
 
+        What its keys contradict in each other is noted, too.
+
         Parameters
         ----------
         model
@@ -109,32 +111,33 @@ class Problems:
             Where the section is.
         **context
             What its values are read with: `gravity` of the site in m/s^2, for quantities that may
-            be given in m/s^2 or in g; `output`, in whose unit coefficients may be; `folder`, in
-            which files are.
+            be given in m/s^2 or in g; `output`, in whose unit coefficients may be; `units` of
+            readings by accelerometer; `folder`, in which files are.
         """
+        made, wrong = self.partly(model, raw, path, **context)
+        return None if wrong else made
+
+    def partly(
+        self, model: type[M], raw: Any, path: Path, **context: object
+    ) -> tuple[M | None, set[str]]:
+        """Return the section with its right keys, and the wrong ones; parameters as of `check`.
+
+        What is required and wrong has the value of its example.
+        """
+        wrong: set[str] = set()
+        made = None
         try:
-            return model.model_validate(raw, context=context)
+            made = model.model_validate(raw, context=context)
         except ValidationError as error:
             for loc, mistake in _told_once(error.errors(include_url=False)):
-                kind = mistake["type"]
-                if kind == "extra_forbidden":
-                    known = _known_keys(model, loc[:-1])
-                    message = "unknown key" + did_you_mean(str(loc[-1]), known)
-                elif kind == "literal_error" and loc[-1] != "schema":
-                    message = f"{str(mistake['input'])!r} is none of {mistake['ctx']['expected']}"
-                elif kind == "value_error":
-                    message = str(mistake["ctx"]["error"])
-                else:
-                    sizes = mistake.get("ctx", {})
-                    message = mistake["msg"]
-                    if kind in _PLAIN_MESSAGES:
-                        message = _PLAIN_MESSAGES[kind].format(**sizes)
-                    if kind == "too_short" and sizes["min_length"] > 1:
-                        message = f"must have at least {sizes['min_length']} entries"
-                    elif kind == "too_long":
-                        message = f"must have at most {sizes['max_length']} entries"
-                self.add((*path, *loc), message)
-            return None
+                self.add((*path, *loc), _words(mistake, loc, model))
+                wrong.add(str(loc[0]) if loc else "")
+            if isinstance(raw, Mapping) and "" not in wrong:
+                made = _right_part(model, raw, wrong, context)
+        for place, words, *others in getattr(made, "contradictions", tuple)():
+            if not wrong & {*map(str, place[:1]), *others}:
+                self.add((*path, *place), words)
+        return made, wrong
 
     def attempt(self, path: Path, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
         """Return ``make(...)``, or None with its ValueError noted."""
@@ -150,6 +153,40 @@ class Problems:
         run = self._raw["runs"][path[1]]
         name = run.get("name") if isinstance(run, Mapping) else None
         return f' (run "{name}")' if isinstance(name, str) and path[2] != "name" else ""
+
+
+def _words(mistake: Any, loc: Path, model: type[BaseModel]) -> str:
+    """Return what pydantic says of a mistake in plain words."""
+    kind, sizes = mistake["type"], mistake.get("ctx", {})
+    if kind == "extra_forbidden":
+        return "unknown key" + did_you_mean(str(loc[-1]), _known_keys(model, loc[:-1]))
+    if kind == "literal_error" and loc[-1] != "schema":
+        return f"{str(mistake['input'])!r} is none of {sizes['expected']}"
+    if kind == "value_error":
+        return str(sizes["error"])
+    if kind == "too_short" and sizes["min_length"] > 1:
+        return f"must have at least {sizes['min_length']} entries"
+    if kind == "too_long":
+        return f"must have at most {sizes['max_length']} entries"
+    words: str = _PLAIN_MESSAGES.get(kind, "{}").format(mistake["msg"], **sizes)
+    return words
+
+
+def _right_part(
+    model: type[M], raw: Mapping[str, Any], wrong: set[str], context: dict[str, object]
+) -> M | None:
+    """Return a section without its wrong keys, those required as in their examples."""
+    examples = {
+        field.alias or name: (field.examples or [None])[0]
+        for name, field in model.model_fields.items()
+        if field.is_required()
+    }
+    part = {key: example for key, example in examples.items() if key in wrong}
+    part |= {key: value for key, value in raw.items() if key not in wrong}
+    try:
+        return model.model_validate(part, context=context)
+    except ValidationError:
+        return None
 
 
 def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[Path, Any]]:

@@ -25,9 +25,17 @@ from counterspin.campaign.model import (
     resolve_model,
 )
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading, is_reading, positioned, resolve_readings
+from counterspin.campaign.readings import Reading, positioned, resolve_readings
 from counterspin.campaign.readings_table import read_table
-from counterspin.campaign.runs import Run, recorders_of, resolve_runs, skipped_runs, taken_runs
+from counterspin.campaign.runs import (
+    Run,
+    is_pose,
+    is_reading,
+    recorders_of,
+    resolve_runs,
+    skipped_runs,
+    taken_runs,
+)
 from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
@@ -47,7 +55,7 @@ from counterspin.campaign.toml_file import (
     mistakes,
     table_of,
 )
-from counterspin.campaign.triads.declared import Triad, is_pose, resolve_triad
+from counterspin.campaign.triads.declared import Triad, resolve_triad
 from counterspin.campaign.truth import TruthReader
 from counterspin.campaign.truth_tables import Simulation
 from counterspin.errors import CampaignError

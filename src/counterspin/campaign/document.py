@@ -10,7 +10,6 @@ from counterspin.campaign.accelerometers import AccelerometerKeys
 from counterspin.campaign.checking import Section
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.kinds import Schema, SettingsSection, described
-from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import (
@@ -31,7 +30,7 @@ Accelerometers = Annotated[
     Field(min_length=1),
     Section(dict[str, AccelerometerKeys]),  # type: ignore[valid-type]
 ]
-Runs = Annotated[list[Any], Section(list[Run | ReadingRunSettings])]
+Runs = Annotated[list[Any], Section(list[Run])]
 
 
 class CampaignDocument(SettingsSection):

@@ -10,7 +10,7 @@ import codecs
 import datetime
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePath
@@ -28,9 +28,10 @@ from pydantic import (
     TypeAdapter,
     ValidationInfo,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
-from counterspin.campaign.attitude import attitude_rows, read_direction
+from counterspin.campaign.attitude import Attitude, read_attitude, read_direction
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, Quantity, parse
 from counterspin.campaign.toml_file import BACKSLASH_ADVICE
 from counterspin.physics.accelerometer import DIRECTIONS
@@ -322,6 +323,10 @@ def _whole(value: object) -> object:
     return value if type(value) is int else None
 
 
+#: Where it is, what is wrong there, and the other keys on which that hangs: names in the file.
+Contradiction = tuple[tuple[str | int, ...], str, *tuple[str, ...]]
+
+
 class SettingsSection(BaseModel):
     """A table of ``campaign.toml`` in which every key must be known.
 
@@ -337,6 +342,10 @@ class SettingsSection(BaseModel):
         for name, value in others.items():
             setattr(made, f"_{name}", value)
         return made
+
+    def contradictions(self) -> Iterator[Contradiction]:
+        """Yield what is wrong among its keys, each of which is right by itself."""
+        yield from ()
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """Yield what the object is made of: its keys, and what other tables say."""
@@ -387,14 +396,20 @@ def an_encoding(name: str) -> str:
     return name
 
 
-def with_units(value: Any) -> Any:
-    """Return quantities as they are written; a number alone is refused."""
-    inner = value.values() if isinstance(value, Mapping) else value
-    for one in inner if isinstance(inner, Iterable) and not isinstance(inner, str) else [inner]:
-        if isinstance(one, int | float) and not isinstance(one, bool):
-            raise ValueError(f'a number without its unit; write it as text, such as "{one!r} g"')
-        if isinstance(one, list):
-            with_units(one)
+def with_units(value: Any, info: ValidationInfo) -> Any:
+    """Return quantities as they are written; a number alone is refused, with the likely unit.
+
+    That is the one of the context's `units` by name, of which there may be only one, or else g.
+    """
+    units: Mapping[str, str] = (info.context or {}).get("units", {})
+    usual = next(iter(units.values())) if len(set(units.values())) == 1 else "g"
+    named = value if isinstance(value, Mapping) else {"": value}
+    for name, written in named.items():
+        for one in written if isinstance(written, list) else [written]:
+            if isinstance(one, int | float) and not isinstance(one, bool):
+                unit = units.get(name, usual)
+                example = f'"{one!r} {unit}"'
+                raise ValueError(f"a number without its unit; write it as text, such as {example}")
     return value
 
 
@@ -410,7 +425,7 @@ Direction = Annotated[
     tuple[float, float, float],
     PlainValidator(read_direction, Literal[tuple(DIRECTIONS)] | Components),
 ]
-Attitude = Annotated[Any, PlainValidator(attitude_rows, Text | dict[str, Any])]
+Stand = Annotated[Attitude, PlainValidator(read_attitude, Text | dict[str, Any])]
 Ratio = Annotated[float, PlainValidator(a_ratio, float | _written("1"))]
 DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
 Part = Annotated[Quantity, PlainValidator(a_part, str)]
@@ -430,6 +445,7 @@ def described(
     *,
     absent: str = "",
     kind: str = "",
+    of: str = "",
     **more: Any,
 ) -> Any:
     """Return a field with what its documentation, its schema and its form say.
@@ -438,8 +454,15 @@ def described(
     example: A value as TOML would be read.
     absent: What holds where the key is left out, if the default does not say it.
     kind: What is written, if the type does not say it.
+    of: Of which tables it is a key, if not of all of the class.
     more: As of `pydantic.Field`.
     """
-    said = {"x-absent": absent, "x-kind": kind}
+    said = {"x-absent": absent, "x-kind": kind, "x-of": of}
     extra: Any = {name: words for name, words in said.items() if words}
     return Field(default, description=meaning, examples=[example], json_schema_extra=extra, **more)
+
+
+def extra_of(field: FieldInfo) -> dict[str, str]:
+    """Return what `described` says of a field beside its meaning and its example."""
+    extra: Any = field.json_schema_extra or {}
+    return dict(extra)

@@ -29,7 +29,8 @@ from counterspin.campaign.columns import (
 )
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.readings import MOST_READINGS, ReadingAxes
+from counterspin.campaign.readings import MOST_READINGS
+from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen

@@ -1,38 +1,46 @@
-"""[[runs]] with records: how each is read, which part of it, and which are left out."""
+"""[[runs]]: records and readings; how a record is read, which part of it, what is left out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, PrivateAttr
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr
 
-from counterspin.campaign.attitude import attitude_rows
+from counterspin.arrays import Array
+from counterspin.campaign.attitude import UNKNOWN, of_platform, read_attitude
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, Section
 from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.kinds import (
-    Attitude,
+    Contradiction,
     PositiveRatio,
     RecordFile,
     Seconds,
     SettingsSection,
+    Stand,
     Temperatures,
     Text,
     described,
     exact,
+    extra_of,
+    positive,
     read_exactly,
-    turning,
+    with_units,
 )
 from counterspin.campaign.memory.documents import patched
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import is_reading
 from counterspin.campaign.truth_tables import RunTruthSettings
+from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
+
+#: Of which runs a key is that not all have.
+RECORDS: Final = "records"
+READINGS: Final = "readings"
 
 #: Most rows, those of all accelerometers together, that are computed at once of records that exist
 #: only on paper. A line of a description can state any length, and what is made from it takes
@@ -55,26 +63,102 @@ def sample_count(duration: float, sampling_rate: float) -> int:
     return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
 
 
+#: A reading, or repeats of one at the same setting.
+Written = Text | Annotated[list[Text], Field(min_length=1)]
+#: That of the one accelerometer there is, or of several by name.
+OfEach = Annotated[Written | dict[str, Written], BeforeValidator(with_units)]
+
+
+class ReadingAxes(SettingsSection):
+    """``axes`` of a reading: where input and pendulous axis point in the frame of its motion."""
+
+    input: Text | list[float] = described(
+        "in which the input axis points in the frame of the motion", "inward", kind="direction"
+    )
+    pendulous: Text | list[float] = described(
+        "in which the pendulous axis points", "up", kind="direction"
+    )
+
+
+class PosesSettings(SettingsSection):
+    """``poses`` of a record at rest: how they are found in it."""
+
+    rest: Seconds = described("shortest rest that is a pose", "1.5 s", 1.5, absent="1.5 s")
+    threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
+        "scatter below which the sensor rests", "0.05 m/s^2", None, absent="found in the record"
+    )
+    u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = described(
+        "standard uncertainty of each axis in a pose, what its rest does not show included; "
+        "needed for nine poses or fewer",
+        "0.01 m/s^2",
+        None,
+        absent="by how the poses fit",
+    )
+
+
 class Run(SettingsSection):
-    """[[runs]]: one run with a record, at constant nominal rate."""
+    """[[runs]]: one run at constant nominal rate, or at rest: its record, or what was read."""
 
     name: Text = described("unique", "run1")
-    rate: Annotated[float, read_exactly("rad/s"), AfterValidator(turning)] = described(
-        "nominal rate; negative is the other sense", "0.25 rev/s"
+    skip: bool = described("leaves the run out, and the result says so", True, False)
+    motion: MotionKind = described(
+        "how the instrument moves", "static", "counter-rotating", of=READINGS
     )
-    record: RecordFile = described(
-        f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}",
+    rate: Annotated[float, read_exactly("rad/s")] = described(
+        "nominal rate; negative is the other sense; none at rest", "0.25 rev/s", 0.0, absent="none"
+    )
+    file: RecordFile | None = described(
+        f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}; of a run at rest or on an "
+        "arm its mean over whole revolutions is the reading, its noise the uncertainty",
         "run1.csv",
+        None,
+        absent="`reading`",
+        alias="record",
     )
-    attitude: Attitude = described(
-        "of the platform in this run",
+    reading: OfEach | None = described(
+        "in place of a `record`: value with its unit; `±` where its standard uncertainty is known; "
+        "a list of them: repeats at one setting, whose mean counts and whose scatter tells the "
+        "noise",
+        "1.082532 ± 2e-6 mA",
+        None,
+        absent="`record`",
+        of=READINGS,
+    )
+    stand: Stand = described(
+        "of the platform in this run; of a reading with `±` for the head, or `unknown` for a pose "
+        "of a triad; at rest there must be this or `axes`",
         "90 deg about east",
         absent="level",
         kind="attitude",
-        default_factory=lambda: attitude_rows("level"),
+        alias="attitude",
+        default_factory=lambda: read_attitude("level"),
     )
+    head: Annotated[float, read_exactly("rad")] | None = described(
+        "what the dividing head shows, where that is not the angle of the attitude: the instrument "
+        "is mounted on it otherwise",
+        "120 deg",
+        None,
+        absent="the angle of the attitude",
+        of=READINGS,
+    )
+    axes: ReadingAxes | None = described(
+        "`input` and `pendulous` in the frame of the motion, in place of an attitude",
+        {"input": "inward", "pendulous": "up"},
+        None,
+        absent="`attitude`",
+        of=READINGS,
+    )
+    poses: PosesSettings | None = described(
+        "of a `record` whose attitude is `unknown`: how [poses](triads.md) are found in it",
+        {"rest": "1.5 s"},
+        None,
+        absent="rests of 1.5 s",
+        of=READINGS,
+    )
+    mounting: str = described("name of the position on the fixture", "in", "", of=READINGS)
     duration: Seconds | None = described(
-        "for `simulate`; a finding asks about a record shorter than nine tenths of that",
+        "of the record, for [simulate](readings.md#simulating-readings); a finding asks about a "
+        "record shorter than nine tenths of that",
         "400 s",
         None,
         absent="by revolutions",
@@ -83,15 +167,15 @@ class Run(SettingsSection):
         "for `simulate`, in place of a duration", 100, None, absent="those of `[simulation]`"
     )
     temperature: Temperatures | None = described(
-        "in this run, for slopes with temperature; or in K. Several count as taken at even times "
-        "from its start to its end",
+        "in this run, for slopes with temperature; or in K. Of a record several count as taken at "
+        "even times from its start to its end",
         "23.4 degC",
         None,
         absent="that of its record",
         kind="text, list of text",
     )
     time: Annotated[float, read_exactly("s")] | None = described(
-        "when the run began, by any clock, for `K_F.trend`",
+        "when the run began, or was read, by any clock, for `K_F.trend`",
         "12 min",
         None,
         absent="after the run before",
@@ -101,12 +185,14 @@ class Run(SettingsSection):
         ["run1-2.csv", "run1-3.csv"],
         [],
         absent="none",
+        of=RECORDS,
     )
     pulses: RecordFile | None = described(
         "file with the column of the times of pulses",
         "run1-index.csv",
         None,
         absent="in the record",
+        of=RECORDS,
     )
     records: dict[str, Any] | None = described(
         "keys of `[records]` that differ in this run: `time`, `angle`, `temperature`, `recorder`, "
@@ -114,19 +200,24 @@ class Run(SettingsSection):
         {"decimal": "."},
         None,
         absent="as `[records]`",
+        of=RECORDS,
     )
-    skip: bool = described("leaves the run out, and the result says so", True, False)
     start: Annotated[float, read_exactly("s")] | None = described(
-        "from when the record is used, in its own time", "12 s", None, absent="its first row"
+        "from when the record is used, in its own time",
+        "12 s",
+        None,
+        absent="its first row",
+        of=RECORDS,
     )
     stop: Annotated[float, read_exactly("s")] | None = described(
-        "until when", "390 s", None, absent="its last row"
+        "until when", "390 s", None, absent="its last row", of=RECORDS
     )
     truth: Annotated[dict[str, Any] | None, Section(RunTruthSettings)] = described(
-        "for `simulate`: [what differs in this run](#truth)",
+        "for `simulate`: [what differs in this run](campaign.md#truth)",
         {"drift": "2e-6 1/s"},
         None,
         absent="that of `[truth]`",
+        of=RECORDS,
     )
 
     _recording: Recording | None = PrivateAttr(None)
@@ -141,6 +232,24 @@ class Run(SettingsSection):
         return self._recording
 
     @property
+    def record(self) -> Path:
+        """Its record, the first file of it."""
+        assert self.file is not None
+        return self.file
+
+    @property
+    def attitude(self) -> Array:
+        """Rows: where the platform's axes point, shape (3, 3)."""
+        return self.stand.rows
+
+    @property
+    def length(self) -> float | None:
+        """Of its record, s, where that is stated."""
+        if self.revolutions is None or not self.rate:
+            return self.duration
+        return 2.0 * math.pi * self.revolutions / abs(self.rate)
+
+    @property
     def part(self) -> tuple[float, float]:
         """From where to where its record is used, s in its own time."""
         start = -math.inf if self.start is None else self.start
@@ -150,6 +259,120 @@ class Run(SettingsSection):
     def files(self) -> tuple[Path, ...]:
         """All its files, the record first."""
         return (self.record, *self.continued_in, *([self.pulses] if self.pulses else []))
+
+    def contradictions(self) -> Iterator[Contradiction]:
+        """Yield what is missing, too much, or contradicts itself."""
+        read = self.motion != "counter-rotating" or self.reading is not None
+        foreign = RECORDS if read else READINGS
+        for name, field in type(self).model_fields.items():
+            if name in self.model_fields_set and extra_of(field).get("x-of") == foreign:
+                other = "a record of a double turntable" if read else "a reading"
+                said = f"belongs to a run with {other}; leave it out"
+                yield (field.alias or name,), said, "motion", "reading"
+        if self.duration is not None and self.revolutions is not None:
+            yield ("duration",), "revolutions is given too; keep one"
+        yield from self._of_reading() if read else self._of_record()
+
+    def _of_record(self) -> Iterator[Contradiction]:
+        if self.file is None:
+            yield ("record",), "is missing", "motion", "reading"
+        if self.rate == 0.0:
+            stated = "rate" in self.model_fields_set
+            said = "the centrifuge must turn; the rate is zero" if stated else "is missing"
+            yield ("rate",), said, "motion", "reading"
+        try:
+            of_platform(self.stand)
+        except ValueError as error:
+            yield ("attitude",), str(error), "motion", "reading"
+        for place, file in enumerate(self.continued_in if self.file else ()):
+            if file.suffix.lower() != self.record.suffix.lower():
+                words = f"must end in {self.record.suffix.lower()}, as the record does"
+                yield ("continued_in", place), words
+        start, stop = self.part
+        if not start < stop:
+            yield ("stop",), "must come after start", "start"
+
+    def _of_reading(self) -> Iterator[Contradiction]:
+        posed, static, turns = self.stand.unknown, self.motion == "static", self.rate != 0.0
+        stated, no_axes = "stand" in self.model_fields_set, self.axes is None
+        one_temperature = len(self.temperature or ()) < 2
+        no_meaning = "has no meaning at an unknown attitude"
+        arm = 'on an arm there is no attitude; write axes = { input = "inward", pendulous = "up" }'
+        # Whether it is wrong, its key, and further ones on which that hangs.
+        rows: Iterable[tuple[object, str, str]] = (
+            (
+                (self.reading is None) == (self.file is None),
+                "give one of reading and record",
+                " reading record",
+            ),
+            (
+                posed and not static,
+                'an attitude can be unknown only at rest; write "static"',
+                "motion attitude",
+            ),
+            (posed and not no_axes, no_meaning, "axes attitude"),
+            (posed and self.mounting, no_meaning, "mounting attitude"),
+            # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
+            ("." in self.mounting, f'"{self.mounting}" has a dot; leave it out', "mounting"),
+            (static and turns, "a static run does not turn; leave the rate out", "rate motion"),
+            (
+                not static and not turns,
+                f"is missing: a run with motion {self.motion} turns",
+                "rate motion",
+            ),
+            (
+                static and no_axes and not stated,
+                "is missing: a reading at rest needs its position",
+                "attitude axes motion",
+            ),
+            (no_axes and not posed and self.motion == "arm", arm, " axes motion"),
+            (
+                not no_axes and stated and not posed,
+                "has axes and an attitude; keep one",
+                " axes attitude",
+            ),
+            (
+                self.head is not None and not (static and any(self.stand.head)),
+                'turns about an axis: write attitude = "30 deg about north", or alike',
+                "head attitude motion",
+            ),
+            (
+                self.revolutions is not None and self.duration is None and not turns,
+                "a run that does not turn has a duration",
+                "revolutions duration rate",
+            ),
+            (
+                self.file is None and not one_temperature,
+                "a reading has one temperature; several belong to a record",
+                "temperature record",
+            ),
+            (
+                self.poses and not posed,
+                'are searched for only with attitude = "unknown"',
+                "poses attitude",
+            ),
+            (
+                self.poses and posed and self.file is None,
+                "are found in a record, but this is a reading",
+                "poses record",
+            ),
+        )
+        for wrong, words, keys in rows:
+            if wrong:
+                key, *others = keys.split(" ")
+                yield ((key,) if key else ()), words, *others
+
+
+def is_reading(raw: object) -> bool:
+    """Return whether an entry of ``[[runs]]`` is a reading that counts, and not a record."""
+    if not isinstance(raw, Mapping) or _is_skipped(raw):
+        return False
+    return raw.get("motion", "counter-rotating") != "counter-rotating" or "reading" in raw
+
+
+def is_pose(raw: Any) -> bool:
+    """Return whether an entry of ``[[runs]]`` is at an unknown attitude."""
+    return isinstance(raw, Mapping) and raw.get("attitude") == UNKNOWN
 
 
 def taken_runs(runs: Sequence[Any]) -> list[tuple[int, Any]]:
@@ -192,26 +415,12 @@ def resolve_runs(
         if is_reading(raw):
             continue
         run = problems.check(Run, raw, path, folder=folder)
-        if run is not None:
-            _check(run, path, problems, simulated=turns is not None)
+        if run is not None and run.file is not None:
+            if run.truth is not None and turns is None:
+                problems.add((*path, "truth"), "needs [simulation] or [truth]")
             resolved[index] = _completed(run, records, turns, path, problems)
     _check_clocks(list(resolved.values()), problems)
     return resolved
-
-
-def _check(run: Run, path: KeyPath, problems: Problems, *, simulated: bool) -> None:
-    """Note what contradicts itself in a run."""
-    for place, file in enumerate(run.continued_in):
-        if file.suffix.lower() != run.record.suffix.lower():
-            words = f"must end in {run.record.suffix.lower()}, as the record does"
-            problems.add((*path, "continued_in", place), words)
-    if run.duration is not None and run.revolutions is not None:
-        problems.add((*path, "duration"), "revolutions is given too; keep one")
-    if run.truth is not None and not simulated:
-        problems.add((*path, "truth"), "needs [simulation] or [truth]")
-    start, stop = run.part
-    if not start < stop:
-        problems.add((*path, "stop"), "must come after start")
 
 
 def _completed(
@@ -219,7 +428,7 @@ def _completed(
 ) -> Run:
     """Return a run with its length, where its revolutions tell it, and how its record is read."""
     turns = run.revolutions or turns
-    if run.duration is None and turns is not None:
+    if run.duration is None and turns is not None and run.rate:
         run = run.model_copy(update={"duration": turns * 2.0 * math.pi / abs(run.rate)})
     if run.records is not None:
         own = _own_recording(run.records, records, (*path, "records"), problems)

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.attitude import read_attitude
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block
@@ -288,7 +288,7 @@ def _helpful(search: Search, missing: list[str]) -> str | None:
     for words in _ATTITUDES_TRIED:
         if words in plan.attitudes:
             continue
-        added = run.model_copy(update={"name": words, "attitude": attitude_rows(words)})
+        added = run.model_copy(update={"name": words, "stand": read_attitude(words)})
         campaign = replace(plan.stand_in, runs=(*plan.stand_in.runs, added))
         turns = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
         predictor = Predictor(

@@ -177,12 +177,18 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     apart = ("limits", "goal", "stations", "runs")
     document = {k: v for k, v in raw.items() if k not in apart}
     taken = list_of(raw, "runs")
-    names = list(table_of(raw, "accelerometers"))
+    tables = table_of(raw, "accelerometers")
+    names = list(tables)
+    units = {
+        name: table_of(table, "output").get("unit", "g")
+        for name, table in tables.items()
+        if isinstance(table, Mapping)
+    }
     triad = problems.check(TriadSettings, raw["triad"], ("triad",)) if "triad" in raw else None
     possible: list[PossibleReading] = []
     for index, entry in enumerate(list_of(raw, "stations")):
         path_of_entry = ("stations", index)
-        settings = problems.check(StationsSettings, entry, path_of_entry)
+        settings = problems.check(StationsSettings, entry, path_of_entry, units=units)
         if settings is not None:
             read = triad.accelerometers if triad and settings.attitude else names
             possible += _possible(settings, entry, read, raw, path_of_entry, problems)

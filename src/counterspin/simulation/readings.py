@@ -20,16 +20,15 @@ from counterspin.campaign.columns import BLANK, is_empty
 from counterspin.campaign.conditions import groups_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
-from counterspin.campaign.readings import Reading, is_reading
+from counterspin.campaign.readings import Reading
 from counterspin.campaign.readings_table import (
     ReadingsSettings,
     ReadingsTable,
     load_table,
 )
-from counterspin.campaign.runs import sample_count
+from counterspin.campaign.runs import is_pose, is_reading, sample_count
 from counterspin.campaign.terms import POSITION
 from counterspin.campaign.toml_file import load_document
-from counterspin.campaign.triads.declared import is_pose
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen

@@ -13,12 +13,8 @@ from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.kinds import SettingsSection, Text, described
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import (
-    UNKNOWN,
-    PosesSettings,
-    Reading,
-    ReadingRunSettings,
-)
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.runs import PosesSettings, Run
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 
@@ -77,11 +73,6 @@ class Triad:
     def posed(self) -> bool:
         """Whether there are poses of unknown attitude."""
         return bool(self.poses or self.records)
-
-
-def is_pose(raw: Any) -> bool:
-    """Return whether an entry of ``[[runs]]`` is at an unknown attitude."""
-    return isinstance(raw, Mapping) and raw.get("attitude") == UNKNOWN
 
 
 def resolve_triad(
@@ -189,17 +180,14 @@ def _resolve_pose(
     names: Of the triad's accelerometers; none where they are a mistake.
     """
     before = len(problems.lines)
-    if raw.get("motion") != "static":
-        problems.add((*path, "motion"), 'an attitude can be unknown only at rest; write "static"')
-    for key in ("axes", "mounting"):
-        if raw.get(key):
-            problems.add((*path, key), "has no meaning at an unknown attitude")
     if "record" in raw:
-        yield from _record_of_poses(raw, path, folder, problems)
+        run = problems.check(Run, raw, path, folder=folder)
+        if run is not None:
+            poses = run.poses or PosesSettings()
+            more = (poses.rest, poses.threshold, run.temperature, run.time, poses.u)
+            yield PoseRecord(run.name, run.record, *more)
         return
-    if "poses" in raw:
-        problems.add((*path, "poses"), "are found in a record, but this is a reading")
-    readings = {one.accelerometer: one for one in read([({**raw, "attitude": "level"}, path)])}
+    readings = {one.accelerometer: one for one in read([(raw, path)])}
     if names and readings and set(readings) != set(names):
         every = ", ".join(names)
         said = f"at an unknown attitude all of {every} must be read, and no other"
@@ -210,24 +198,3 @@ def _resolve_pose(
         problems.add((*path, "reading"), said)
     if readings.keys() >= set(names) > set() and len(problems.lines) == before:
         yield tuple(readings[name] for name in names)
-
-
-def _record_of_poses(
-    raw: Mapping[str, Any], path: KeyPath, folder: Path, problems: Problems
-) -> Iterator[PoseRecord]:
-    """Yield what a record with poses is."""
-    settings = problems.check(ReadingRunSettings, raw, path)
-    if settings is None:
-        return
-    if settings.reading is not None:
-        problems.add(path, "give one of reading and record")
-    poses = settings.poses or PosesSettings()
-    yield PoseRecord(
-        settings.name,
-        folder / str(settings.record),
-        poses.rest,
-        poses.threshold,
-        settings.temperature,
-        settings.time,
-        poses.u,
-    )
