@@ -146,6 +146,8 @@ _FIRST_PART: Final = 0.03
 _MIXED_IN: Final = 1e-4
 #: Largest number of gradient steps.
 _GRADIENT_STEPS: Final = 30
+#: Part of the largest gain by which another has to be above an edge of the hull to be off it.
+_ROUNDING: Final = 1e-12
 #: Smaller weights count as zero.
 ZERO_WEIGHT: Final = 1e-5
 #: Relative gap of u to the bound at which the relaxation is solved.
@@ -337,13 +339,30 @@ class _Relaxation:
         return weight / over
 
     def most(self, phi: Array) -> tuple[Array, float]:
-        """Return the weights that gain most by the gradient, and the price of an observation."""
-        from scipy.optimize import linprog
+        """Return the weights that gain most by the gradient, and the price of an observation.
 
-        scale = float(np.max(phi)) or 1.0
-        rows = np.vstack([self.cost, np.ones_like(phi)])
-        program = linprog(-phi / scale, A_ub=rows, b_ub=[self.total, self.number], method="highs")
-        return np.asarray(program.x), -float(program.ineqlin.marginals[1]) * scale
+        A linear program of two limits. Of observations that take what there is for each of them on
+        average, the best gain is on the upper hull of all gains over their costs, none at no cost
+        among them: at most two share the limits. The price is where that edge meets no cost.
+        """
+        cost, gain = np.append(self.cost, 0.0), np.append(phi, 0.0)
+        share = self.total / self.number
+        left, right = phi.size, int(np.argmax(gain))
+        weight = np.zeros_like(gain)
+        if cost[right] <= share:  # time is left
+            weight[right] = self.number
+            return weight[:-1], float(gain[right])
+        while True:
+            slope = (gain[right] - gain[left]) / (cost[right] - cost[left])
+            above = gain - slope * cost
+            price = float(above[left])
+            over = int(np.argmax(above))
+            if above[over] <= price + _ROUNDING * gain[right] or over in (left, right):
+                break
+            left, right = (over, right) if cost[over] <= share else (left, over)
+        weight[right] = self.number * (share - cost[left]) / (cost[right] - cost[left])
+        weight[left] = self.number - weight[right]
+        return weight[:-1], price
 
     def improved(self, support: Places, weight: Array, best: Array) -> Array:
         """Return the best weights on a support."""
