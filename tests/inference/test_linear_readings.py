@@ -183,7 +183,7 @@ def test_small_tumbles_set_by_hand_cover():
     """
     rng, trials, repeats, z = (
         np.random.default_rng(20),
-        200 if os.environ.get("COUNTERSPIN_FULL") else 60,
+        200 if os.environ.get("COUNTERSPIN_FULL") else 30,
         2,
         [],
     )

@@ -315,7 +315,7 @@ CASES = {
 def test_unbiased_and_covers(case, stated):
     tests, asked, more = CASES[case]
     everything = [*asked.unknowns, *asked.considered]
-    trials = FULL or (15 if len(everything) > 8 else 30)
+    trials = FULL or (10 if len(everything) > 8 else 20)
     rng = np.random.default_rng(sum(map(ord, case)))
     own = {u.symbol: TRUTH.get(u.symbol, 0.0) for u in asked.unknowns if u.symbol in TERMS}
     z, t = [], []

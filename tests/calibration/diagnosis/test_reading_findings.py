@@ -302,7 +302,7 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
 
 def test_twelve_positions_of_which_nothing_is_stated_are_judged(tmp_path):
     """Mean and three waves are taken up, and 12 less 7 are left: at 5 chance would decide."""
-    for seed in range(8):
+    for seed in range(4):
         values = simulated(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
         result = calibrated(tmp_path, even(12), values, assume=[])
         assert "unjudged-readings" not in [f.code for f in result.findings]
@@ -324,9 +324,9 @@ def shown(kind, rng):
 
 @pytest.mark.parametrize("kind", ["drift", "settle", "2 phi and 3 phi", "K_III"])
 def test_nine_degrees_of_freedom_show_what_is_wrong(tmp_path, kind):
-    """In eight tumbles of eight; a random order keeps time and angle apart."""
+    """In four tumbles of four; a random order keeps time and angle apart."""
     rng = np.random.default_rng(sum(map(ord, kind)))
-    for _ in range(8):
+    for _ in range(4):
         (found,) = misfits(calibrated(tmp_path, *shown(kind, rng)))
         assert kind in found.text
 
@@ -338,7 +338,7 @@ def test_five_readings_on_an_arm_claim_no_more_than_they_know(tmp_path):
     Four standard deviations of a share of 95 %; Satterthwaite's formula had 1e4 of them, and
     values 100 u off. No residual is judged.
     """
-    rng, trials = np.random.default_rng(11), 60 if FULL else 30
+    rng, trials = np.random.default_rng(11), 60 if FULL else 20
     stations, sides, heads = arm((1.0, 5.0, 10.0, 15.0, 20.0))
     places = [0, 4, 8, 10, 18]
     test = [stations[k] for k in places], [sides[k] for k in places], heads[places]
@@ -365,9 +365,9 @@ def test_five_readings_on_an_arm_claim_no_more_than_they_know(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_good_tumbles_are_seldom_blamed(tmp_path, u):
-    """At 1 % of them, in 60 no more than 3 (p = 0.003), in 150 no more than 6 (p = 0.002)."""
+    """At 1 % of them, in 30 no more than 2 (p = 0.003), in 150 no more than 6 (p = 0.002)."""
     rng = np.random.default_rng(9)
-    trials, most = (150, 6) if FULL else (60, 3)
+    trials, most = (150, 6) if FULL else (30, 2)
     blamed = 0
     for _ in range(trials):
         values = simulated(tumble(), rng, SIGMA, truth=LEVEL)
@@ -380,10 +380,10 @@ def test_good_tumbles_are_seldom_blamed(tmp_path, u):
 def test_repeats_at_one_setting_do_not_show_the_head_s_error(tmp_path, u_head):
     """Three repeats share it, positions do not.
 
-    At 1 % of good tumbles at most 2 of 33 (p = 0.004) and 4 of 66 (p = 0.001) are blamed.
+    At 1 % of good tumbles at most 2 of 20 (p = 0.001) and 4 of 66 (p = 0.001) are blamed.
     """
     rng = np.random.default_rng(10)
-    trials, most = (66, 4) if FULL else (33, 2)
+    trials, most = (66, 4) if FULL else (20, 2)
     test = tumble(24)
     blank = readings(test, np.zeros(24), 1.0)
     blamed = 0
@@ -404,10 +404,10 @@ def test_repeats_at_one_setting_do_not_show_the_head_s_error(tmp_path, u_head):
 def test_few_repeats_beside_a_large_error_of_the_head_are_no_noise_to_explain_away(tmp_path):
     """A wave takes from the residuals what the head made, and not the scatter of repeats.
 
-    At 0.25 % of good tumbles, in 50 no more than 1 (p = 0.007), in 100 no more than 2 (p = 0.002);
+    At 0.25 % of good tumbles, in 30 no more than 1 (p = 0.003), in 100 no more than 2 (p = 0.002);
     5 % of them were blamed.
     """
-    trials, most = (100, 2) if FULL else (50, 1)
+    trials, most = (100, 2) if FULL else (30, 1)
     rng, u_head, test = np.random.default_rng(15), 6e-6, tumble(8)
     blank = readings(test, np.zeros(8), 1.0)
     head, blamed = f" ± {math.degrees(u_head)!r}", 0
@@ -427,7 +427,7 @@ STATED_HEAD = '[model.priors]\n"head.harmonic" = "0 ± 0.1 arcsec"\n'
 def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, count):
     """The typical size holds it back, and K_F is off by four of its u; no u is stated."""
     rng = np.random.default_rng(count)
-    for _ in range(6):
+    for _ in range(3):
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         how = {"assume": [], "time": True, "more": [STATED_HEAD]}
@@ -499,10 +499,10 @@ def test_a_second_mounting_on_the_head_parts_its_error_from_the_accelerometer(tm
 def test_good_tumbles_of_which_little_is_stated_have_seldom_a_reading_that_is_off(tmp_path):
     """Beside typical sizes the noise of the others comes out small by chance now and then.
 
-    At 0.25 % of them, in 50 no more than 1 (p = 0.007), in 100 no more than 2 (p = 0.002);
+    At 0.25 % of them, in 30 no more than 1 (p = 0.003), in 100 no more than 2 (p = 0.002);
     Satterthwaite's tails blamed 3 %.
     """
-    trials, most = (100, 2) if FULL else (50, 1)
+    trials, most = (100, 2) if FULL else (30, 1)
     rng, blamed = np.random.default_rng(16), 0
     for _ in range(trials):
         unstated = {"K_II": 1e-5, "K_III": 2e-6, "K_IP": 2e-6, "K_PP": 2e-6, "K_OQ": 1e-6}

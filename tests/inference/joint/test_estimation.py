@@ -57,8 +57,8 @@ def bound(series, noise):
     ("noise", "request_", "trials"),
     [
         (WHITE, Noise(WANTED, 0.0), 4000 if FULL else 50),
-        (MIXED, Noise(WANTED, WANTED), 4000 if FULL else 16),
-        (MIXED, Noise(0.01, WANTED), 4000 if FULL else 12),
+        (MIXED, Noise(WANTED, WANTED), 4000 if FULL else 10),
+        (MIXED, Noise(0.01, WANTED), 4000 if FULL else 8),
     ],
     ids=["white", "mixed", "white given"],
 )

@@ -35,7 +35,7 @@ from counterspin.inference.noise.model import Noise
 from counterspin.physics.spindle import Spindle
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
-TRIALS = 10_000 if FULL else 150
+TRIALS = 10_000 if FULL else 80
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
 WHITE = Noise(0.01)
@@ -714,7 +714,7 @@ def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(noise):
     model = Unknowns(own, tilts)
     clean = prepare_columns(three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES)
     rng = np.random.default_rng(31)
-    trials, alarms, p_values, naive = 300 if FULL else 120, 0, [], 0
+    trials, alarms, p_values, naive = 300 if FULL else 60, 0, [], 0
     for _ in range(trials):
         drawn = []
         for part in redrawn(clean, noise, rng):

@@ -24,7 +24,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 
-TRIALS = 20_000 if os.environ.get("COUNTERSPIN_FULL") else 400
+TRIALS = 20_000 if os.environ.get("COUNTERSPIN_FULL") else 200
 
 # The paper's plan and its Table 1; its Earth stands still.
 R, G, SIGMA, K_I = 2.5, 9.8, 0.01, 1.001
