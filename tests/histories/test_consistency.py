@@ -23,26 +23,26 @@ def test_two_measurements_by_hand():
     found = weighted_mean([10.0, 15.0], [1.0, 2.0])
     assert found.value == pytest.approx(11.0)
     assert found.u == pytest.approx(math.sqrt(0.8))
-    assert found.agreement.chi2 == pytest.approx(5.0)
-    assert found.agreement.dof == 1
-    assert found.agreement.birge == pytest.approx(math.sqrt(5.0))
+    assert found.scatter.chi2 == pytest.approx(5.0)
+    assert found.scatter.dof == 1
+    assert found.scatter.birge == pytest.approx(math.sqrt(5.0))
     # With one degree of freedom chi-square is a squared normal variable.
-    assert found.agreement.p == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
+    assert found.scatter.p == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
     assert found.difference == pytest.approx([-1.0, 4.0])
     assert found.z == pytest.approx([-math.sqrt(5.0), math.sqrt(5.0)])
 
 
 def test_two_degrees_of_freedom_are_an_exponential():
     found = weighted_mean([1.0, 2.0, 6.0], [1.0, 1.0, 1.0])
-    assert found.agreement.chi2 == pytest.approx(14.0)
-    assert found.agreement.p == pytest.approx(math.exp(-7.0))
+    assert found.scatter.chi2 == pytest.approx(14.0)
+    assert found.scatter.p == pytest.approx(math.exp(-7.0))
 
 
 def test_one_measurement_has_nothing_to_agree_with():
     found = weighted_mean([3.0], [0.5])
     assert (found.value, found.u) == (pytest.approx(3.0), pytest.approx(0.5))
-    assert found.agreement.p is None
-    assert found.agreement.birge is None
+    assert found.scatter.p is None
+    assert found.scatter.birge is None
     assert np.isnan(found.z).all()
 
 
@@ -76,7 +76,7 @@ def test_line_through_two_points():
     assert found.slope == pytest.approx(0.5)
     assert found.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
     assert found.p == pytest.approx(math.erfc(4.0 / math.sqrt(2.0)))
-    assert found.agreement.p is None
+    assert found.scatter.p is None
     value, u = found.at([2000.0, 2004.0])
     assert value == pytest.approx([1.0, 3.0])
     assert u == pytest.approx([0.3, 0.4])
@@ -88,7 +88,7 @@ def test_an_exact_line_is_found(measured, slope):
     time = np.arange(u.size) * 0.5 + 2020.0
     found = drift(time, 7.0 + slope * (time - 2020.0), u)
     assert found.slope == pytest.approx(slope, abs=1e-7)
-    assert found.agreement.chi2 == pytest.approx(0.0, abs=1e-8)
+    assert found.scatter.chi2 == pytest.approx(0.0, abs=1e-8)
 
 
 def test_agrees_with_the_textbook_formula():
@@ -120,7 +120,7 @@ def test_drift_is_unbiased_and_its_interval_covers():
     assert abs(slopes.std() / claimed - 1.0) < 4.5 / math.sqrt(2.0 * trials)
     covered = np.mean(np.abs(slopes - true) < 1.959963984540054 * claimed)
     assert abs(covered - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / trials)
-    p = np.array([one.agreement.p for one in found])
+    p = np.array([one.scatter.p for one in found])
     assert abs(np.mean(p < 0.1) - 0.1) < 4.5 * math.sqrt(0.1 * 0.9 / trials)
     level = np.array([one.at(2.0)[0] for one in found])
     assert abs(level.std() / found[0].at(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)

@@ -2,28 +2,28 @@
 
 import pytest
 
-from counterspin.histories.consistency import WARNING_SIGMAS, individuals
+from counterspin.histories.consistency import individuals
 
 
 def test_limits_by_hand():
     # Changes 2, 4, 2: mean 8/3, over 1.1284.
-    found = individuals([1.0, 3.0, -1.0, 1.0])
+    found = individuals([1.0, 3.0, -1.0, 1.0], list("abcd"))
     assert (found.centre, found.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
-    assert found.sigma == pytest.approx(8.0 / 3.0 / 1.128379, rel=1e-6)
-    assert found.limits(WARNING_SIGMAS) == pytest.approx(
-        (1.0 - 2.0 * found.sigma, 1.0 + 2.0 * found.sigma)
-    )
+    sigma = 8.0 / 3.0 / 1.128379
+    warning, action = (1.0 - 2.0 * sigma, 1.0 + 2.0 * sigma), (1.0 - 3.0 * sigma, 1.0 + 3.0 * sigma)
+    assert (found.warning_low, found.warning_high) == pytest.approx(warning, rel=1e-6)
+    assert (found.action_low, found.action_high) == pytest.approx(action, rel=1e-6)
     # The factor D4 of two: 3.267.
     assert found.range_limit == pytest.approx(3.267 * 8.0 / 3.0, rel=2e-4)
-    assert (found.beyond, found.leaps) == ((), ())
+    assert (found.beyond, found.leaps) == ([], [])
 
 
 def test_what_lies_beyond_is_named():
     values = [0.0, 1.0] * 8 + [20.0] + [0.0, 1.0] * 4
-    found = individuals(values)
-    assert found.beyond == (16,)
-    assert found.leaps == (16, 17)
+    found = individuals(values, [str(place) for place in range(len(values))])
+    assert found.beyond == ["16"]
+    assert found.leaps == ["16", "17"]
 
 
 def test_fewer_than_three_results_have_no_limits():
-    assert individuals([1.0, 2.0]) is None
+    assert individuals([1.0, 2.0], ["a", "b"]) is None

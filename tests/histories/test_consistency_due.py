@@ -4,7 +4,8 @@ from datetime import datetime, timedelta
 
 import pytest
 
-from counterspin.histories.consistency import Agreement, Drift, next_due, probability_inside
+from counterspin.histories.consistency import Drift, next_due, probability_inside
+from counterspin.histories.result import Scatter
 
 START, LAST = datetime(2020, 1, 1), datetime(2024, 1, 1)
 YEARS = (LAST - START) / timedelta(days=365.25)
@@ -18,7 +19,7 @@ def line(slope, u=0.0, u_value=0.1, birge=1.0):
         time=0.0,
         value=0.0,
         u_value=u_value,
-        agreement=Agreement(1.0, 3, 0.5, birge),
+        scatter=Scatter(chi2=1.0, dof=3, p=0.5, birge=birge),
     )
 
 

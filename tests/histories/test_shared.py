@@ -20,7 +20,7 @@ def test_mean_and_drift_are_those_of_generalised_least_squares():
     assert found.value == pytest.approx(variance * (inverse @ X).sum())
     assert found.u == pytest.approx(math.sqrt(variance))
     away = X - found.value
-    assert found.agreement.chi2 == pytest.approx(away @ inverse @ away)
+    assert found.scatter.chi2 == pytest.approx(away @ inverse @ away)
     project = np.eye(3) - variance * np.ones((3, 1)) @ np.ones((1, 3)) @ inverse
     assert found.z == pytest.approx(away / np.sqrt(np.diag(project @ V @ project.T)))
     time = np.array([0.0, 1.0, 4.0])

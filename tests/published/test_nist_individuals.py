@@ -15,7 +15,7 @@ CASE = case("individuals chart of a flow rate")
 def test_flow_rate():
     # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
     assert check(CASE).state == "passed"
-    found = individuals(CASE.given["values"])
-    low, high = found.limits()
-    assert (f"{low:.2f}", f"{high:.2f}") == ("45.82", "55.80")
-    assert found.beyond == found.leaps == ()
+    values = CASE.given["values"]
+    found = individuals(values, [str(place) for place in range(len(values))])
+    assert (f"{found.action_low:.2f}", f"{found.action_high:.2f}") == ("45.82", "55.80")
+    assert found.beyond == found.leaps == []

@@ -17,24 +17,11 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.histories.files import DatedResult
-from counterspin.histories.result import Repeatability, RepeatComponent
+from counterspin.histories.result import ControlLimits, Repeatability, RepeatComponent, Scatter
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.plain_fit import Fit, fit
 from counterspin.inference.variance_components import variance_components
-
-
-@frozen
-class Agreement:
-    """How measurements scatter about a fit, in their own uncertainties."""
-
-    chi2: float  #: Sum of squared differences, each over its standard uncertainty.
-    dof: int  #: Measurements less fitted quantities.
-    #: Probability of a larger `chi2` if the uncertainties are right; None without a degree of
-    #: freedom.
-    p: float | None
-    #: Birge ratio, the root of chi2/dof: near 1 where the uncertainties are right; None likewise.
-    birge: float | None
 
 
 @frozen
@@ -44,7 +31,7 @@ class Mean:
     #: The mean and its standard uncertainty, in the unit of the measurements.
     value: float
     u: float
-    agreement: Agreement  #: Of the measurements with it.
+    scatter: Scatter  #: Of the measurements with it.
     difference: Array  #: Measurements less mean, shape (n,).
     #: `difference` over its own standard uncertainty, which is the root of u_i^2 - u^2, for the
     #: measurement is part of the mean; shape (n,), NaN for one measurement alone.
@@ -65,7 +52,7 @@ class Drift:
     time: float
     value: float
     u_value: float  #: Standard uncertainty of `value`.
-    agreement: Agreement  #: Of the measurements with the line.
+    scatter: Scatter  #: Of the measurements with the line.
 
     def at(self, time: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the line and its standard uncertainty at times, each of the times' shape."""
@@ -87,7 +74,7 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | N
     return Mean(
         value=float(constant.estimate[0]),
         u=float(constant.u[0]),
-        agreement=_agreement(constant),
+        scatter=_scatter(constant),
         difference=constant.residuals,
         z=_against_the_others(measured, sigma),
     )
@@ -125,7 +112,7 @@ def drift(
         time=middle,
         value=float(value),
         u_value=float(u_value),
-        agreement=_agreement(line),
+        scatter=_scatter(line),
     )
 
 
@@ -155,7 +142,7 @@ def _correlated_mean(values: Array, covariance: Array) -> Mean:
     apart = left > 1e-12 * np.diag(covariance)
     if values.size > 1:
         z[apart] = difference[apart] / np.sqrt(left[apart])
-    return Mean(mean, u, _agreement(constant), difference, z)
+    return Mean(mean, u, _scatter(constant), difference, z)
 
 
 def _whitened(columns: Array, covariance: Array) -> Array:
@@ -177,15 +164,11 @@ def _against_the_others(values: Array, u: Array) -> Array:
     return z
 
 
-def _agreement(fitted: Fit) -> Agreement:
-    if fitted.dof < 1:
-        return Agreement(fitted.chi2, fitted.dof, None, None)
-    return Agreement(
-        chi2=fitted.chi2,
-        dof=fitted.dof,
-        p=chi_square_tail(fitted.dof, fitted.chi2),
-        birge=math.sqrt(fitted.chi2 / fitted.dof),
-    )
+def _scatter(fitted: Fit) -> Scatter:
+    chi2, dof = fitted.chi2, fitted.dof
+    if dof < 1:
+        return Scatter(chi2=chi2, dof=dof, p=None, birge=None)
+    return Scatter(chi2=chi2, dof=dof, p=chi_square_tail(dof, chi2), birge=math.sqrt(chi2 / dof))
 
 
 #: Mean and standard deviation of the range of two normal values of unit variance.
@@ -200,28 +183,11 @@ WARNING_SIGMAS: Final = 2.0
 FEWEST_RESULTS: Final = 3
 
 
-@frozen
-class Individuals:
-    """An individuals chart with its moving range."""
-
-    centre: float  #: Mean of the results.
-    sigma: float  #: Their standard deviation from one to the next: mean moving range over 1.128.
-    #: Mean of the sizes of the changes, and their upper action limit.
-    mean_range: float
-    range_limit: float
-    beyond: tuple[int, ...]  #: Places of the results beyond the action limits.
-    #: Places of the results whose change since the one before is beyond `range_limit`.
-    leaps: tuple[int, ...]
-
-    def limits(self, width: float = ACTION_SIGMAS) -> tuple[float, float]:
-        """Return the lower and the upper limit at so many standard deviations."""
-        return self.centre - width * self.sigma, self.centre + width * self.sigma
-
-
-def individuals(values: npt.ArrayLike) -> Individuals | None:
+def individuals(values: npt.ArrayLike, files: Sequence[str]) -> ControlLimits | None:
     """Return the chart of results in order of time (NIST/SEMATECH e-Handbook, 6.3.2.2).
 
     values: Shape (n,).
+    files: What each is called by, n of them.
     Returns: none for fewer than `FEWEST_RESULTS` results.
     """
     measured = np.asarray(values, dtype=np.float64)
@@ -231,13 +197,17 @@ def individuals(values: npt.ArrayLike) -> Individuals | None:
     mean_range = float(ranges.mean())
     centre, sigma = float(measured.mean()), mean_range / _D2
     limit = mean_range + ACTION_SIGMAS * _D3 * sigma
-    return Individuals(
+    beyond = np.abs(measured - centre) > ACTION_SIGMAS * sigma
+    return ControlLimits(
         centre=centre,
-        sigma=sigma,
+        warning_low=centre - WARNING_SIGMAS * sigma,
+        warning_high=centre + WARNING_SIGMAS * sigma,
+        action_low=centre - ACTION_SIGMAS * sigma,
+        action_high=centre + ACTION_SIGMAS * sigma,
         mean_range=mean_range,
         range_limit=limit,
-        beyond=tuple(map(int, np.nonzero(np.abs(measured - centre) > ACTION_SIGMAS * sigma)[0])),
-        leaps=tuple(int(place) + 1 for place in np.nonzero(ranges > limit)[0]),
+        beyond=[file for file, far in zip(files, beyond, strict=True) if far],
+        leaps=[file for file, size in zip(files[1:], ranges, strict=True) if size > limit],
     )
 
 
@@ -255,7 +225,7 @@ def probability_inside(line: Drift, time: float, low: float | None, high: float 
     low, high: The limits; None where there is none.
     """
     value, u = (float(part) for part in line.at(time))
-    u *= max(1.0, line.agreement.birge or 1.0)
+    u *= max(1.0, line.scatter.birge or 1.0)
     below = 1.0 if high is None else normal_cdf((high - value) / u)
     return below - (0.0 if low is None else normal_cdf((low - value) / u))
 

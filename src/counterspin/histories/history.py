@@ -17,9 +17,7 @@ from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import (
     LONGEST_YEARS,
-    WARNING_SIGMAS,
     YEAR,
-    Agreement,
     Drift,
     Mean,
     drift,
@@ -31,13 +29,11 @@ from counterspin.histories.consistency import (
 )
 from counterspin.histories.files import KINDS, CollectedResults, DatedResult, collect, term_like
 from counterspin.histories.result import (
-    ControlLimits,
     Due,
     History,
     InstrumentHistory,
     LaboratoryPair,
     Point,
-    Scatter,
     SpecificationLimits,
     Trend,
     UnusedResult,
@@ -221,34 +217,16 @@ def _instrument(records: Sequence[DatedResult], reliability: float) -> Instrumen
         points=[_point(i, records, mean, covariance) for i in range(len(records))],
         mean=mean.value,
         u_mean=mean.u,
-        scatter=_scatter(mean.agreement),
+        scatter=mean.scatter,
         drift=None if line is None else _trend(line, start),
         verdict=verdict,
         shared=[] if common is None else list(common.names),
         correlation=None if common is None else common.largest,
-        control=_control(records),
+        control=individuals(values, [record.file for record in records]),
         specification=_specification(records),
         due=_due(records, line, verdict, reliability),
         repeatability=repeatability(records, covariance, drifts=verdict == "drifts"),
         laboratories=_laboratories(records, covariance),
-    )
-
-
-def _control(records: Sequence[DatedResult]) -> ControlLimits | None:
-    chart = individuals([record.value for record in records])
-    if chart is None:
-        return None
-    (action_low, action_high), (low, high) = chart.limits(), chart.limits(WARNING_SIGMAS)
-    return ControlLimits(
-        centre=chart.centre,
-        warning_low=low,
-        warning_high=high,
-        action_low=action_low,
-        action_high=action_high,
-        mean_range=chart.mean_range,
-        range_limit=chart.range_limit,
-        beyond=[records[place].file for place in chart.beyond],
-        leaps=[records[place].file for place in chart.leaps],
     )
 
 
@@ -345,10 +323,6 @@ def _iso(date: datetime) -> str:
     return (date.date() if date.time() == datetime.min.time() else date).isoformat()
 
 
-def _scatter(agreement: Agreement) -> Scatter:
-    return Scatter(chi2=agreement.chi2, dof=agreement.dof, p=agreement.p, birge=agreement.birge)
-
-
 def _trend(line: Drift, start: datetime) -> Trend:
     return Trend(
         value=line.slope,
@@ -357,16 +331,16 @@ def _trend(line: Drift, start: datetime) -> Trend:
         date=(start + line.time * YEAR).date().isoformat(),
         level=line.value,
         u_level=line.u_value,
-        scatter=_scatter(line.agreement),
+        scatter=line.scatter,
     )
 
 
 def _verdict(mean: Mean, line: Drift | None) -> Verdict:
-    if mean.agreement.p is None:
+    if mean.scatter.p is None:
         return "single"
-    agree = mean.agreement.p >= SIGNIFICANCE
+    agree = mean.scatter.p >= SIGNIFICANCE
     if line is None or line.p >= SIGNIFICANCE:
         return "constant" if agree else "disagree"
-    if line.agreement.p is None:
+    if line.scatter.p is None:
         return "differ"
-    return "drifts" if line.agreement.p >= SIGNIFICANCE else "disagree"
+    return "drifts" if line.scatter.p >= SIGNIFICANCE else "disagree"

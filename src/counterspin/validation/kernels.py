@@ -306,9 +306,10 @@ def _forecast(module: Any, given: Given) -> Found:
 
 
 def _individuals(module: Any, given: Given) -> Found:
-    answer = module.individuals(given["values"])
-    low, high = answer.limits()
-    return {"centre": answer.centre, "mean_range": answer.mean_range, "low": low, "high": high}
+    values = given["values"]
+    answer = module.individuals(values, [str(place) for place in range(len(values))])
+    found = {"low": answer.action_low, "high": answer.action_high}
+    return {"centre": answer.centre, "mean_range": answer.mean_range, **found}
 
 
 def _weighted_mean(module: Any, given: Given) -> Found:
