@@ -34,10 +34,10 @@ def test_batches_put_together_are_the_trials_at_once():
     for level, share in zip(LEVELS, found.covered, strict=True):
         k = stats.norm.ppf(0.5 + level / 2)
         assert share == np.mean(np.abs(error / u) <= k)
-    assert found.histogram.sum() == 5000
+    assert sum(found.histogram) == 5000
     assert found.histogram[-1] == 5000  # all far beyond 6 u
-    _, counts, bias, _ = found.drivers[0]
-    assert counts.sum() == 5000
+    counts, bias = found.against[DRIFT].trials, found.against[DRIFT].bias
+    assert sum(counts) == 5000
     low = driven < 0.1
     assert counts[0] == low.sum()
     assert bias[0] == pytest.approx(error[low].mean(), rel=1e-12)

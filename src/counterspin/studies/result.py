@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Final
 
 from counterspin.reports.publication import ShownResult, loaded, on_axes
@@ -21,40 +20,16 @@ FEWEST_TRIALS: Final = 200
 _LARGEST_BIAS: Final = 0.2
 
 
-class BiasAgainst(ResultPart):
-    """Bias against a quantity that varied, bin by bin; null where a bin has no trials.
-
-    `value` is the centre of each bin, `trials` the number in it.
-    """
-
-    value: list[float | None]
-    trials: list[float | None]
-    bias: list[float | None]
-    se_bias: list[float | None]
-
-
-class CoefficientResult(ResultPart):
+class CoefficientResult(Summary):
     """One coefficient of one analysis."""
 
     unit: str  #: Of the coefficient.
-    #: As in `counterspin.studies.tally.Summary`.
-    trials: int
-    truth: float
-    bias: float
-    se_bias: float
-    sd: float
-    mse: float
-    u: float
-    covered: tuple[float, ...]
-    intervals: tuple[tuple[float, float], ...]
-    histogram: list[int]
     bound: float | None  #: The Cramer-Rao bound of the standard uncertainty, or None.
     #: The bound's variance over the mean square error; None without a bound.
     efficiency: float | None
     #: Whether its intervals contain the truth as often as they should; None with too few trials.
     trustworthy: bool | None
     finding: str  #: The same in words.
-    against: dict[str, BiasAgainst]  #: By what varied: the bias against it.
 
 
 class AnalysisResult(ResultPart):
@@ -112,39 +87,19 @@ class StudyResult(ShownResult):
 
 
 def coefficient_result(
-    reported: ReportedCoefficient, unit: str, summary: Summary, drivers: Sequence[str]
+    reported: ReportedCoefficient, unit: str, summary: Summary
 ) -> CoefficientResult:
     """Return the figures of one coefficient."""
     trustworthy, finding = judge(reported, summary)
-    unbounded = reported.bound is None or summary.mse == 0.0
+    bound = reported.bound
     return CoefficientResult(
+        **vars(summary),
         unit=unit,
-        trials=summary.trials,
-        truth=summary.truth,
-        bias=summary.bias,
-        se_bias=summary.se_bias,
-        sd=summary.sd,
-        mse=summary.mse,
-        u=summary.u,
-        covered=summary.covered,
-        intervals=summary.intervals,
-        histogram=summary.histogram.tolist(),
-        bound=reported.bound,
-        efficiency=None if unbounded else reported.bound**2 / summary.mse,  # type: ignore[operator]
+        bound=bound,
+        efficiency=None if bound is None or summary.mse == 0.0 else bound**2 / summary.mse,
         trustworthy=trustworthy,
         finding=finding,
-        against={
-            name: BiasAgainst(
-                **dict(zip(BiasAgainst.model_fields, map(_numbers, columns), strict=True))
-            )
-            for name, columns in zip(drivers, summary.drivers, strict=True)
-        },
     )
-
-
-def _numbers(values: Any) -> list[float | None]:
-    """Return numbers that JSON can hold: a bin without trials has no bias."""
-    return [float(value) if math.isfinite(value) else None for value in values]
 
 
 def judge(reported: ReportedCoefficient, summary: Summary) -> tuple[bool | None, str]:

@@ -169,7 +169,6 @@ def _result(
             "the study was stopped before the first batch of trials was complete"
         )
     sums = ledger.sums[ledger.done]
-    drivers = [driver.symbol for driver in engine.tally.drivers]
     coefficients: dict[str, dict[str, CoefficientResult]] = {}
     undetermined: dict[str, list[str]] = {}
     words: dict[str, str] = {}
@@ -181,10 +180,7 @@ def _result(
         undetermined.setdefault(name, []).extend(part.lost)
         for reported in part.reported:
             coefficients.setdefault(name, {})[reported.name] = coefficient_result(
-                reported,
-                unit_of(reported.symbol),
-                summarise(engine.tally, sums[:, row]),
-                drivers,
+                reported, unit_of(reported.symbol), summarise(engine.tally, sums[:, row])
             )
             row += 1
     analyses = {

@@ -12,10 +12,10 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.results import ResultPart
 
 LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
 
@@ -119,26 +119,29 @@ def coverage_factor(dof: Array, level: float) -> Array:
     return np.asarray(quantile[index] + (place - index) * slope[index])
 
 
-@frozen
-class Summary:
+class BiasAgainst(ResultPart):
+    """Bias against a quantity that varied, bin by bin; null where a bin has no trials."""
+
+    value: list[float]  #: Centres of the bins.
+    trials: list[float]  #: The number in each.
+    bias: list[float | None]  #: Of estimate less truth.
+    se_bias: list[float | None]  #: Its standard error.
+
+
+class Summary(ResultPart):
     """What the trials of one coefficient amount to."""
 
     trials: int  #: How many.
     truth: float  #: Mean of what was true.
-    #: Mean of estimate less truth, and its standard error.
-    bias: float
-    se_bias: float
-    #: Standard deviation and mean square of estimate less truth.
-    sd: float
-    mse: float
+    bias: float  #: Mean of estimate less truth.
+    se_bias: float  #: Its standard error.
+    sd: float  #: Standard deviation of estimate less truth.
+    mse: float  #: Its mean square.
     u: float  #: Mean of the standard uncertainty claimed.
-    #: Share of trials whose interval held the truth, for each of `LEVELS`.
-    covered: tuple[float, ...]
+    covered: tuple[float, ...]  #: Share of trials whose interval held the truth, for each level.
     intervals: tuple[tuple[float, float], ...]  #: The binomial 95 % interval of each share.
-    #: Trials in each bin of z, those beyond the ends first and last, shape (Z_BINS + 2,).
-    histogram: npt.NDArray[np.int64]
-    #: For each driver: centre of bin, trials, bias, its standard error, each (DRIVER_BINS,).
-    drivers: tuple[tuple[Array, Array, Array, Array], ...]
+    histogram: list[int]  #: Trials in each bin of z, those beyond the ends first and last.
+    against: dict[str, BiasAgainst]  #: By what varied: the bias against it.
 
 
 def summarise(tally: Tally, batches: Array) -> Summary:
@@ -153,7 +156,7 @@ def summarise(tally: Tally, batches: Array) -> Summary:
     sd = math.sqrt(squares / (n - 1.0)) if n > 1.0 else math.nan
     total = batches.sum(axis=0)
     covered = tuple(float(value) / n for value in total[_COVERED])
-    drivers = []
+    against = {}
     for index, driver in enumerate(tally.drivers):
         start = _FIRST_DRIVER + 3 * DRIVER_BINS * index
         each, sums, sums_of_squares = total[start : start + 3 * DRIVER_BINS].reshape(3, -1)
@@ -161,7 +164,12 @@ def summarise(tally: Tally, batches: Array) -> Summary:
         with np.errstate(divide="ignore", invalid="ignore"):
             bias = sums / each
             spread = np.sqrt(np.maximum(sums_of_squares / each - bias**2, 0.0) / each)
-        drivers.append((0.5 * (edges[1:] + edges[:-1]), each, bias, spread))
+        against[driver.symbol] = BiasAgainst(
+            value=(0.5 * (edges[1:] + edges[:-1])).tolist(),
+            trials=each.tolist(),
+            bias=_numbers(bias),
+            se_bias=_numbers(spread),
+        )
     return Summary(
         trials=int(n),
         truth=float(total[3]) / n,
@@ -172,9 +180,14 @@ def summarise(tally: Tally, batches: Array) -> Summary:
         u=float(total[4]) / n,
         covered=covered,
         intervals=tuple(binomial_interval(share * n, n) for share in covered),
-        histogram=total[_HISTOGRAM].astype(np.int64),
-        drivers=tuple(drivers),
+        histogram=total[_HISTOGRAM].astype(np.int64).tolist(),
+        against=against,
     )
+
+
+def _numbers(values: Array) -> list[float | None]:
+    """Return numbers that JSON can hold: a bin without trials has no bias."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
