@@ -22,7 +22,7 @@ from counterspin.calibration import assembly
 from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
 from counterspin.campaign.kinds import exact
-from counterspin.certificates import coverage, signers
+from counterspin.certificates import signers, wording
 from counterspin.comparisons import rerun
 from counterspin.histories import consistency, page, shared
 from counterspin.inference import conformity, diagnostics
@@ -131,7 +131,7 @@ ROWS = {
         ("k is Student's factor for {} %", 100.0 * conformity.COVERAGE),
         ("the least expanded uncertainty ({} %)", 100.0 * conformity.COVERAGE),
         ("ellipsoidal region of {} %", 100.0 * conformity.COVERAGE),
-        ("rounded to {} decimal places", coverage._FACTOR_DECIMALS),
+        ("rounded to {} decimal places", wording._FACTOR_DECIMALS),
         (
             "RSA keys have at least {} bits, elliptic curves {};",
             signers._RSA_BITS,

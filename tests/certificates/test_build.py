@@ -12,10 +12,10 @@ from certificates import ISSUE, LAB, document, find
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
-from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.reading import read_certificate
 from counterspin.certificates.schema import NAMESPACES, clean, factor, number
 from counterspin.certificates.statements import Issue
+from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import Conformity
 from counterspin.physics.si_units import from_si, si_unit, to_si

@@ -8,11 +8,11 @@ import counterspin as cs
 from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates.amendment import changes
-from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.front import front_blocks
 from counterspin.certificates.reading import read_certificate
 from counterspin.certificates.schema import NAMESPACES, check_schema
 from counterspin.certificates.statements import statements
+from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.cli import main
 from counterspin.reports.blocks import Paragraph, Table
 from counterspin.reports.numbers import field_unit, format_estimate

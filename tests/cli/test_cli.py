@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import pytest
 from counterspin import cli
 from counterspin.calibration.result import Result
 from counterspin.certificates import issuing
-from counterspin.cli.validate import validate
+from counterspin.cli.program import validate
 from counterspin.reports import charts, publication
 from counterspin.reproduction.demo import demo
 from counterspin.validation.validate import DOSSIER_FILES
@@ -75,7 +74,7 @@ def test_help_names_nothing_that_leaving_an_option_out_says(command, monkeypatch
     ],
 )
 def test_help_names_the_endings_that_are_written(command, option, endings):
-    text = inspect.getdoc(getattr(import_module(f"counterspin.cli.{command}"), command))
+    text = inspect.getdoc(cli.app[command].default_command)
     said = re.search(rf"^{option}\n((?:    .*\n?)+)", text, re.MULTILINE)[1]
     assert sorted(re.findall(r"\.[a-z]+\b", said)) == sorted(endings)
 

@@ -6,8 +6,8 @@ records do not determine is named as such, and missing data of the laboratory is
 - `lab`: the laboratory's data, ``LAB.toml``
 - `issuing`: from a result to the file, and back
 - `build`: the document, set by the template `assets/certificate.xml.jinja`
-- `statements`: its claims; `wording`: the sentences; `front`: the pages
-- `schema`: the words and numbers of its XML, and validation; `coverage`: coverage factors
+- `statements`: its claims; `wording`: the sentences, and coverage factors; `front`: the pages
+- `schema`: the words and numbers of its XML, and validation
 - `conversion`: coefficients and a triad in SI, with what the uncertainty of g does there;
   `capability`: no U is below what the laboratory can do
 - `evidence`: what bounds the terms that were taken as perfect

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.reading import (
     CertificateNumbers,
     CertifiedAccelerometer,
@@ -17,6 +16,7 @@ from counterspin.certificates.reading import (
     read_document,
 )
 from counterspin.certificates.schema import NAMESPACES, Element, parse
+from counterspin.certificates.wording import coverage_factor
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import field_unit, format_estimate

@@ -38,10 +38,10 @@ from counterspin.certificates.conversion import (
     title,
     triad_in_si,
 )
-from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.lab import ITEM_STATES, Lab
 from counterspin.certificates.schema import DCC, NAMESPACES, Element, clean, factor, number
 from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
+from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.si_units import SiUnit, si_unit, to_si

@@ -12,8 +12,8 @@ from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
 from counterspin.certificates.conversion import certified_triad
-from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.lab import Lab
+from counterspin.certificates.wording import coverage_factor
 from counterspin.physics.si_units import to_si
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.reports.numbers import field_unit, format_uncertainty

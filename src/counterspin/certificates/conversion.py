@@ -18,8 +18,8 @@ from counterspin.calibration.pages.triad import nominal_outputs, parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
 from counterspin.certificates import wording
-from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.schema import factor
+from counterspin.certificates.wording import coverage_factor
 from counterspin.physics.si_units import si_unit
 from counterspin.reports.blocks import Column, Table
 from counterspin.reports.numbers import format_estimate, format_number

@@ -27,11 +27,11 @@ from counterspin.certificates.conversion import (
 from counterspin.certificates.conversion import (
     title as triad_title,
 )
-from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.schema import factor
 from counterspin.certificates.statements import Issue, Verdicts
+from counterspin.certificates.wording import coverage_factor
 from counterspin.reports.blocks import Block, Column, Heading, Lines, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block

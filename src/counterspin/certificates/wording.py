@@ -1,7 +1,8 @@
-"""The sentences of a certificate, the same in the XML and on its pages."""
+"""The sentences of a certificate, the same in the XML and on its pages; its coverage factors."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import Final
@@ -11,10 +12,9 @@ from counterspin.calibration.pages.basis import model_blocks
 from counterspin.calibration.pages.motions import lines_of_tests, poses_of, readings_of
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
-from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.lab import CertificateSettings
 from counterspin.certificates.schema import factor
-from counterspin.inference.conformity import COVERAGE, Conformity
+from counterspin.inference.conformity import COVERAGE, Conformity, expanded_uncertainty
 from counterspin.physics.si_units import SiUnit, si_unit
 from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Paragraph
@@ -26,6 +26,27 @@ from counterspin.reports.numbers import (
     format_share,
     format_uncertainty,
 )
+
+#: Decimals of a factor as stated and used, so that U/k is the standard uncertainty to the last
+#: digit; rounding changes the coverage by less than 1e-5.
+_FACTOR_DECIMALS: Final = 4
+
+
+def coverage_factor(dof: float | None) -> float:
+    """Return k of the interval value ± k u for degrees of freedom, None being infinite."""
+    return round(expanded_uncertainty(1.0, dof, COVERAGE), _FACTOR_DECIMALS)
+
+
+def region_factor(size: int, dof: float | None) -> float:
+    """Return k of the region d' V^-1 d <= k^2 of so many quantities with covariance V.
+
+    dof: Degrees of freedom of the common scale of V; None is infinite.
+    """
+    from scipy.special import chdtri, fdtri
+
+    squared = chdtri(size, 1.0 - COVERAGE) if dof is None else size * fdtri(size, dof, COVERAGE)
+    return round(math.sqrt(float(squared)), _FACTOR_DECIMALS)
+
 
 #: ``(a ± b) x 1e4``: value, uncertainty, power.
 _TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")

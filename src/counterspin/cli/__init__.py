@@ -1,11 +1,11 @@
 """The command line: words to calls, errors to one paragraph, nothing else.
 
-Each command has a module of its own, and imports what it uses when it runs, so that `--help`
-answers at once.
+A command imports what it uses when it runs, so that `--help` answers at once.
 
-- `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `rerun`,
-  `check`, `watch`, `noise`, `apply`, `plan`, `study`, `schema`, `serve`, `demo`, `reproduce`,
-  `validate`: the commands
+- `init`, `calibrate`, `certificate`, `apply`, `plan`, `study`: a command each
+- `records`: `simulate`, `check`, `watch`, `noise`
+- `results`: `report`, `history`, `compare`, `rerun`, `ledger`
+- `program`: `schema`, `serve`, `demo`, `reproduce`, `validate`
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -25,23 +25,12 @@ from counterspin.cli import (
     apply,
     calibrate,
     certificate,
-    check,
-    compare,
-    demo,
-    history,
     init,
-    ledger,
-    noise,
     plan,
-    report,
-    reproduce,
-    rerun,
-    schema,
-    serve,
-    simulate,
+    program,
+    records,
+    results,
     study,
-    validate,
-    watch,
 )
 from counterspin.cli.words import complain, in_one_line, spoken
 from counterspin.errors import CampaignError, CounterspinError, CounterspinWarning
@@ -68,25 +57,25 @@ app = App(
 
 for _command in (
     init.init,
-    simulate.simulate,
+    records.simulate,
     calibrate.calibrate,
-    report.report,
+    results.report,
     certificate.certificate,
-    ledger.ledger,
-    history.history,
-    compare.compare,
-    rerun.rerun,
-    check.check,
-    watch.watch,
-    noise.noise,
+    results.ledger,
+    results.history,
+    results.compare,
+    results.rerun,
+    records.check,
+    records.watch,
+    records.noise,
     apply.apply,
     plan.plan,
     study.study,
-    schema.schema,
-    serve.serve,
-    demo.demo,
-    reproduce.reproduce,
-    validate.validate,
+    program.schema,
+    program.serve,
+    program.demo,
+    program.reproduce,
+    program.validate,
 ):
     _command.__doc__ = in_one_line(_command.__doc__ or "")
     app.command(_command)

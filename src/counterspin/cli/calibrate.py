@@ -131,7 +131,7 @@ class KeepingOptions:
     def enter(self, json: Path | None) -> None:
         """Enter the result's file, where that is asked for."""
         if self.ledger is not None and json is not None and self.who and self.why:
-            from counterspin.cli.ledger import add
+            from counterspin.cli.results import add
 
             add(self.ledger, json, who=self.who, why=self.why)
 

@@ -1,0 +1,148 @@
+"""The commands of the program itself: schemas, the page, the demonstration, reference cases."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from counterspin.cli.words import NOT_SAVED, OnOff, OutputFolder, SaveOptions, say, shell_word
+from counterspin.errors import CampaignError, CounterspinError, installing
+
+
+def schema(document: Literal["campaign", "plan", "study", "lab", "result", "noise"], /) -> None:
+    """Print the JSON Schema (draft 2020-12) of a document, for editors and other programs.
+
+    Every key has its meaning, its unit and an example. A document names its schema in its first
+    line, `#:schema campaign.schema.json`; editors with TOML support then explain keys, complete
+    them and mark mistakes. Conditions that involve several keys are checked by counterspin only.
+
+    Parameters
+    ----------
+    document
+        campaign.toml, PLAN.toml, a study's own file, LAB.toml, or the result of `calibrate --json`
+        or of `noise --json`.
+    """
+    from counterspin.schemas import schema_text
+
+    print(schema_text(document), end="")
+
+
+def serve(
+    directory: Path,
+    /,
+    *,
+    port: int = 0,
+    browser: OnOff = True,
+    signer: str | None = None,
+    cert: Path | None = None,
+) -> None:
+    """Open the application: a web page for this machine only, with campaigns, plans, certificates.
+
+    Parameters
+    ----------
+    directory
+        Folder of the campaigns; nothing outside it is read or written.
+    port
+        Port to listen on; 0 chooses a free one.
+    browser
+        Open the page in the browser.
+    signer
+        Command with which the page may sign certificates: it reads bytes on standard input and
+        writes their signature, for example with a smart card or token.
+    cert
+        X.509 certificate (PEM) of the key with which the command signs.
+    """
+    if (signer is None) != (cert is None):
+        raise CampaignError("serve", ["give --signer and --cert together"])
+    try:
+        from counterspin.application.server import serve as run
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn", "tomlkit"):
+            raise
+        raise CounterspinError(
+            f"the page needs Starlette and uvicorn: {installing('application')}"
+        ) from error
+    signing = None if signer is None or cert is None else (signer, cert)
+    run(directory, port=port, browser=browser, signing=signing, say=say)
+
+
+def demo(
+    *,
+    output: OutputFolder = Path("counterspin-demo"),
+    figure: Literal["svg", "png", "pdf"] = "svg",
+    overwrite: bool = False,
+) -> None:
+    """Simulate and calibrate the paper's plan, and compare each method with the truth.
+
+    Parameters
+    ----------
+    output
+        Folder for the campaign, its records and the figure.
+    figure
+        Format of the figure.
+    overwrite
+        Replace an earlier demonstration.
+    """
+    from counterspin.reports.charts import reserve_figures, save
+    from counterspin.reports.text import report_console
+    from counterspin.reproduction.demo import demo as run
+    from counterspin.reproduction.page import (
+        FIGURE,
+        demonstration_plots,
+        render_demonstration,
+    )
+
+    drawn = output / f"displacement.{figure}"
+    reserve_figures([drawn], FIGURE, overwrite=overwrite)
+    shown = run(output, overwrite=overwrite)
+    save(demonstration_plots(shown), drawn, FIGURE, overwrite=overwrite)
+    report_console().print(render_demonstration(shown))
+    say(
+        "",
+        f"Wrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:",
+        f"  counterspin calibrate {shell_word(output)}",
+    )
+
+
+def reproduce(*, saved: SaveOptions = NOT_SAVED) -> None:
+    """Compare the paper's numbers with recomputed ones, and explain the differences."""
+    from counterspin.reports.text import report_console
+    from counterspin.reproduction.comparison import reproduce as run
+    from counterspin.reproduction.plan import Reproduction
+
+    saved.reserve(Reproduction.file_kind)
+    reproduction = run()
+    with saved.written(reproduction):
+        report_console().print(reproduction)
+
+
+def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: bool = False) -> None:
+    """Run the reference cases on this installation and write a dossier for an assessor.
+
+    Parameters
+    ----------
+    output
+        The dossier's folder: validation.html, validation.pdf and validation.json.
+    schema
+        Folder or file of the DCC schema; a certificate is validated against it too.
+    overwrite
+        Replace an earlier dossier; other files are never replaced.
+    """
+    from counterspin.reports.text import progress, report_console
+    from counterspin.validation.validate import check_folder, write_dossier
+    from counterspin.validation.validate import validate as run
+
+    check_folder(output, overwrite=overwrite)
+    with progress(words=("Running cases", "Running cases", "Writing")) as advance:
+        dossier = run(schema=schema, progress=advance)
+        write_dossier(dossier, output, overwrite=overwrite)
+    report_console().print(dossier)
+    say(f"Wrote {shell_word(output)}")
+    if dossier.failed:
+        raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")
+    if not dossier.passed:
+        there = dossier.installation
+        named = ", ".join([*there.altered, *there.missing])
+        raise CounterspinError(
+            f"files of the installation are altered or missing: {named}; reinstall counterspin"
+        )

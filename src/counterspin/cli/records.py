@@ -1,0 +1,240 @@
+"""The commands of records: simulated, judged while a centrifuge turns, and at rest."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from counterspin.cli.words import NOT_SAVED, OutputFolder, SaveOptions, group, say
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from counterspin.monitoring.result import WatchState
+
+
+def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False) -> None:
+    """Simulate the records and readings of a campaign with known coefficients.
+
+    Parameters
+    ----------
+    campaign
+        Campaign description with [truth] tables, or its folder.
+    output
+        Folder for the records, the readings and the description.
+    overwrite
+        Replace the files of an earlier simulation; other files are never replaced.
+    """
+    from counterspin.campaign.description import read_campaign
+    from counterspin.campaign.questions import questions
+    from counterspin.reports.text import progress
+    from counterspin.simulation.simulate import simulate as run
+
+    described = read_campaign(campaign)
+    with progress(words=("Simulating", "Files", "Files")) as advance:
+        written = run(described, output, overwrite=overwrite, progress=advance)
+    say(*(f"Warning: {question.text}" for question in questions(described)))
+    files = f"{len(written)} {'file' if len(written) == 1 else 'files'} and " if written else ""
+    say(f"Wrote {files}campaign.toml to {output}.")
+
+
+def check(
+    record: Path,
+    /,
+    *,
+    campaign: Annotated[Path, Parameter(name="--campaign")],
+    run: str | None = None,
+    saved: SaveOptions = NOT_SAVED,
+) -> None:
+    """Check the record of one run: clock, angle, rate, residuals and the uncertainty it will give.
+
+    Parameters
+    ----------
+    record
+        The record file of a run that the campaign describes.
+    campaign
+        The campaign's folder, or its campaign.toml.
+    run
+        Name of the run, if the file's name does not show it.
+    """
+    from counterspin.monitoring.check import check as judge
+    from counterspin.monitoring.result import CheckedRun
+    from counterspin.reports.text import report_console
+
+    saved.reserve(CheckedRun.file_kind)
+    checked = judge(record, campaign, run=run)
+    with saved.written(checked):
+        report_console().print(checked)
+    if not checked.good:
+        raise CounterspinError("the run has faults and should be repeated")
+
+
+def watch(
+    directory: Path,
+    /,
+    *,
+    goal: tuple[str, ...] = (),
+    plan: Path | None = None,
+    interval: float = 1.0,
+    once: bool = False,
+    json: Annotated[bool, Parameter(name="--json-lines")] = False,
+) -> None:
+    """Follow records as they grow: rate, ripple, residuals and the uncertainty reached so far.
+
+    Ends when every run is as long as the campaign states, or with Ctrl-C. Nothing is saved: when
+    started again, it reads the records again and continues.
+
+    Parameters
+    ----------
+    directory
+        The campaign's folder, or its campaign.toml.
+    goal
+        Report when this is reached, such as "K_II 1e-8 g/g^2" or "Qx.K_II 0.01 ug/g^2".
+    plan
+        Take the goals from the target of this PLAN.toml.
+    interval
+        Seconds between two readings of the files.
+    once
+        Print the current state, and end.
+    json
+        Print each state as one line of JSON.
+    """
+    from counterspin.monitoring.watch import Pace
+    from counterspin.monitoring.watch import watch as follow
+
+    if plan is not None and goal:
+        raise CampaignError("watch", ["give `goal` or `plan`, not both"])
+    states = follow(directory, goals=goal if plan is None else plan, pace=Pace(interval), once=once)
+    if json:
+        for state in states:
+            say(state.model_dump_json(by_alias=True))
+            sys.stdout.flush()
+    elif sys.stdout.isatty() and not once:
+        _live(states)
+    else:
+        _lines(states, once=once)
+
+
+def _live(states: Iterator[WatchState]) -> None:
+    from rich.live import Live
+
+    from counterspin.reports.text import report_console
+
+    console = report_console()
+    with Live(console=console, auto_refresh=False) as live:
+        for state in states:
+            live.update(state, refresh=True)
+
+
+def _lines(states: Iterator[WatchState], *, once: bool) -> None:
+    from counterspin.monitoring.page import watch_line
+    from counterspin.reports.text import report_console
+
+    for state in states:
+        if once:
+            report_console().print(state)
+            return
+        clock = time.strftime("%H:%M:%S")
+        told = [f"{clock} {event}" for event in state.events]
+        said = [f"{clock} {run.run}: {run.why}" for run in state.runs if run.state == "failed"]
+        say(*told, *said, f"{clock} {watch_line(state)}")
+        sys.stdout.flush()
+
+
+@group
+@frozen
+class ColumnOptions:
+    """What the columns of the record are, if neither file nor campaign states it.
+
+    Parameters
+    ----------
+    columns
+        Analyse this column; may be repeated. The default is every column of known unit.
+    unit
+        Unit of columns for which the file states none, such as g, m/s^2 or m/s.
+    sampling_rate
+        Sampling rate of a record without a time column, such as "100 Hz".
+    gravity
+        Gravity for conversion between g and m/s^2, without a campaign; default 9.80665 m/s^2.
+    rate
+        Rate of a spindle that turned nearby, such as "1 rev/s": names its spectral lines.
+    """
+
+    columns: Annotated[list[str] | None, Parameter(name="--column", consume_multiple=False)] = None
+    unit: str | None = None
+    sampling_rate: str | None = None
+    gravity: str | None = None
+    rate: str | None = None
+
+
+_AS_THE_FILE_SAYS = ColumnOptions()
+
+
+def noise(
+    record: Path,
+    /,
+    *,
+    campaign: Path | None = None,
+    recorded: ColumnOptions = _AS_THE_FILE_SAYS,
+    report: Path | None = None,
+    plot: Path | None = None,
+    saved: SaveOptions = NOT_SAVED,
+) -> None:
+    """Analyse the noise of a record at rest: spectrum, Allan deviation, components, lines.
+
+    Parameters
+    ----------
+    record
+        Record of a sensor at rest, in any record format.
+    campaign
+        A campaign's folder or campaign.toml, which states what the columns are.
+    report
+        Also write a report: .html, .pdf or .md.
+    plot
+        Plot Allan deviation and spectrum: .svg, .png or .pdf.
+    """
+    from counterspin.monitoring.noise import noise as run
+    from counterspin.monitoring.page import PLOTS, noise_plots
+    from counterspin.monitoring.result import NoiseResult
+    from counterspin.output import marked, reserve
+    from counterspin.reports.charts import check_format, save
+    from counterspin.reports.publication import check_format as check_report
+    from counterspin.reports.text import report_console
+
+    if report is not None:
+        check_report(report)
+        kind = NoiseResult.report_kind()
+        reserve(report, lambda: marked(kind), overwrite=saved.overwrite)
+    if plot is not None:
+        check_format(plot)
+        reserve(plot, lambda: marked(PLOTS), overwrite=saved.overwrite)
+    saved.reserve(NoiseResult.file_kind)
+    result = run(
+        record,
+        campaign=campaign,
+        columns=recorded.columns or (),
+        unit=recorded.unit,
+        sampling_rate=recorded.sampling_rate,
+        gravity=recorded.gravity,
+        rate=recorded.rate,
+    )
+    with saved.written(result):
+        if plot is not None:
+            pictures = [
+                picture
+                for signal in result.signals
+                for picture in noise_plots(signal, result.gravity)
+            ]
+            save(pictures, plot, PLOTS, overwrite=saved.overwrite)
+        if report is not None:
+            result.write_report(report, overwrite=saved.overwrite)
+        report_console().print(result)
+    for path in (report, plot):
+        if path is not None:
+            say(f"Wrote {path}.")

@@ -1,0 +1,251 @@
+"""The commands of results: their reports, histories, comparisons, repetitions and ledgers."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Literal
+
+from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, say
+from counterspin.errors import CampaignError, CounterspinError
+
+if TYPE_CHECKING:
+    from counterspin.reports.publication import ShownResult
+
+
+#: Whatever a command writes with --json, beside a calibration: module and class.
+_KINDS: Final = (
+    ("planning.result", "PlanResult"),
+    ("studies.result", "StudyResult"),
+    ("histories.result", "History"),
+    ("comparisons.result", "ResultComparison"),
+    ("comparisons.result", "RepeatedCalibration"),
+    ("monitoring.result", "CheckedRun"),
+    ("monitoring.result", "WatchState"),
+    ("monitoring.result", "NoiseResult"),
+    ("calibration.batch", "BatchResult"),
+    ("validation.page", "Dossier"),
+    ("reproduction.plan", "Reproduction"),
+)
+
+
+def report(
+    source: Path,
+    /,
+    *,
+    output: OutputFile = None,
+    identifier: str | None = None,
+    date: str | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write the report of any result as HTML, PDF or Markdown, or print it.
+
+    Parameters
+    ----------
+    source
+        File written by any command with --json: a calibration, plan, study, history and so on; or a
+        campaign's folder or description, which is calibrated first.
+    output
+        The report: .html, .pdf or .md; without it, the report is printed.
+    identifier
+        Identifier of the report; by default derived from the result.
+    date
+        Date of the report, such as 2026-03-01; by default SOURCE_DATE_EPOCH or now.
+    overwrite
+        Replace an earlier report of the same kind; other files are never replaced.
+    """
+    from counterspin.calibration.result import Result
+    from counterspin.output import marked, reserve
+    from counterspin.reports.publication import check_format, issue_date
+    from counterspin.reports.text import Report, report_console
+
+    issued = issue_date(date)
+    is_file = source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml")
+    kind = _kind_of(source) if is_file else Result
+    if output is not None:
+        check_format(output)
+        reserve(output, lambda: marked(kind.report_kind()), overwrite=overwrite)
+    if is_file:
+        result = kind.read(source)
+    else:
+        from counterspin.calibration.calibrate import calibrate
+        from counterspin.reports.text import progress
+
+        with progress() as advance:
+            result = calibrate(source, progress=advance)
+    if output is None:
+        report_console().print(Report(list(result.publication(identifier).blocks)))
+        return
+    result.write_report(output, identifier=identifier, issued=issued, overwrite=overwrite)
+    say(f"Wrote {output}.")
+
+
+def _kind_of(path: Path) -> type[ShownResult]:
+    """Return the class whose file this is; a calibration's where it is none's, to say what."""
+    from counterspin.calibration.result import Result
+
+    if Result.file_kind().recognises(path):
+        return Result
+    for module, name in _KINDS:
+        kind: type[ShownResult] = getattr(import_module(f"counterspin.{module}"), name)
+        if kind.file_kind().recognises(path):
+            return kind
+    return Result
+
+
+def history(
+    *paths: Path,
+    term: str = "K_II",
+    serial: str | None = None,
+    reliability: float = 0.95,
+    saved: SaveOptions = NOT_SAVED,
+    figure: Path | None = None,
+) -> None:
+    """Follow a coefficient of each instrument over time: drift and agreement of its results.
+
+    Parameters
+    ----------
+    paths
+        Result files, and folders that are searched for results.
+    term
+        The coefficient; or offset, sensitivity or angle of triads.
+    serial
+        Only the instrument with this serial number.
+    reliability
+        Probability that the instrument is still within specification on the date when it is due.
+    figure
+        Draw a control chart of each instrument: .svg, .png or .pdf.
+    """
+    from counterspin.histories.history import history as run
+    from counterspin.histories.page import CHART, history_plots
+    from counterspin.histories.result import History
+    from counterspin.output import marked, reserve
+    from counterspin.reports.charts import check_format, save
+    from counterspin.reports.text import report_console
+
+    if not paths:
+        raise CampaignError("history", ["give result files, or folders that contain them"])
+    if figure is not None:
+        check_format(figure)
+        reserve(figure, lambda: marked(CHART), overwrite=saved.overwrite)
+    saved.reserve(History.file_kind)
+    result = run(paths, term=term, serial=serial, reliability=reliability)
+    with saved.written(result):
+        if figure is not None:
+            save(history_plots(result), figure, CHART, overwrite=saved.overwrite)
+        report_console().print(result)
+    if result.damaged:
+        raise CounterspinError(
+            f"{len(result.damaged)} of the result files cannot be read; the history leaves them out"
+        )
+
+
+def compare(*results: Path, saved: SaveOptions = NOT_SAVED, report: Path | None = None) -> None:
+    """Compare results of different models, methods or campaigns, and show what changed.
+
+    Parameters
+    ----------
+    results
+        Two or more result files; each is compared with the first.
+    report
+        Also write the comparison to this file: .html, .pdf or .md.
+    """
+    from counterspin.comparisons.compare import compare as run
+    from counterspin.comparisons.result import ResultComparison
+    from counterspin.output import marked, reserve
+    from counterspin.reports.publication import check_format
+    from counterspin.reports.text import report_console
+
+    if report is not None:
+        check_format(report)
+        reserve(report, lambda: marked(ResultComparison.report_kind()), overwrite=saved.overwrite)
+    saved.reserve(ResultComparison.file_kind)
+    compared = run(*results)
+    with saved.written(compared):
+        if report is not None:
+            compared.write_report(report, overwrite=saved.overwrite)
+        report_console().print(compared)
+
+
+def rerun(
+    result: Path,
+    /,
+    *,
+    folder: Path | None = None,
+    saved: SaveOptions = NOT_SAVED,
+) -> None:
+    """Repeat the calibration of a result from the same files, and compare the two.
+
+    Parameters
+    ----------
+    result
+        The result's JSON file.
+    folder
+        Folder of its campaign; by default the folder of the result.
+    """
+    from counterspin.comparisons.rerun import rerun as run
+    from counterspin.comparisons.result import RepeatedCalibration
+    from counterspin.reports.text import progress, report_console
+
+    saved.reserve(RepeatedCalibration.file_kind)
+    with progress() as advance:
+        repeated = run(result, folder, progress=advance)
+    with saved.written(repeated):
+        report_console().print(repeated)
+    if not repeated.same:
+        raise CounterspinError(f"{result}: the repeated calibration differs")
+
+
+def ledger(
+    action: Literal["verify", "add"],
+    ledger: Path,
+    results: tuple[Path, ...] = (),
+    /,
+    *,
+    who: str | None = None,
+    why: str | None = None,
+) -> None:
+    """Verify that no entry of an instrument's ledger was altered, or add results to it.
+
+    Parameters
+    ----------
+    action
+        verify: check every entry and list them; add: enter results.
+    ledger
+        The ledger, an append-only file.
+    results
+        With add: result files.
+    who
+        With add: name of the person who makes the entry.
+    why
+        With add: reason for the entry.
+    """
+    from counterspin.certificates.ledger import ledger_blocks, verify_ledger
+    from counterspin.errors import RecordError
+    from counterspin.reports.text import Report, report_console
+
+    if action == "add":
+        if not results or not who or not why:
+            raise CampaignError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
+        for file in results:
+            add(ledger, file, who=who, why=why)
+        return
+    if results or who or why:
+        raise CampaignError("ledger", ["with verify, give only the ledger"])
+    verified = verify_ledger(ledger)
+    report_console().print(Report(list(ledger_blocks(verified))))
+    if verified.unfinished:
+        raise RecordError(
+            f"{ledger}: after entry {len(verified.entries)} comes an incomplete line of "
+            f"{len(verified.unfinished)} bytes, left by an interrupted command or altered "
+            "at its end; the entries before it are intact, and the next entry will preserve it"
+        )
+
+
+def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
+    """Enter a result's file, and say so."""
+    from counterspin.certificates.ledger import enter_result
+    from counterspin.reports.publication import issue_date
+
+    entered = enter_result(ledger, result, who=who, why=why, date=issue_date())
+    say(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")
