@@ -9,6 +9,9 @@ from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.simulation.pose_record import forces_in_record, record_seconds
+from counterspin.simulation.readings import true_directions
+from counterspin.studies.description import read_study
+from counterspin.studies.study import study
 
 NOISE = 5e-4  # g, of each row
 
@@ -146,5 +149,24 @@ def test_the_command_and_a_study(tmp_path, capsys):
     made = str(tmp_path / "made")
     assert main(["simulate", str(tmp_path / "campaign.toml"), "-o", made]) == 0
     assert main(["check", f"{made}/all.csv", "--campaign", made]) == 0
-    assert main(["study", made, "--trials", "2"]) == 2
-    assert "a study takes poses with readings" in capsys.readouterr().err
+    assert main(["study", made, "--trials", "2"]) == 0
+    assert "Z.delta_P" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("unit", ["g", "count"])
+def test_a_study_reads_the_poses_of_a_record_one_by_one(tmp_path, unit):
+    """Their noise is that of the mean of 3 s of rows, whose u of a bias is known by algebra."""
+    text = described("poses = 30\n")
+    if unit == "count":
+        output = 'output = { unit = "count", sensitivity = "16384 count/g", zero = "40 count" }\n'
+        text = text.replace('unit = "m/s^2" }\n', 'unit = "count" }\n' + output)
+    (tmp_path / "campaign.toml").write_text(text, "utf-8")
+    studied = read_study(tmp_path)
+    along = true_directions(studied.campaign)
+    assert along.shape == (30, 3)
+    x, y, z = along.T
+    felt = np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
+    u = NOISE / np.sqrt(300.0) * np.sqrt(np.diag(np.linalg.inv(felt.T @ felt))[0])
+    found = study(studied, trials=200).analyses["joint"].coefficients["X.K_F"]
+    assert found.sd == pytest.approx(u, rel=5.0 / np.sqrt(2.0 * 200.0))
+    assert found.u == pytest.approx(u, rel=0.1)

@@ -55,7 +55,7 @@ from counterspin.campaign.toml_file import (
     mistakes,
     table_of,
 )
-from counterspin.campaign.triads.declared import Triad, resolve_triad
+from counterspin.campaign.triads.declared import Triad, resolve_triad, with_usual_axes
 from counterspin.campaign.truth import TruthReader
 from counterspin.campaign.truth_tables import Simulation
 from counterspin.errors import CampaignError
@@ -370,9 +370,8 @@ class _DescriptionReader:
         self.all_runs = list_of(raw, "runs")
         self.numbered_runs = taken_runs(self.all_runs)
         self.raw_runs = [run for _, run in self.numbered_runs]
-        self.accelerometers = AccelerometersReader(
-            table_of(self.raw, "accelerometers"), self.raw_runs, problems, self.gravity
-        )
+        tables = with_usual_axes(table_of(raw, "accelerometers"), raw.get("triad"))
+        self.accelerometers = AccelerometersReader(tables, self.raw_runs, problems, self.gravity)
         self.table_checksums: dict[Path, str] = {}
 
     def _required(self, model: type[M], key: str) -> M | None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
+from counterspin.campaign.triads.declared import USUAL_AXES
 from counterspin.errors import RecordError
 from counterspin.exports.axes import threes
 from counterspin.exports.guessing import (
@@ -33,7 +34,7 @@ from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST, Poses, find_po
 from counterspin.units import unit_factor
 
 #: The triad's accelerometers, and their axes in its frame.
-AXES: Final = {"X": ("east", "north"), "Y": ("north", "up"), "Z": ("up", "east")}
+AXES: Final = dict(zip("XYZ", USUAL_AXES, strict=True))
 #: Usual units of a sensor's output.
 UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
 #: Time from one file to the next where rests are looked for in all, s: none goes on.

@@ -44,6 +44,7 @@ from counterspin.simulation.simulable import (
     unfit_readings,
 )
 from counterspin.studies.draws import NOISE_LEVELS, OTHERS, WHITE, VariedQuantity
+from counterspin.studies.recorded_poses import with_noise_of_poses, with_poses_read
 
 #: Kinds of distribution, as they are written.
 _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")
@@ -220,9 +221,13 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
     else:
         require_room(campaign, campaign.simulation.sampling_rate, "study")
     problems.lines += [*simulation_problems(campaign), *unfit_readings(campaign)]
-    for record in campaign.triad.records if campaign.triad else ():
-        text = f'run "{record.name}": a study takes poses with readings, not a record of them'
-        problems.lines.append(text)
+    records = campaign.triad.records if campaign.triad else ()
+    if records and not problems.lines:
+        document = with_poses_read(document, campaign)
+        read_one_by_one = _campaign(document, where, problems, named)
+        campaign = read_one_by_one and with_noise_of_poses(read_one_by_one, records)
+        if campaign is None:
+            raise mistakes(file, problems.lines)
     recorders = recorders_of(document.get("records", {}), campaign.runs)
     varying: list[VariedQuantity] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):

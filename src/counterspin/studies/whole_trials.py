@@ -16,7 +16,6 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
@@ -42,6 +41,7 @@ from counterspin.simulation.readings import (
     true_poses,
 )
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
+from counterspin.studies.recorded_poses import noise_of_mean
 from counterspin.studies.validity import JointRequest
 from counterspin.studies.work import Trials
 from counterspin.studies.world import World
@@ -303,14 +303,12 @@ def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
     """Return the standard deviation of a record's mean, g, and the freedom of what it shows."""
     assert campaign.simulation is not None
     duration = reading.duration or 0.0
-    noise, rate = true_noise(campaign), campaign.simulation.sampling_rate
+    rate = campaign.simulation.sampling_rate
     turns = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
     if reading.rate and turns:
         duration = turns * 2.0 * math.pi / abs(reading.rate)
-    white = float(noise.specific_force) / math.sqrt(max(duration * rate, 1.0))
-    walk = float(noise.acceleration) / math.sqrt(max(duration, 1.0 / rate))
     freedom = max(stretches(math.floor(duration * rate)) - 1.0, 1.0)
-    return math.hypot(white, walk) / campaign.gravity.value, freedom
+    return noise_of_mean(campaign, duration), freedom
 
 
 @frozen

@@ -169,3 +169,16 @@ def test_uncertainties_of_some_axes_are_told(tmp_path):
     )
     with pytest.raises(CampaignError, match="state the uncertainty of all three readings of a"):
         cs.read_campaign(folder)
+
+
+def test_a_triad_that_states_no_axes_has_those_of_one_body(tmp_path):
+    text = triads.head() + ONE + TWO
+    bare = "\n".join(line for line in text.splitlines() if "_axis = " not in line)
+    assert bare.count("[accelerometers.") == 3
+    plain, stated = (_read(tmp_path, one).accelerometers for one in (bare, text))
+    for name in triads.NAMES:
+        np.testing.assert_array_equal(plain[name].mounting.matrix, stated[name].mounting.matrix)
+    # One that is stated makes the others a matter of the description.
+    some = text.replace('input_axis = "north"\npendulous_axis = "up"\n', "")
+    assert some != text
+    assert "accelerometers.Y.input_axis: is missing" in _refused(tmp_path, some)

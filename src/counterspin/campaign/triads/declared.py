@@ -21,6 +21,12 @@ from counterspin.physics.accelerometer import Mounting
 #: Smallest volume that three input axes may span: below it they do not feel all directions.
 _LEAST_VOLUME: Final = 0.1
 
+#: Input and pendulous axes of the three where they state none: X, Y and Z of one body frame.
+USUAL_AXES: Final = (("east", "north"), ("north", "up"), ("up", "east"))
+
+#: Keys of an accelerometer's axes.
+_AXES_KEYS: Final = {"input_axis", "pendulous_axis", "output_axis"}
+
 #: How many poses a record is taken to have before it is read.
 MANY: Final = 1000
 
@@ -33,7 +39,8 @@ class TriadSettings(SettingsSection):
 
     accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = described(
         "their names: the frame's first axis is the input axis of the first, and that of the "
-        "second lies in the plane of the first two",
+        "second lies in the plane of the first two; where none of them states an axis, they are "
+        "at right angles",
         ["X", "Y", "Z"],
     )
 
@@ -73,6 +80,22 @@ class Triad:
     def posed(self) -> bool:
         """Whether there are poses of unknown attitude."""
         return bool(self.poses or self.records)
+
+
+def with_usual_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, Any]:
+    """Return the tables of accelerometers, with the axes of a triad in which nobody states any.
+
+    triad: The section; whatever is wrong with it is told elsewhere.
+    """
+    named = triad.get("accelerometers") if isinstance(triad, Mapping) else None
+    names = [n for n in named if isinstance(n, str)] if isinstance(named, list) else []
+    own = [tables.get(name) for name in names]
+    if len(names) != len(USUAL_AXES) or any(
+        not isinstance(table, Mapping) or _AXES_KEYS & table.keys() for table in own
+    ):
+        return tables
+    axes = [{"input_axis": one, "pendulous_axis": other} for one, other in USUAL_AXES]
+    return {**tables, **{n: {**a, **tables[n]} for n, a in zip(names, axes, strict=True)}}
 
 
 def resolve_triad(
