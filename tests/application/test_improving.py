@@ -64,7 +64,7 @@ def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
     assert (stated["source"], stated["known"]) == ("K_OO", "0.20 µg/g²")
     before = (folder / "three" / "campaign.toml").read_bytes()
     made = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
-    assert made == {"name": "three-K_OO"}
+    assert made == {"name": "three-K_OO", "key": 'model.priors."Qx.K_OO"'}
     prior = load_document(folder / "three-K_OO" / "campaign.toml")["model"]["priors"]
     assert prior == {"Qx.K_OO": "0 ± 2e-07 g/g^2"}
     assert (folder / "three" / "campaign.toml").read_bytes() == before
@@ -72,7 +72,7 @@ def test_a_value_to_be_stated_is_prepared_in_a_copy(page, folder, result):
     assert stated["left"] == f"{left * 1e6:.2g} µg/g²"
     # A second one has a name of its own.
     again = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
-    assert again == {"name": "three-K_OO-2"}
+    assert again["name"] == "three-K_OO-2"
 
 
 def test_runs_to_be_made_are_looked_for_and_prepared(page, desk, folder, result):
@@ -84,7 +84,7 @@ def test_runs_to_be_made_are_looked_for_and_prepared(page, desk, folder, result)
     assert told["searched"]
     runs = told["ways"][0]["runs"]
     assert runs["attitude"].startswith(("90 deg about", "180 deg about"))
-    assert page.post("/api/way", json=way).json() == {"name": "three-further-runs"}
+    assert page.post("/api/way", json=way).json() == {"name": "three-further-runs", "key": None}
     made = read_campaign(folder / "three-further-runs")
     assert len(made.runs) == 3 + runs["count"]
     assert page.get("/api/campaign", params={"name": "three-further-runs"}).json()["missing"]

@@ -19,6 +19,7 @@ from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_own
 from counterspin.application.server import _leading
+from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
 from counterspin.certificates.issuing import check_certificate
@@ -596,6 +597,32 @@ def test_results_are_compared_with_the_one_that_is_chosen(opened, desk):
     command = tab.locator("pre.command").first.text_content()
     files = [desk.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
     assert command == f"counterspin compare {' '.join(map(str, files))}"
+
+
+def test_the_value_that_a_click_prepares_is_ready_to_be_typed_over(opened, folder):
+    file = folder / "three" / "campaign.toml"
+    file.write_text(file.read_text("utf-8").replace('assume = "all"', ""), encoding="utf-8")
+    calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
+    tab = opened("/campaign/three")
+    tab.get_by_role("button", name="Prepare the value").first.click()
+    field = tab.locator("input:focus")
+    tab.wait_for_url("**#/description/three-K_OO#*")
+    field.wait_for()
+    assert field.input_value() == "0 ± 2e-07 g/g^2"
+    assert field.bounding_box()["y"] < tab.viewport_size["height"]
+
+
+def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened, folder):
+    file = folder / "three" / "campaign.toml"
+    text = file.read_text("utf-8")
+    file.write_text(re.sub("serial_number.*\n", "", text), encoding="utf-8")
+    calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
+    tab = opened("/history")
+    tab.get_by_text("Qx, three/result.json, Qy: has no serial number").wait_for()
+    tab.locator("main").get_by_role("link").click()
+    section = tab.locator("#s-accelerometers")
+    section.wait_for()
+    assert section.bounding_box()["y"] < tab.viewport_size["height"]
 
 
 def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):

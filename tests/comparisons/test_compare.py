@@ -275,7 +275,8 @@ def test_an_accelerometer_that_the_first_result_lacks_has_another_reference():
     assert "Qy: three and one" not in told
     assert "Differences are from one (Qx) and two (Qy)" in told
     tables = [block for block in comparison_blocks(compared) if isinstance(block, Table)]
-    assert {row[2] for row in tables[1].rows if row[1] == "one"} == {"not in this result"}
+    assert {row[1] for row in tables[0].rows} == {"one", "two", "three"}
+    assert {row[1] for row in tables[1].rows} == {"two", "three"}
 
 
 def test_results_that_do_not_agree_are_told_first():

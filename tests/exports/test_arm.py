@@ -351,3 +351,30 @@ def test_the_wrong_sense_does_not_fit(tmp_path):
     assert calibrate(tmp_path / "right").accelerometers["A"].residual.rms < 1e-8
     # What is left of it, beside the radii that are fitted, is as large as the noise.
     assert calibrate(tmp_path / "wrong").accelerometers["A"].residual.rms > NOISE / 1.25
+
+
+LEVELS = [1.0, 2.0, 5.0, 10.0, 15.0]
+
+
+@pytest.mark.parametrize(
+    ("head", "unit", "shown"),
+    [
+        ("Acceleration (m/s^2),Output (V)", GRAVITY, "arm"),
+        ("g-level,mV", 1.0, "arm"),
+        # No more than gravity: the readings of a tumble.
+        ("Acceleration (m/s^2),Output (V)", GRAVITY / 15.0, "double-turntable"),
+    ],
+)
+def test_accelerations_beyond_gravity_beside_readings_are_an_arm_s(tmp_path, head, unit, shown):
+    lines = [f"{level * unit:.6f},{reading(level):.6f}" for level in LEVELS]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join([head, *lines]) + "\n")
+    assert guessed_test(look_at([path])) == shown
+
+
+def test_accelerations_at_positions_are_a_tumble_s(tmp_path):
+    rows = [(angle, 20.0 * math.cos(math.radians(angle))) for angle in range(0, 360, 30)]
+    lines = [f"{angle},{value:.6f},{value / 8.0:.6f}" for angle, value in rows]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(["Position (deg),acc (m/s^2),Output (V)", *lines]) + "\n")
+    assert guessed_test(look_at([path])) == "tumble"

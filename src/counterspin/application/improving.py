@@ -20,7 +20,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.pages.uncertainty import KNOWN_BETTER
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, key_path, load_document
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.what_if import WhatIf
@@ -287,16 +287,19 @@ def prepare_way(
 ) -> dict[str, Any]:
     """Copy a campaign and write a way to a smaller uncertainty into the copy; return its name.
 
+    ``key`` beside it is that of the value which is to be replaced; None: there is none.
+
     name: The campaign's folder.
     result: The result's file.
     way: A prior, whose value is to be replaced by what is measured; or runs to be recorded.
     """
     source = desk.description(name)
     before = desk.folder.read(desk.folder.name(source))
-    text = before.text
+    text, key = before.text, None
     if way == "state":
         prior, ending = _prior(desk.result(result), accelerometer)
         text = changed(text, ["model", "priors", prior[0]], prior[1])
+        key = key_path(("model", "priors", prior[0]))
     else:
         further = (_searched(desk, name) or {}).get(accelerometer)
         if further is None:
@@ -310,7 +313,7 @@ def prepare_way(
         raise CounterspinError(": ".join(problems[0]))
     copy = copy_campaign(desk, name, _free(desk, f"{name}-{ending}"))["name"]
     desk.folder.write(f"{copy}/{DESCRIPTION_NAME}", text, before.version)
-    return {"name": copy}
+    return {"name": copy, "key": key}
 
 
 def _prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:

@@ -125,11 +125,11 @@ def _table(compared: ResultComparison, own: Sequence[ComparedCoefficient]) -> Ta
         unit, factor = field_unit(coefficient.unit)
         label = f"{coefficient.term}, {unit}"
         for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
+            if not result.has(coefficient.accelerometer):
+                continue  # the accelerometers of one result need not be in another
             if estimate.value is None or estimate.u is None:
                 quiet.add(len(rows))
-                there = result.has(coefficient.accelerometer)
-                why = NOT_DETERMINED if there else "not in this result"
-                rows.append((label, result.name, why, "", ""))
+                rows.append((label, result.name, NOT_DETERMINED, "", ""))
             else:
                 value = format_estimate(estimate.value * factor, estimate.u * factor)
                 z = "" if estimate.z is None else f"{estimate.z:.2f}"

@@ -31,7 +31,7 @@ from counterspin.exports.arm_table import (
     kind_of_arm_columns,
     mountings_beside,
 )
-from counterspin.exports.guessing import NONE, converts
+from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, converts
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.questions import (
     SENSES,
@@ -66,6 +66,11 @@ _FEWEST: Final = 2
 _OF_A_MOUNTING: Final = 4
 #: A last digit of rates is worth telling that changes the force by more than this part.
 _LARGE_STEP: Final = 1e-4
+#: Accelerations show an arm if there are so many, one of them beyond what gravity can be, g, and
+#: readings are so correlated with them.
+_FEWEST_LEVELS: Final = 4
+_LEAST_LEVEL: Final = 1.5
+_IN_ONE_LINE: Final = 0.999
 #: Most rows of a table that is guessed to be one of readings on an arm.
 _MOST_ROWS: Final = 500
 
@@ -181,8 +186,26 @@ def shows_arm(looks: Sequence[Look]) -> bool:
     if rate is None or not of_role(look, roles, "reading"):
         return False
     position = next((name for name, role in roles.items() if role == "position"), None)
-    beside = kind_of_arm_columns(ArmTable.of(look, roles, {})) == MOUNTINGS
-    return position in look.words or beside or not as_acceleration(rate)
+    table = ArmTable.of(look, roles, {})
+    beside = kind_of_arm_columns(table) == MOUNTINGS
+    return (
+        position in look.words
+        or beside
+        or not as_acceleration(rate)
+        or _follows_accelerations(table)
+    )
+
+
+def _follows_accelerations(table: ArmTable) -> bool:
+    """Return whether readings alone stand beside accelerations beyond gravity, in one line."""
+    if not set(table.roles.values()) <= {"rate", "reading", "uncertainty", "temperature", "radius"}:
+        return False  # such as positions of a tumble, whose readings are accelerations
+    (first, *_), felt = of_role(table.look, table.roles, "reading"), table.acceleration(1.0)
+    read = table.values(first)
+    there = np.isfinite(felt * read)
+    if there.sum() < _FEWEST_LEVELS or felt[there].max() < _LEAST_LEVEL * STANDARD_GRAVITY:
+        return False
+    return abs(float(np.corrcoef(felt[there], read[there])[0, 1])) > _IN_ONE_LINE
 
 
 # What is guessed

@@ -157,10 +157,11 @@ def _nothing(paths: Sequence[Path | str | Result], collected: CollectedResults) 
         return f"no results in {where}. Write one with `write_result`" + (
             f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
         )
-    reasons = "; ".join(
-        f"{item.file}{f', {item.accelerometer}' if item.accelerometer else ''}: {item.reason}"
-        for item in lost[:5]
-    )
+    whose: dict[str, list[str]] = {}
+    for item in lost[:5]:
+        name = f"{item.file}{f', {item.accelerometer}' if item.accelerometer else ''}"
+        whose.setdefault(item.reason, []).append(name)
+    reasons = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in whose.items())
     more = f"; and {len(lost) - 5} more" if len(lost) > 5 else ""
     return f"no result can be used in a history. {reasons}{more}"
 

@@ -1,6 +1,7 @@
 // @ts-check
 // Results beside each other, and results over the years.
 
+import { descriptionAddress } from "./addresses.js";
 import { get } from "./api.js";
 import { labelled, make, stateMark, symbols } from "./dom.js";
 import { named } from "./improving.js";
@@ -51,7 +52,14 @@ export async function historyView() {
   const place = make("div");
   const term = make("select", {}, ...folder.terms.map((/** @type {{name: string, words: string}} */ one) =>
     make("option", { value: one.name, selected: one.name === "K_II" }, named(one))));
-  const show = () => fill(place, "history", results.map(({ name }) => name), term.value);
+  const show = async () => {
+    await fill(place, "history", results.map(({ name }) => name), term.value);
+    if (!place.querySelector(".warning")) return;
+    const links = folder.campaigns.filter((/** @type {any} */ { results: own }) => own.length).map((/** @type {any} */ { name, title }) =>
+      make("li", {}, make("a", { href: descriptionAddress(name, "s-accelerometers") }, title || name)));
+    place.append(make("p", {}, "Descriptions, in which a serial number and a date can be added before the campaign is calibrated again:"),
+      make("ul", {}, ...links));
+  };
   term.addEventListener("change", show);
   if (results.length) show();
   else place.append(make("p", {}, "There is no result in this folder yet."));

@@ -9,12 +9,14 @@ import { editorOf } from "./editor.js";
 /**
  * The page of a description.
  * @param {string} name
+ * @param {string} begin the field or section that is looked at first
  */
-export async function descriptionView(name) {
+export async function descriptionView(name, begin) {
   const told = await get("description", { name });
   const title = told.document.campaign?.title || name || "Campaign";
   return {
     title: `${title}, description`,
     content: [make("h1", {}, title), campaignTabs(name, "description"), editorOf(told).element],
+    begin,
   };
 }

@@ -243,7 +243,7 @@ class Preview {
     this.above.replaceChildren(
       make("h3", {}, `What is in ${told.file}${this.names.length > 1 ? " and the others" : ""}`),
       make("div", { class: "scroll", tabindex: "0" }, table.element),
-      ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing);
+      make("div", { class: "figures" }, ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing));
     this.asks.replaceChildren(make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
       ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
     this.below.replaceChildren(make("details", {}, make("summary", {}, "What is guessed, in words"),
@@ -260,7 +260,7 @@ class Preview {
    */
   table(told, questions, wrong) {
     const { parts } = this.roles();
-    const keys = new Set(parts);
+    const keys = new Set(parts), readings = parts.includes("position");
     /** @type {Record<string, (Node|null)[]>} */
     const rows = { is: [], unit: [], axis: [], picture: [] };
     for (const { name, extent } of told.columns) {
@@ -283,7 +283,8 @@ class Preview {
     const element = make("table", { class: "preview" },
       make("thead", {}, make("tr", {}, make("td"),
         ...told.columns.map((/** @type {any} */ one) => make("th", { scope: "col" }, one.name)))),
-      make("tbody", {}, line("is", rows.is), line("in", rows.unit), line("along", rows.axis), line("over time", rows.picture),
+      make("tbody", {}, line("is", rows.is), line("in", rows.unit), ...(rows.axis.some(Boolean) ? [line("along", rows.axis)] : []),
+        line(readings ? "over the rows" : "over time", rows.picture),
         ...Array.from({ length: count }, (_, row) =>
           line(`row ${row + 1}`, told.columns.map((/** @type {any} */ one) => one.first[row] ?? "")))));
     return { element, keys };
@@ -424,12 +425,12 @@ function circleOf(directions) {
     const [x, y] = tipOf(one, 80);
     return draw("g", {}, draw("path", { d: `M0 0L${x} ${y}` }), draw("circle", { cx: x, cy: y, r: 4 }));
   });
-  const words = [["up", 0], ["east", 90], ["down", 180], ["west", 270]].map(([word, angle]) => {
-    const [x, y] = tipOf(Number(angle), 98);
-    return draw("text", { x, y: y + 4, "text-anchor": "middle" }, document.createTextNode(String(word)));
+  const words = [["up", 0, "middle"], ["east", 90, "start"], ["down", 180, "middle"], ["west", 270, "end"]].map(([word, angle, anchor]) => {
+    const [x, y] = tipOf(Number(angle), anchor === "middle" ? 98 : 90);
+    return draw("text", { x, y: y + 4, "text-anchor": anchor }, document.createTextNode(String(word)));
   });
   return make("figure", {}, make("figcaption", {}, "The input axis at each position, seen from the south"),
-    draw("svg", { viewBox: "-120 -112 240 224", class: "circle", role: "img", "aria-label": label },
+    draw("svg", { viewBox: "-130 -112 260 224", class: "circle", role: "img", "aria-label": label },
       draw("circle", { cx: 0, cy: 0, r: 80, class: "rim" }), ...arrows, ...words));
 }
 

@@ -1,7 +1,7 @@
 // @ts-check
 // What the uncertainty of a result consists of, what it would be, and what would reduce it.
 
-import { campaignAddress } from "./addresses.js";
+import { campaignAddress, descriptionAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { make, oneAtATime, say, symbols, warning } from "./dom.js";
 import { follow } from "./job.js";
@@ -138,7 +138,7 @@ export async function waysPart(name, result) {
     try {
       const made = await send("POST", "way", { name, result, accelerometer, way });
       say(then);
-      location.hash = way === "state" ? `#/description/${encodeURIComponent(made.name)}` : campaignAddress(made.name);
+      location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
     } catch (error) {
       place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }

@@ -35,7 +35,7 @@ const PLACES = [
   { path: /^\/try\/(.*)$/, view: tryView },
   { path: /^\/certificate\/(.*)$/, view: certificateView },
   { path: /^\/campaign\/(.*)$/, view: campaignView },
-  { path: /^\/description\/(.*)$/, view: descriptionView },
+  { path: /^\/description\/([^#]*)#?(.*)$/, view: descriptionView },
   { path: /^\/result\/(.*)$/, view: resultView },
 ];
 
@@ -73,8 +73,13 @@ async function show() {
   return begin;
 }
 
-/** @param {string|undefined} heading of what is shown */
-const goTo = (heading) => { if (heading) document.getElementById(heading)?.scrollIntoView({ behavior: "instant" }); };
+/** @param {string|undefined} id of a heading, a field or a section of what is shown */
+function goTo(id) {
+  const found = id ? document.getElementById(id) : null;
+  for (let one = found?.closest("details"); one; one = one.parentElement?.closest("details")) one.open = true;
+  found?.scrollIntoView({ behavior: "instant", block: found.matches("input") ? "center" : "start" });
+  if (found?.matches("input")) found.focus();
+}
 
 let shownAt = location.hash;
 addEventListener("hashchange", () => {
