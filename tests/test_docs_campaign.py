@@ -51,9 +51,9 @@ def test_every_section_has_its_table():
         if inspect.isclass(value) and issubclass(value, SettingsSection) and name[0] != "_"
     }
     # The true radius is one of the keys of [truth.centrifuge].
-    # The axes are part of an accelerometer's keys, a dialect of those of records and readings, and
-    # all columns but that of a force have the same keys.
-    parts = {"SettingsSection", "AxesSettings", "TableDialect", "VelocityChannel", "TrueRadius"}
+    # A dialect is part of the keys of records and readings; all columns but that of a force have
+    # the same keys.
+    parts = {"SettingsSection", "TableDialect", "VelocityChannel", "TrueRadius"}
     assert sections - parts <= {name.partition(" of ")[0] for name in TABLES}
 
 

@@ -311,7 +311,7 @@ EXACT_PATHS = [
     ("0.25 rev/s", "1 ± 1 rpm", "runs[0].rate: '1 ± 1 rpm': an uncertainty has no meaning"),
     ('"run2"', '"run1"', 'runs[1].name: "run1" is already used by runs[0]'),
     ("run2.parquet", "run1.csv", 'runs[1].record: "run1.csv" is already used by runs[0]'),
-    ("run2.parquet", "run2.xls", 'runs[1].record: cannot read "run2.xls"; records end in .csv,'),
+    ("run2.parquet", "run2.doc", 'runs[1].record: cannot read "run2.doc"; records end in .csv,'),
     ('"run2"', '""', "runs[1].name: must not be empty"),
     (
         '"run1.csv"',
@@ -347,7 +347,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         ('"K_III"]', '"K_IV"]'),
         ('"run2"', '"run1"'),
         ("0.25 rev/s", "0.25 Hz"),
-        ("run2.parquet", "run2.xls"),
+        ("run2.parquet", "run2.doc"),
     )
     problems = problems_of(tmp_path, text)
     paths = [problem.split(":")[0] for problem in problems]

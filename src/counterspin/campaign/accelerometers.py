@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import PlainValidator, PrivateAttr, ValidationError, ValidationInfo, create_model
+from pydantic import PlainValidator, PrivateAttr, ValidationInfo, create_model
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import (
@@ -20,7 +20,14 @@ from counterspin.campaign.columns import (
     VelocityChannel,
     spec_of,
 )
-from counterspin.campaign.kinds import Direction, SettingsSection, Text, described, known
+from counterspin.campaign.kinds import (
+    Contradiction,
+    Direction,
+    SettingsSection,
+    Text,
+    described,
+    known,
+)
 from counterspin.campaign.model import about_nominal
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.runs import is_reading
@@ -36,24 +43,10 @@ from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.record import ColumnSpec
 from counterspin.units import unit_factor
 
+#: Keys that say how an accelerometer stands on the level platform.
+_AXES: Final = ("input_axis", "pendulous_axis", "output_axis")
+
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-
-
-class AxesSettings(SettingsSection):
-    """The axes of an accelerometer."""
-
-    input_axis: Direction = described(
-        "the sensitive axis, on the level platform", "east", kind="direction"
-    )
-    pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
-    output_axis: Direction | None = described(
-        "only as a check", "north", None, absent="input × pendulous", kind="direction"
-    )
-
-    @cached_property
-    def mounting(self) -> Mounting:
-        """Its axes while the platform is level; `Mounting.turned` gives those of an attitude."""
-        return Mounting.from_axes(self.input_axis, self.pendulous_axis, self.output_axis)
 
 
 def _of_output(value: object, info: ValidationInfo) -> Quantity:
@@ -67,9 +60,16 @@ def _of_output(value: object, info: ValidationInfo) -> Quantity:
     return Quantity(stated.value / output.sensitivity, stated.u / abs(output.sensitivity), "g/g")
 
 
-class Accelerometer(AxesSettings):
+class Accelerometer(SettingsSection):
     """One accelerometer under calibration; a key for each term has `AccelerometerKeys`."""
 
+    input_axis: Direction = described(
+        "the sensitive axis, on the level platform", "east", kind="direction"
+    )
+    pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
+    output_axis: Direction | None = described(
+        "only as a check", "north", None, absent="input × pendulous", kind="direction"
+    )
     serial_number: Text | None = described("of the accelerometer", "Q-104", None)
     grade: Literal["navigation", "tactical", "consumer"] = described(
         "how large its terms may be, and are where nothing is stated of them: [sizes "
@@ -128,6 +128,11 @@ class Accelerometer(AxesSettings):
     _force: ColumnSpec | None = PrivateAttr()
     _priors: Mapping[str, Quantity] = PrivateAttr()
 
+    @cached_property
+    def mounting(self) -> Mounting:
+        """Its axes while the platform is level; `Mounting.turned` gives those of an attitude."""
+        return Mounting.from_axes(self.input_axis, self.pendulous_axis, self.output_axis)
+
     @property
     def name(self) -> str:
         """Its name in the campaign."""
@@ -156,6 +161,33 @@ class Accelerometer(AxesSettings):
         """
         return self._priors
 
+    @property
+    def own_priors(self) -> dict[str, Quantity]:
+        """Term symbol -> what its own table says of it beforehand, in g-units."""
+        said = {symbol: getattr(self, symbol) for symbol in TERMS}
+        said["K_I"] = self.sensitivity_prior or said["K_I"]
+        said |= {s: own for key, s in COMMON_NAMES.items() if (own := getattr(self, key))}
+        return {symbol: prior for symbol, prior in said.items() if prior is not None}
+
+    def contradictions(self) -> Iterator[Contradiction]:
+        """Yield what is wrong with its axes, and priors that are not credible or given twice."""
+        try:
+            assert self.mounting
+        except ValueError as error:
+            yield (), str(error), *_AXES
+        for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
+            if (prior := getattr(self, key)) is not None:
+                try:
+                    about_nominal(symbol, prior, self.grade)
+                except ValueError as error:
+                    yield (key,), str(error), "grade"
+        for key, symbol in COMMON_NAMES.items():
+            other = getattr(self, symbol)
+            if symbol == "K_I":
+                other = self.sensitivity_prior or other
+            if None not in (getattr(self, key), other):
+                yield (key,), f"is the prior of {symbol}, given too; keep one"
+
 
 AccelerometerKeys = create_model(
     "AccelerometerKeys",
@@ -166,7 +198,7 @@ AccelerometerKeys = create_model(
 
 
 class AccelerometersReader:
-    """Reads the tables of accelerometers; each is checked even where another one is wrong.
+    """Reads the tables of accelerometers; each key is checked even where another one is wrong.
 
     raw: Accelerometer -> its table, as it stands.
     runs: What stands in ``[[runs]]`` and is not left out.
@@ -184,22 +216,32 @@ class AccelerometersReader:
         self.carried = any(
             reading and "record" in run for run, reading in zip(runs, kinds, strict=True)
         )
-
-    def tables(self) -> dict[str, Any]:
-        """Return every accelerometer's keys, None with its mistakes noted."""
-        return {
-            name: self.problems.check(
-                AccelerometerKeys, table, ("accelerometers", name), gravity=self.gravity
+        #: Accelerometer -> its table, and the keys that are wrong in it.
+        self._read: dict[str, tuple[Any, set[str]]] = {
+            name: problems.partly(
+                AccelerometerKeys, table, ("accelerometers", name), gravity=gravity
             )
-            for name, table in self.raw.items()
+            for name, table in raw.items()
+        }
+        #: Accelerometer -> its axes, where they are in order.
+        self.mountings: dict[str, Mounting] = {}
+        for name, (table, wrong) in self._read.items():
+            if table is not None and not wrong & set(_AXES):
+                with suppress(ValueError):
+                    self.mountings[name] = table.mounting
+        #: Accelerometer -> what its readings are in (None: g), where it says that rightly.
+        self.outputs: dict[str, Output | None] = {
+            name: table.output
+            for name, (table, wrong) in self._read.items()
+            if table is not None and "output" not in wrong
+        }
+        #: Accelerometer -> its table, None where it has mistakes.
+        self.tables: dict[str, Any] = {
+            name: None if wrong else table for name, (table, wrong) in self._read.items()
         }
 
     def accelerometers(
-        self,
-        tables: Mapping[str, Any],
-        mountings: Mapping[str, Mounting],
-        observables: Mapping[str, str],
-        priors: Mapping[str, Mapping[str, Quantity]],
+        self, observables: Mapping[str, str], priors: Mapping[str, Mapping[str, Quantity]]
     ) -> dict[str, Accelerometer]:
         """Return the accelerometers whose tables are in order; their columns are checked."""
         return {
@@ -210,38 +252,14 @@ class AccelerometersReader:
                 force=self._force(name, table),
                 priors=priors[name],
             )
-            for name, table in tables.items()
-            if table is not None and name in mountings and name in observables
+            for name, table in self.tables.items()
+            if table is not None and name in self.mountings and name in observables
         }
 
-    def mountings(self) -> dict[str, Mounting]:
-        """Return the axes of every accelerometer whose axes are in order."""
-        mountings = {}
-        for name, table in self.raw.items():
-            path = ("accelerometers", name)
-            if not isinstance(table, dict):
-                continue
-            axes = {key: table[key] for key in AxesSettings.model_fields if key in table}
-            settings = self.problems.check(AxesSettings, axes, path)
-            if settings is None:
-                continue
-            mounting = self.problems.attempt(path, getattr, settings, "mounting")
-            if mounting is not None:
-                mountings[name] = mounting
-        return mountings
-
-    def outputs(self) -> dict[str, Output | None]:
-        """Return what readings are in (None: g), of the accelerometers that say it rightly.
-
-        That is known even where something else of an accelerometer is wrong.
-        """
-        outputs: dict[str, Output | None] = {}
-        for name, table in self.raw.items():
-            with suppress(ValidationError):
-                if isinstance(table, dict):
-                    said = table.get("output")
-                    outputs[name] = None if said is None else Output.model_validate(said)
-        return outputs
+    @property
+    def own_priors(self) -> dict[str, dict[str, Quantity]]:
+        """Accelerometer -> the priors of its own table, by symbol."""
+        return {n: table.own_priors if table else {} for n, table in self.tables.items()}
 
     def check_names(self) -> None:
         """Note names that [truth] could not tell from its other tables, or TOML would quote."""
@@ -275,31 +293,6 @@ class AccelerometersReader:
             if key not in observables.values() and getattr(noise, key) != 0.0:
                 self.problems.add(("noise", key), f"no accelerometer records {key}")
         return observables
-
-    def given_priors(self, tables: Mapping[str, Any]) -> dict[str, dict[str, Quantity]]:
-        """Return the priors of the accelerometers' own tables, by symbol."""
-        return {name: self._given_priors(name, table) for name, table in tables.items()}
-
-    def _given_priors(self, name: str, table: Any) -> dict[str, Quantity]:
-        """Return the priors of an accelerometer's own table, by symbol."""
-        if table is None:
-            return {}
-        priors = {symbol: getattr(table, symbol) for symbol in TERMS}
-        if table.sensitivity_prior is not None:
-            priors["K_I"] = table.sensitivity_prior
-        for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
-            if (prior := getattr(table, key)) is not None:
-                path = ("accelerometers", name, key)
-                self.problems.attempt(path, about_nominal, symbol, prior, table.grade)
-        for key, symbol in COMMON_NAMES.items():
-            value = getattr(table, key)
-            if value is not None and priors[symbol] is not None:
-                self.problems.add(
-                    ("accelerometers", name, key),
-                    f"is the prior of {symbol}, given too; keep one",
-                )
-            priors[symbol] = priors[symbol] if value is None else value
-        return {symbol: prior for symbol, prior in priors.items() if prior is not None}
 
     def _recorded(self, name: str, table: Any, observable: str) -> ColumnSpec:
         """Return the column of an accelerometer; an output such as a current as m/s^2."""

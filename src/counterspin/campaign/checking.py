@@ -134,7 +134,7 @@ class Problems:
                 wrong.add(str(loc[0]) if loc else "")
             if isinstance(raw, Mapping) and "" not in wrong:
                 made = _right_part(model, raw, wrong, context)
-        for place, words, *others in getattr(made, "contradictions", tuple)():
+        for place, words, *others in _contradictions(made):
             if not wrong & {*map(str, place[:1]), *others}:
                 self.add((*path, *place), words)
         return made, wrong
@@ -170,6 +170,15 @@ def _words(mistake: Any, loc: Path, model: type[BaseModel]) -> str:
         return f"must have at most {sizes['max_length']} entries"
     words: str = _PLAIN_MESSAGES.get(kind, "{}").format(mistake["msg"], **sizes)
     return words
+
+
+def _contradictions(made: Any) -> Iterator[Any]:
+    """Yield what contradicts itself in a section, and in those within it."""
+    yield from getattr(made, "contradictions", tuple)()
+    for name, field in type(made).model_fields.items() if isinstance(made, BaseModel) else ():
+        inner = getattr(made, name)
+        for place, words, *others in _contradictions(inner):
+            yield (field.alias or name, *place), words, *others
 
 
 def _right_part(

@@ -387,9 +387,8 @@ class _DescriptionReader:
         records = self._required(RecordsSettings, "records")
         fixture = self._required(FixtureSettings, "fixture") or FixtureSettings()
         noise = self._noise()
-        right = self.accelerometers.mountings()
-        mountings = {name: right.get(name) for name in self.accelerometers.raw}
-        tables = self.accelerometers.tables()
+        right, tables = self.accelerometers.mountings, self.accelerometers.tables
+        mountings = {name: right.get(name) for name in tables}
         self.accelerometers.check_names()
         observables = self.accelerometers.observables(noise)
         settings = problems.check(ModelSettings, table_of(self.raw, "model"), ("model",))
@@ -402,7 +401,7 @@ class _DescriptionReader:
             problems,
         )
         runs = tuple(placed.values())
-        outputs = self.accelerometers.outputs()
+        outputs = self.accelerometers.outputs
         before = len(problems.lines)
         numbered = self._numbered_readings(outputs)
         read = partial(
@@ -423,7 +422,7 @@ class _DescriptionReader:
             said = "must have at least one entry" if "runs" in self.raw else "is missing"
             said = "are all left out by skip = true" if self.all_runs else said
             problems.add(("runs",), said)
-        given = self.accelerometers.given_priors(tables)
+        given = self.accelerometers.own_priors
         triad = resolve_triad(
             self.raw.get("triad"),
             mountings,
@@ -455,7 +454,7 @@ class _DescriptionReader:
         known = readings if whole else None
         simulation = self._simulation(outputs, noise, placed, known, centrifuge)
         specifications = self._specifications()
-        accelerometers = self.accelerometers.accelerometers(tables, right, observables, priors)
+        accelerometers = self.accelerometers.accelerometers(observables, priors)
         if records is not None:
             self.accelerometers.check_columns(records, accelerometers)
         if problems.lines:

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, PlainValidator
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, Section, did_you_mean
-from counterspin.campaign.kinds import SettingsSection, described
+from counterspin.campaign.kinds import Contradiction, SettingsSection, described
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.specification import (
@@ -155,6 +155,18 @@ class CertificateSettings(SettingsSection):
     accelerometers: list[Words] | None = described(
         "which of the result's are certified, a list of names", ["Qx"], None, absent="all"
     )
+
+    def contradictions(self) -> Iterator[Contradiction]:
+        """Yield dates that are not in order, and a ledger elsewhere."""
+        if self.end < self.begin:
+            yield ("end",), "lies before certificate.begin", "begin"
+        if self.received is not None and self.received > self.begin:
+            yield ("received",), "lies after certificate.begin", "begin"
+        place = Path(self.ledger or ".")
+        if place.is_absolute() or ".." in place.parts:
+            yield ("ledger",), "must be a file beside this one, or below"
+        if self.issued is not None and self.issued < self.end:
+            yield ("issued",), "lies before certificate.end", "end"
 
 
 class Contact(SettingsSection):
@@ -310,7 +322,6 @@ def read_lab(
     empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
     lab = problems.check(Lab, empty | raw, ())
     if lab is not None:
-        _check_settings(lab.certificate, problems)
         for symbol in lab.cmc:
             problems.attempt(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
         for key in lab.evidence:
@@ -329,18 +340,6 @@ def read_lab(
     if lab is None or problems.lines:
         raise mistakes(Path(source), problems.lines)
     return lab, specifications
-
-
-def _check_settings(settings: CertificateSettings, problems: Problems) -> None:
-    if settings.end < settings.begin:
-        problems.add(("certificate", "end"), "lies before certificate.begin")
-    if settings.received is not None and settings.received > settings.begin:
-        problems.add(("certificate", "received"), "lies after certificate.begin")
-    place = Path(settings.ledger or ".")
-    if place.is_absolute() or ".." in place.parts:
-        problems.add(("certificate", "ledger"), "must be a file beside this one, or below")
-    if settings.issued is not None and settings.issued < settings.end:
-        problems.add(("certificate", "issued"), "lies before certificate.end")
 
 
 def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
