@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import pytest
 
-from counterspin.application.editing import changed
+from counterspin.application.editing import with_value
 from counterspin.errors import CounterspinError
 
 STARTER = (files("counterspin.campaign") / "starter.toml").read_text("utf-8")
@@ -14,7 +14,7 @@ STARTER = (files("counterspin.campaign") / "starter.toml").read_text("utf-8")
 
 def lines_changed(path, value, kind=""):
     """Return what a change took out of the starter and what it put in."""
-    made = changed(STARTER, path, value, kind)
+    made = with_value(STARTER, path, value, kind)
     lines = difflib.ndiff(STARTER.splitlines(), made.splitlines())
     return [line for line in lines if line[:2] in ("- ", "+ ") and line[2:].strip()]
 
@@ -74,7 +74,7 @@ name = "A"
     ],
 )
 def test_a_new_key_stays_in_its_table_when_a_comment_becomes_a_heading(path, after, ends):
-    made = changed(CLOSED + ends, path, "1")
+    made = with_value(CLOSED + ends, path, "1")
     line = f'{path[-1]} = "1"' if len(path) == 2 else f'{path[1]} = {{{path[2]} = "1"}}'
     assert f"{after}\n{line}\n" in made
     assert path[1] in tomllib.loads(made.replace("# [", "["))[path[0]]
@@ -89,17 +89,19 @@ def test_a_comment_behind_a_value_is_kept():
 def test_runs_are_added_and_taken_out():
     count = len(tomllib.loads(STARTER)["runs"])
     run = {"name": "more", "rate": "1 rpm", "record": "more.csv"}
-    more = changed(STARTER, ["runs", count], run)
+    more = with_value(STARTER, ["runs", count], run)
     assert tomllib.loads(more)["runs"][count] == run
-    assert changed(more, ["runs", count], None).split() == STARTER.split()
-    fewer = tomllib.loads(changed(STARTER, ["runs", 0], None))["runs"]
+    assert with_value(more, ["runs", count], None).split() == STARTER.split()
+    fewer = tomllib.loads(with_value(STARTER, ["runs", 0], None))["runs"]
     assert fewer == tomllib.loads(STARTER)["runs"][1:]
 
 
 def test_dates_are_dates():
-    assert "\ndate = 2026-03-01\n" in changed(STARTER, ["campaign", "date"], "2026-03-01", "date")
+    assert "\ndate = 2026-03-01\n" in with_value(
+        STARTER, ["campaign", "date"], "2026-03-01", "date"
+    )
     with pytest.raises(CounterspinError, match="not a date"):
-        changed(STARTER, ["campaign", "date"], "1st of March", "date")
+        with_value(STARTER, ["campaign", "date"], "1st of March", "date")
 
 
 @pytest.mark.parametrize(
@@ -114,9 +116,9 @@ def test_dates_are_dates():
 )
 def test_what_cannot_be_changed_is_refused(path, value):
     with pytest.raises(CounterspinError):
-        changed(STARTER, path, value)
+        with_value(STARTER, path, value)
 
 
 def test_a_text_that_is_no_toml_is_refused_with_its_place():
     with pytest.raises(CounterspinError, match="line 1"):
-        changed("a = 1 2\n", ["a"], 1)
+        with_value("a = 1 2\n", ["a"], 1)

@@ -8,7 +8,7 @@ import pytest
 from served import ANSWERS
 
 from counterspin.application.folder import OutsideError
-from counterspin.application.keeping import arrived, place_for
+from counterspin.application.keeping import complete_upload, place_for
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
@@ -154,9 +154,9 @@ def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
     first, second = place_for(desk, "new/a.csv"), place_for(desk, "new/a.csv")
     first.part.write_text("first")
     second.part.write_text("second")
-    assert arrived(desk, first) == {"name": "new/a.csv", "bytes": 5}
+    assert complete_upload(desk, first) == {"name": "new/a.csv", "bytes": 5}
     with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
-        arrived(desk, second)
+        complete_upload(desk, second)
     second.end()
     assert [(path.name, path.read_text()) for path in (folder / "new").iterdir()] == [
         ("a.csv", "first")
@@ -166,7 +166,7 @@ def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
 def test_an_upload_has_the_rights_of_the_process(desk, folder):
     before = os.umask(0o077)
     try:
-        arrived(desk, place_for(desk, "new/a.csv"))
+        complete_upload(desk, place_for(desk, "new/a.csv"))
     finally:
         os.umask(before)
     assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600

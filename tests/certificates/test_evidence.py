@@ -8,7 +8,7 @@ import pytest
 from results import result
 
 from certificates import LAB, find
-from counterspin.certificates.evidence import is_evidence_for_something, unsupported
+from counterspin.certificates.evidence import is_evidence_for_something, terms_without_evidence
 from counterspin.certificates.issuing import certificate
 from counterspin.certificates.wording import ASSUMED
 from counterspin.errors import CampaignError
@@ -37,7 +37,7 @@ from counterspin.errors import CampaignError
     ],
 )
 def test_what_lacks_a_text(assumed, keys, lacking):
-    assert unsupported(assumed, dict.fromkeys(keys, "a report")) == lacking
+    assert terms_without_evidence(assumed, dict.fromkeys(keys, "a report")) == lacking
 
 
 @pytest.mark.parametrize(

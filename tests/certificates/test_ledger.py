@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from counterspin.certificates.ledger import append, opened, verify_ledger
+from counterspin.certificates.ledger import append, open_ledger, verify_ledger
 from counterspin.errors import CounterspinError, RecordError
 
 WHEN = "2026-03-01T00:00:00Z"
@@ -151,7 +151,7 @@ def test_who_holds_a_ledger_sees_what_he_enters(tmp_path):
     entered(path, 1)
     with path.open("ab") as file:
         file.write(b'{"number"')
-    with opened(path) as ledger:
+    with open_ledger(path) as ledger:
         for n in (2, 3):
             ledger.append("result", {"file": f"r{n}.json"}, who="A", why="B", when=WHEN)
         assert [entry.number for entry in ledger.entries] == [1, 2, 3]

@@ -15,9 +15,15 @@ from matplotlib.text import Text
 
 from counterspin.errors import CounterspinError
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries, Sphere
-from counterspin.reports.chart_layout import date_ticks, in_lines, shortened, text_width, thinned
+from counterspin.reports.chart_layout import (
+    date_ticks,
+    in_lines,
+    shorten_words,
+    text_width,
+    thinned,
+)
 from counterspin.reports.charts import save, svg
-from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
+from counterspin.reports.drawing import COLOURS_OF_PAPER, draw_pictures, settings
 
 LINE = Plot(
     "Drift <&> $x$",
@@ -341,7 +347,9 @@ def test_the_last_date_is_whole():
     # The axis ends a hundredth of its length after the last point.
     line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
     with settings(COLOURS_OF_PAPER):
-        figure = drawn([Plot("", "date", "", (line,), dates=True)], COLOURS_OF_PAPER, titled=True)
+        figure = draw_pictures(
+            [Plot("", "date", "", (line,), dates=True)], COLOURS_OF_PAPER, titled=True
+        )
         figure.canvas.draw()
     texts = [text for text in figure.findobj(Text) if text.get_text() == "2026-03"]
     end = max(text.get_window_extent().x1 for text in texts)
@@ -481,7 +489,7 @@ def test_bars_are_as_long_as_their_values_and_texts_stay_inside():
 def test_stacked_bars_begin_where_the_one_above_ends():
     bars = Bars("", ("first", "second"), (40.0, 10.0), ("a", "b"), stacked=True, colours=(0, 2))
     with settings(COLOURS_OF_PAPER):
-        figure = drawn([bars], COLOURS_OF_PAPER, titled=False)
+        figure = draw_pictures([bars], COLOURS_OF_PAPER, titled=False)
     first, second = figure.axes[0].patches
     assert (first.get_x(), first.get_width()) == (0.0, 40.0)
     assert (second.get_x(), second.get_width()) == (40.0, 10.0)
@@ -491,10 +499,10 @@ def test_stacked_bars_begin_where_the_one_above_ends():
 def test_long_names_are_shortened():
     name = "considered: platform.g_sensitivity.zx of the second spindle"
     for room in (40.0, 100.0, 200.0):
-        short = shortened(name, room)
+        short = shorten_words(name, room)
         assert short.endswith("…")
         assert room - 15.0 < text_width(short) <= room
-    assert shortened(name, 1e3) == name
+    assert shorten_words(name, 1e3) == name
 
 
 def test_long_words_of_bars_take_lines_and_all_is_read():
@@ -513,7 +521,7 @@ def test_no_title_is_cut_that_has_room_in_the_drawing():
     title = "What the square of u of K_II of the first accelerometer consists of, in all"
     bars = Bars(title, ("w" * 30,), (1.0,), ("1",))
     with settings(COLOURS_OF_PAPER):
-        figure = drawn([bars, replace(bars, title="short")], COLOURS_OF_PAPER, titled=True)
+        figure = draw_pictures([bars, replace(bars, title="short")], COLOURS_OF_PAPER, titled=True)
         figure.set_dpi(160)  # as PNG is written
         figure.canvas.draw()
     below = figure.axes[1].get_window_extent()

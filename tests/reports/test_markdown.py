@@ -16,7 +16,7 @@ from counterspin.reports.blocks import (
     Table,
     escape_controls,
 )
-from counterspin.reports.markdown import escaped, markdown
+from counterspin.reports.markdown import escape_markdown, markdown
 
 HOSTILE = [
     "K_II and K_IP_ and __init__",
@@ -182,7 +182,7 @@ def test_code_with_fences_stays_code():
 def test_pictures_are_left_out():
     bars = Bars("Budget", ("noise",), (1.0,), ("100 %",))
     assert markdown([Paragraph("before"), bars, Paragraph("after")]) == "before\n\nafter\n"
-    assert escaped("") == ""
+    assert escape_markdown("") == ""
 
 
 def test_what_acts_on_a_terminal_is_shown():

@@ -7,7 +7,7 @@ import pytest
 
 from counterspin.reports.blocks import Sphere
 from counterspin.reports.charts import svg
-from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
+from counterspin.reports.drawing import COLOURS_OF_PAPER, draw_pictures, settings
 
 
 def markers(sphere):
@@ -15,7 +15,7 @@ def markers(sphere):
     from matplotlib.colors import to_rgba
 
     with settings(COLOURS_OF_PAPER):
-        (axes,) = drawn([sphere], COLOURS_OF_PAPER, titled=False).axes
+        (axes,) = draw_pictures([sphere], COLOURS_OF_PAPER, titled=False).axes
     lines = [line for line in axes.lines if line.get_marker() in ("o", "X")]
     places = np.array([[line.get_xdata()[0], line.get_ydata()[0]] for line in lines])
     return places, [to_rgba(line.get_markerfacecolor()) for line in lines], lines

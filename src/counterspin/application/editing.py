@@ -112,7 +112,7 @@ def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
     return tuple(split)
 
 
-def changed(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
+def with_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     """Return a text with another value at a key; all else stays as it is written.
 
     value: The new value; None takes the key, or the list's entry, out.
@@ -276,7 +276,7 @@ def change_text(
     result: str | None = None,
 ) -> dict[str, Any]:
     """Return a text with another value at a key, as `check_text` does."""
-    return _checked(desk, file, changed(text, path, value, kind), result).shown()
+    return _checked(desk, file, with_value(text, path, value, kind), result).shown()
 
 
 def _checked(desk: Desk, file: str, text: str, result: str | None) -> EditedText:

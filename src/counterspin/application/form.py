@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
-from counterspin.application.pages import address, explained
+from counterspin.application.pages import address, page_explaining
 from counterspin.campaign.checking import model_inside
 from counterspin.campaign.kinds import (
     OUTPUTS,
@@ -128,7 +128,7 @@ def _section(key: str, model: type[BaseModel], page: str) -> Field:
     return {
         "key": key,
         "words": (said[:1].upper() + said[1:]).replace("`", ""),
-        "explained": explained(model) or page,
+        "explained": page_explaining(model) or page,
         "repeat": _REPEATED.get(key),
         "fields": _fields(model, page),
     }
@@ -136,7 +136,7 @@ def _section(key: str, model: type[BaseModel], page: str) -> Field:
 
 def _fields(model: type[BaseModel], page: str, left_out: str = "") -> list[Field]:
     """Return the fields of a table, without those of some tables only; page: as of `_section`."""
-    page = (explained(model) or page).partition("#")[0]
+    page = (page_explaining(model) or page).partition("#")[0]
     return [
         _field(field.alias or name, field, page)
         for name, field in model.model_fields.items()

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import FiniteFloat
 
 from counterspin.application.desk import Desk, calibrate_command, forecast_command
-from counterspin.application.editing import changed, checked_campaign
+from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.application.keeping import copy_campaign
@@ -298,7 +298,7 @@ def prepare_way(
     text, key = before.text, None
     if way == "state":
         prior, ending = _prior(desk.result(result), accelerometer)
-        text = changed(text, ["model", "priors", prior[0]], prior[1])
+        text = with_value(text, ["model", "priors", prior[0]], prior[1])
         key = key_path(("model", "priors", prior[0]))
     else:
         further = (_searched(desk, name) or {}).get(accelerometer)
@@ -308,7 +308,7 @@ def prepare_way(
             )
         first, ending = len(load_document(source).get("runs", [])), "further-runs"
         for place, run in enumerate(further.runs):
-            text = changed(text, ["runs", first + place], run)
+            text = with_value(text, ["runs", first + place], run)
     if problems := checked_campaign(desk, source, text).problems:
         raise CounterspinError(": ".join(problems[0]))
     copy = copy_campaign(desk, name, _free(desk, f"{name}-{ending}"))["name"]

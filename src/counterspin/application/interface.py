@@ -108,9 +108,9 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "fit"): improving.begin_fit,
     ("GET", "record-about"): record_plots.record_overview,
     ("GET", "record"): record_plots.record_window,
-    ("GET", "check"): record_plots.judged,
-    ("GET", "watch"): record_plots.followed,
-    ("POST", "draft"): keeping.drafted,
+    ("GET", "check"): record_plots.run_judgement,
+    ("GET", "watch"): record_plots.campaign_state,
+    ("POST", "draft"): keeping.draft_overview,
     ("POST", "drafted"): keeping.begin_drafted,
     ("POST", "certificate"): certification.begin_certificate,
     ("GET", "report"): _report,
@@ -153,11 +153,11 @@ def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) 
         asked = form_of(respond).model_validate(document)
         return respond(desk, **{key: getattr(asked, key) for key in form_of(respond).model_fields})
 
-    told = answered(desk, made)
+    told = answer_of(desk, made)
     return told if isinstance(told, Answer) else Answer(200, told)
 
 
-def taken(desk: Desk, ticket: str) -> Answer:
+def ticket_answer(desk: Desk, ticket: str) -> Answer:
     """Answer what a ticket was issued for, the first time that it is shown."""
     target = desk.tickets.take(ticket)
     if target is None:
@@ -165,7 +165,7 @@ def taken(desk: Desk, ticket: str) -> Answer:
     return answer(desk, "GET", *target)
 
 
-def answered(desk: Desk, work: Callable[[], T]) -> T | Answer:
+def answer_of(desk: Desk, work: Callable[[], T]) -> T | Answer:
     """Return what some work makes, or the answer that says what went wrong."""
     try:
         return work()

@@ -376,7 +376,7 @@ class LiveViews:
             self._views.clear()
 
 
-def reached(state: WatchState) -> dict[str, Any]:
+def reached_uncertainties(state: WatchState) -> dict[str, Any]:
     """Return how many minutes are recorded, and the u of each coefficient by then."""
     units = {c.name: field_unit(c.unit) for c in state.coefficients}
     return {
@@ -402,7 +402,11 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
             # The page keeps a list of what happened, of which the state knows the newest.
             quiet = state.model_copy(update={"events": []})
             blocks = list(map(typeset_block, quiet.blocks()))
-            told = {"events": state.events, "complete": state.complete, "reached": reached(state)}
+            told = {
+                "events": state.events,
+                "complete": state.complete,
+                "reached": reached_uncertainties(state),
+            }
             there.send(("told", {"html": part(blocks, title="Live"), **told}))
 
     report_progress(there, work)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.application.desk import Desk, FileCache, export_command
-from counterspin.application.editing import changed, checked_campaign
+from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
@@ -59,7 +59,7 @@ def place_for(desk: Desk, name: str) -> Arrival:
     return Arrival(path, begin(path), folders)
 
 
-def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
+def complete_upload(desk: Desk, arrival: Arrival) -> dict[str, Any]:
     """Give a complete upload its name; CounterspinError if a file of other content has it."""
     size = arrival.part.stat().st_size
     if arrival.path.is_file() and filecmp.cmp(arrival.part, arrival.path, shallow=False):
@@ -80,7 +80,7 @@ def _draft(
     return described_as(looks, said, test), test
 
 
-def drafted(
+def draft_overview(
     desk: Desk,
     names: list[str],
     answers: dict[str, str] | None = None,
@@ -188,7 +188,7 @@ def add_records(desk: Desk, name: str, files: list[str]) -> dict[str, Any]:
     new = [file for file in map(desk.file, files) if file.resolve() not in named]
     text, added = before.text, further_runs(new, document, description.parent) if new else []
     for place, run in enumerate(added, len(runs)):
-        text = changed(text, ["runs", place], run)
+        text = with_value(text, ["runs", place], run)
     if added:
         if problems := checked_campaign(desk, description, text).problems:
             raise CounterspinError(": ".join(problems[0]))

@@ -95,7 +95,7 @@ def _places() -> Mapping[str, str]:
     return found
 
 
-def explained(model: type) -> str | None:
+def page_explaining(model: type) -> str | None:
     """Return the page, with ``#`` and heading, that explains the keys of a class."""
     return _places().get(model.__name__)
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from pydantic import FiniteFloat
 
 from counterspin.application.desk import Desk, plan_command
-from counterspin.application.editing import changed
+from counterspin.application.editing import with_value
 from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.campaign.runs import MOST_ROWS
 from counterspin.campaign.toml_file import load_document, parse_document
@@ -297,7 +297,7 @@ def begin_planned(
         if key in PLAN_KEYS and not math.isclose(value, values[key], rel_tol=1e-9):
             limit = PLAN_KEYS[key]
             written: Any = round(value) if limit.whole else float(f"{value:.6g}")
-            text = changed(
+            text = with_value(
                 text, ["limits", key], f"{written:g} {limit.unit}" if limit.unit else written
             )
     document = parse_document(text.encode("utf-8"), name)

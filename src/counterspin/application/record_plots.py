@@ -159,7 +159,7 @@ def _read(campaign: Campaign, run: Run) -> SeenRecord:
     return SeenRecord(time, tuple(names), tuple(units), tuple(values))
 
 
-def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
+def run_judgement(desk: Desk, name: str, run: str) -> dict[str, Any]:
     """Return the judgement of a run's record as HTML, whether it is good, and the command."""
     campaign = desk.campaign(name)
     records = [found.record for found in campaign.runs if found.name == run]
@@ -174,7 +174,7 @@ def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
     }
 
 
-def followed(desk: Desk, name: str, goal: str = "") -> dict[str, Any]:
+def campaign_state(desk: Desk, name: str, goal: str = "") -> dict[str, Any]:
     """Return the newest state of a campaign whose records grow, and the command.
 
     name: The campaign's folder.

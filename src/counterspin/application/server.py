@@ -39,7 +39,7 @@ from counterspin.application.campaigns import as_json
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import FILES, SESSION, TICKETS, Door, Guard
-from counterspin.application.interface import Answer, answer, answered, taken
+from counterspin.application.interface import Answer, answer, answer_of, ticket_answer
 from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
 
@@ -186,18 +186,22 @@ def application(desk: Desk, door: Door) -> Starlette:
         return _response(await run_in_threadpool(answer, desk, request.method, name, said))
 
     async def ticket(request: Request) -> Response:
-        return _response(await run_in_threadpool(taken, desk, request.path_params["ticket"]))
+        return _response(
+            await run_in_threadpool(ticket_answer, desk, request.path_params["ticket"])
+        )
 
     async def files(request: Request) -> Response:
         name = request.query_params.get("name", "")
-        begun = await run_in_threadpool(answered, desk, lambda: keeping.place_for(desk, name))
+        begun = await run_in_threadpool(answer_of, desk, lambda: keeping.place_for(desk, name))
         if isinstance(begun, Answer):
             return _response(begun)
         try:
             with begun.part.open("wb") as file:
                 async for piece in request.stream():
                     await run_in_threadpool(file.write, piece)
-            made = await run_in_threadpool(answered, desk, lambda: keeping.arrived(desk, begun))
+            made = await run_in_threadpool(
+                answer_of, desk, lambda: keeping.complete_upload(desk, begun)
+            )
             return _response(made if isinstance(made, Answer) else Answer(200, made))
         except OSError as error:
             return _response(Answer(422, {"error": f"{name}: cannot be written: {error.strerror}"}))

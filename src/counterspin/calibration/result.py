@@ -38,7 +38,7 @@ from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
-from counterspin.reports.publication import Publication, ShownResult, loaded, on_axes
+from counterspin.reports.publication import Publication, ShownResult, load_function, on_axes
 
 if TYPE_CHECKING:
     from counterspin.calibration.notebook.prediction import Prediction
@@ -180,7 +180,7 @@ class Result(ShownResult):
 
     def _ipython_key_completions_(self) -> list[str]:
         """Return the names that ``result["`` may be followed by."""
-        rows = loaded("counterspin.calibration.notebook.tables:rows")(self)
+        rows = load_function("counterspin.calibration.notebook.tables:rows")(self)
         return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in rows]
 
     def predict(
@@ -217,7 +217,7 @@ class Result(ShownResult):
         ValueError
             If the forces are not finite, or of different lengths.
         """
-        made: Prediction = loaded("counterspin.calibration.notebook.instrument:predict")(
+        made: Prediction = load_function("counterspin.calibration.notebook.instrument:predict")(
             self, self._name(accelerometer), force, pendulous, output_axis
         )
         return made
@@ -264,21 +264,21 @@ class Result(ShownResult):
 
     def table(self, library: str = "polars") -> Any:
         """Return the coefficients as a frame; see `counterspin.calibration.notebook.tables`."""
-        return loaded("counterspin.calibration.notebook.tables:frame")(self, library)
+        return load_function("counterspin.calibration.notebook.tables:frame")(self, library)
 
     def to_latex(self) -> str:
         """Return the coefficients as a LaTeX ``tabular``."""
-        made: str = loaded("counterspin.calibration.notebook.tables:latex_table")(self)
+        made: str = load_function("counterspin.calibration.notebook.tables:latex_table")(self)
         return made
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        made: dict[str, Any] = loaded(f"{_PACKAGES}:to_uncertainties")(self)
+        made: dict[str, Any] = load_function(f"{_PACKAGES}:to_uncertainties")(self)
         return made
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        made: dict[str, Any] = loaded(f"{_PACKAGES}:to_gtc")(self)
+        made: dict[str, Any] = load_function(f"{_PACKAGES}:to_gtc")(self)
         return made
 
     def residuals(
@@ -300,9 +300,9 @@ class Result(ShownResult):
         """
         if self.runs and not self._residuals:
             raise CounterspinError(_NO_RESIDUALS)
-        of_readings = loaded(f"{_RESIDUALS}:of_readings")(self.accelerometers)
+        of_readings = load_function(f"{_RESIDUALS}:of_readings")(self.accelerometers)
         chosen: list[RunResiduals | ReadingResiduals]
-        chosen = loaded(f"{_RESIDUALS}:choose")(
+        chosen = load_function(f"{_RESIDUALS}:choose")(
             [*self._residuals, *of_readings], accelerometer, run
         )
         return chosen
@@ -329,17 +329,19 @@ class Result(ShownResult):
     ) -> list[Any]:
         """Draw what the uncertainty of a coefficient consists of."""
         name = self._name(accelerometer)
-        bars = loaded(f"{_PICTURES}:budget_bars")(name, self.accelerometers[name], coefficient)
+        bars = load_function(f"{_PICTURES}:budget_bars")(
+            name, self.accelerometers[name], coefficient
+        )
         return self._drawn([] if bars is None else [bars], axes)
 
     def plot_displacement(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw what was recorded less the reference, and the fit, a picture a run."""
         residuals = self.residuals(self._name(accelerometer))
-        return self._drawn(loaded(f"{_RESIDUALS}:displacement_pictures")(residuals), axes)
+        return self._drawn(load_function(f"{_RESIDUALS}:displacement_pictures")(residuals), axes)
 
     def _pictures(self, which: str, accelerometer: str | None, axes: Any) -> list[Any]:
         name = self._name(accelerometer)
-        shown = loaded(f"{_PICTURES}:{which}")(name, self.accelerometers[name], self.runs)
+        shown = load_function(f"{_PICTURES}:{which}")(name, self.accelerometers[name], self.runs)
         return self._drawn([*shown], axes)
 
     def _name(self, accelerometer: str | None) -> str:
@@ -356,7 +358,7 @@ class Result(ShownResult):
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        made: str = loaded("counterspin.calibration.notebook.tables:brief")(self)
+        made: str = load_function("counterspin.calibration.notebook.tables:brief")(self)
         return made
 
     __str__ = __repr__

@@ -23,7 +23,7 @@ from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.inference.joint.what_if import WhatIf
 from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
-from counterspin.reports.publication import loaded
+from counterspin.reports.publication import load_function
 from counterspin.results import ResultPart
 from counterspin.units import unit_factor
 
@@ -359,7 +359,7 @@ class TriadResult(ResultPart):
         polars.DataFrame or pandas.DataFrame
             The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
         """
-        made = loaded("counterspin.calibration.notebook.tables:frame_of_rows")
+        made = load_function("counterspin.calibration.notebook.tables:frame_of_rows")
         return made((("triad", n, c) for n, c in self.parameters.items()), library)
 
     def __repr__(self) -> str:

@@ -17,7 +17,7 @@ from counterspin.physics.terms import TABLE, is_term, symbol_of
 ALL: Final = "all"
 
 
-def unsupported(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
+def terms_without_evidence(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
     """Return what is assumed without a text."""
     return [name for name in assumed if not any(_covers(key, name) for key in evidence)]
 
@@ -49,7 +49,7 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
 
     source: What the laboratory's data are called in the message.
     """
-    lacking = unsupported(assumed, evidence)
+    lacking = terms_without_evidence(assumed, evidence)
     if not lacking:
         return
     # What several begin with stands for all of them.

@@ -80,7 +80,7 @@ def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, 
 
     Parameters and errors as of `opened` and `OpenLedger.append`.
     """
-    with opened(path) as ledger:
+    with open_ledger(path) as ledger:
         return ledger.append(what, of, who=who, why=why, when=when)
 
 
@@ -142,7 +142,7 @@ class OpenLedger:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[OpenLedger]:
+def open_ledger(path: Path) -> Iterator[OpenLedger]:
     """Hold a ledger; it is made where there is none.
 
     Whoever has it keeps others waiting, and lets go when it dies.
@@ -302,7 +302,7 @@ def enter_certificate(
         of `data`, which differ from it; else None.
     """
     checksum = checksum_of(data)
-    with opened(kept) as ledger:
+    with open_ledger(kept) as ledger:
         reserve(path)
         earlier = [e for e in ledger.entries if e.of.get("identifier") == of["identifier"]]
         if any(entry.of.get("sha256") != of["sha256"] for entry in earlier):

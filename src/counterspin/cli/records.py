@@ -63,12 +63,12 @@ def check(
     run
         Name of the run, if the file's name does not show it.
     """
-    from counterspin.monitoring.check import check as judge
+    from counterspin.monitoring.check import check as run_check
     from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import report_console
 
     saved.reserve(CheckedRun.file_kind)
-    checked = judge(record, campaign, run=run)
+    checked = run_check(record, campaign, run=run)
     with saved.written(checked):
         report_console().print(checked)
     if not checked.good:

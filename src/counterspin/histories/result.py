@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from counterspin.reports.publication import ShownResult, loaded, on_axes
+from counterspin.reports.publication import ShownResult, load_function, on_axes
 from counterspin.results import ResultPart
 
 #: Whether the results of an instrument agree.
@@ -196,4 +196,4 @@ class History(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""
-        return on_axes(list(loaded("counterspin.histories.page:history_plots")(self)), axes)
+        return on_axes(list(load_function("counterspin.histories.page:history_plots")(self)), axes)

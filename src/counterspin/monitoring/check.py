@@ -13,14 +13,14 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.monitoring.observer import Observer, Recorded, changed, recorded
+from counterspin.monitoring.observer import Observer, Recorded, recordings, with_values
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.monitoring.run_state import (
     FitSoFar,
-    fitted,
+    joint_fit_of,
     nothing_reached,
     poses_state,
-    reached,
+    reached_coefficients,
     remarks_of,
     remarks_of_poses,
     run_state,
@@ -73,7 +73,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
     meant = _meant(campaign, file, name)
-    own = meant if file is None else changed(meant, record=file)
+    own = meant if file is None else with_values(meant, record=file)
     if file is None:
         table: MemoryTable = memory_table(f"{own.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, own.record: table})
@@ -115,7 +115,7 @@ def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None
 
 def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded:
     """Return the run whose record is meant."""
-    every = recorded(campaign)
+    every = recordings(campaign)
     by_name = {run.name: run for run in every}
     if name is not None:
         if name not in by_name:
@@ -168,7 +168,7 @@ def _by_itself(campaign: Campaign, run: Recorded) -> _RecordCheck:
         return _RecordCheck(state, [why or ""], good=False, fit=None)
     fit, refused = None, ""
     try:
-        fit = fitted(part, observed)
+        fit = joint_fit_of(part, observed)
     except CounterspinError as error:
         refused = str(error)
     if isinstance(run, PoseRecord):
@@ -206,11 +206,11 @@ def _with_the_others(
     others.remove(run.name)
     if others or part.readings or part.posed:
         try:
-            fit = fitted(part, observed)
+            fit = joint_fit_of(part, observed)
         except CounterspinError:
             others = []
     names = shown_names(campaign)
-    return others, reached(fit, names) if fit else nothing_reached(campaign, names)
+    return others, reached_coefficients(fit, names) if fit else nothing_reached(campaign, names)
 
 
 def _expected(
@@ -237,5 +237,5 @@ def _expected(
     except CounterspinError as error:
         return [], str(error)
     names = shown_names(campaign)
-    lines = reached(FitSoFar(whole, predicted.estimate), names)
+    lines = reached_coefficients(FitSoFar(whole, predicted.estimate), names)
     return [line.model_copy(update={"value": None}) for line in lines], None

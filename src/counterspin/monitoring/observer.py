@@ -183,12 +183,12 @@ _NO_FILE: Final = "no file yet"
 Recorded = Run | PoseRecord
 
 
-def changed(run: Recorded, **values: Any) -> Recorded:
+def with_values(run: Recorded, **values: Any) -> Recorded:
     """Return a run, or a record of poses, with other values."""
     return run.model_copy(update=values) if isinstance(run, Run) else replace(run, **values)
 
 
-def recorded(campaign: Campaign) -> tuple[Recorded, ...]:
+def recordings(campaign: Campaign) -> tuple[Recorded, ...]:
     """Return the runs of a campaign, then its records of poses."""
     return (*campaign.runs, *(campaign.triad.records if campaign.triad else ()))
 
@@ -229,7 +229,7 @@ class Observer:
     def __init__(self, campaign: Campaign, *, grow: bool = False) -> None:
         self._campaign = campaign
         self._watched = []
-        for run in recorded(campaign):
+        for run in recordings(campaign):
             columns = (
                 record_columns(campaign, run)
                 if isinstance(run, Run)
@@ -334,7 +334,7 @@ class Observer:
             source = replace(source, frames=frames)
         try:
             watched.temperature = temperatures_of(source, watched.run, {})
-            run = changed(watched.run, temperature=watched.temperature)
+            run = with_values(watched.run, temperature=watched.temperature)
             if isinstance(run, Run):
                 watched.record = read_run(source, run)
             else:

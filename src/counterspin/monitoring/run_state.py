@@ -159,7 +159,7 @@ class FitSoFar:
         return tuple(view for view in views if view.has_records)
 
 
-def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> FitSoFar:
+def joint_fit_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> FitSoFar:
     """Fit runs together, as a calibration of them alone does."""
     return FitSoFar(campaign, *estimate_campaign(JointProblem(campaign, observed)))
 
@@ -205,7 +205,7 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
 
 
-def reached(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
+def reached_coefficients(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
     """Return what a fit says of unknowns, None where it does not determine them."""
     places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
     found = []

@@ -14,16 +14,16 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
-from counterspin.monitoring.observer import Observer, recorded
+from counterspin.monitoring.observer import Observer, recordings
 from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchState
 from counterspin.monitoring.run_state import (
     FitSoFar,
-    fitted,
     goal_states,
     goals_of,
+    joint_fit_of,
     nothing_reached,
     poses_state,
-    reached,
+    reached_coefficients,
     run_state,
     shown_names,
 )
@@ -93,7 +93,7 @@ def watch(
         If the description is wrong, has no runs with records, or a goal names no term of it.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    if not recorded(campaign):
+    if not recordings(campaign):
         raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
     wanted = goals_of(campaign, goals)
     return _states(campaign, wanted, pace, once=once)
@@ -143,8 +143,8 @@ def _state(
         found: list[ReachedCoefficient] = []
         if observed or part.readings or part.posed:
             try:
-                fit = fitted(part, observed)
-                found = reached(fit, shown_names(campaign, goals))
+                fit = joint_fit_of(part, observed)
+                found = reached_coefficients(fit, shown_names(campaign, goals))
             except CounterspinError as error:
                 trouble = str(error)
         runs = _runs(campaign, observer, observed, fit)
@@ -166,7 +166,7 @@ def _runs(
 ) -> list[RunState]:
     there = {one.run.name: one for one in observed}
     states = []
-    for run in recorded(campaign):
+    for run in recordings(campaign):
         trouble = observer.of(run.name)[1]
         if isinstance(run, PoseRecord) and (found := observer.poses_of(run.name)):
             state = poses_state(campaign, run, found, fit)

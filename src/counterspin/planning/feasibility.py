@@ -19,7 +19,7 @@ from counterspin.inference.joint.budget import budget
 from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.forecast import Forecast, forecast, setup_of
-from counterspin.planning.polishing import fitted_into, polish, shortened
+from counterspin.planning.polishing import fitted_into, polish, shortest_plan
 from counterspin.planning.possibilities import relax
 from counterspin.planning.result import LimitResult
 from counterspin.planning.run_information import RunInformation
@@ -167,7 +167,7 @@ def _improved(search: Search, predictor: Predictor, limits: Limits, design: Desi
             Criterion((place,), (scale,))
             for place, scale in zip(search.criterion.places, search.criterion.scales, strict=True)
         ]
-        shorter = shortened(predictor, limits, singles, design)
+        shorter = shortest_plan(predictor, limits, singles, design)
         met = all(predictor.value(single, shorter) < 1e-5 for single in singles)
         return math.log(limits.time(shorter)) if met else math.inf
     start = fitted_into(design, limits) or design
@@ -221,7 +221,9 @@ def not_determined(
     return missing, text + (f": {where}only {confounded[0].determined} is" if confounded else "")
 
 
-def missed(prediction: Forecast, goal: Mapping[str, float], none: str, best: str) -> str:
+def words_of_missed_target(
+    prediction: Forecast, goal: Mapping[str, float], none: str, best: str
+) -> str:
     """Return a sentence without its end: which target is missed most, by how much, and why.
 
     none, best: Words: what does not reach it; the best of these, whose forecast this is.
@@ -311,7 +313,7 @@ def unreachable(search: Search) -> CounterspinError:
     """Return the error for a target that no plan within the limits reaches."""
     best = search.smallest()
     goal: Mapping[str, float] = search.plan.goal.sizes
-    text = missed(
+    text = words_of_missed_target(
         forecast(search.campaign(best.design)),
         goal,
         f"no plan {'within the limits' if search.bounded else 'that was found'}",

@@ -21,7 +21,7 @@ from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
-from counterspin.planning.polishing import brought_within, fitted_into, polish, shortened
+from counterspin.planning.polishing import brought_within, fitted_into, polish, shortest_plan
 from counterspin.planning.possibilities import RelaxedOptimum, relax
 
 #: Smallest relative gain of u (or of time) for which a plan is changed.
@@ -308,7 +308,7 @@ def least_time(
     if misses(design) > 1e-9:
         return None
     bound = _relaxed_time(relaxing or predictor, limits, replace(criterion, combination="sum"))
-    best = shortened(predictor, limits, singles, design)
+    best = shortest_plan(predictor, limits, singles, design)
     time = bound
     for _ in range(4):
         tried = optimise(
@@ -317,7 +317,7 @@ def least_time(
             targets,
             relaxing=relaxing,
         )
-        shorter = shortened(predictor, limits, singles, tried.design)
+        shorter = shortest_plan(predictor, limits, singles, tried.design)
         if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _GAIN):
             best = shorter
         time = 0.5 * (time + limits.time(best))

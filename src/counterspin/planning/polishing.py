@@ -181,7 +181,7 @@ def _shortened_to_fit(design: Design, limits: Limits) -> Design:
     return fitted_into(design, limits) or design
 
 
-def shortened(
+def shortest_plan(
     predictor: Predictor, limits: Limits, singles: Sequence[Criterion], design: Design
 ) -> Design:
     """Return the shortest plan of the same types of run that still meets every target."""

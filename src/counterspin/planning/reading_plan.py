@@ -27,7 +27,12 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import Readings, rows_at
 from counterspin.inference.poses import TriadPoses
 from counterspin.planning.design import Criterion
-from counterspin.planning.feasibility import GAIN, RELAXATION, missed, not_determined
+from counterspin.planning.feasibility import (
+    GAIN,
+    RELAXATION,
+    not_determined,
+    words_of_missed_target,
+)
 from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.possibilities import Possibilities
 from counterspin.planning.predicted import other_plan, planned_readings, result_of
@@ -262,7 +267,7 @@ class ReadingSearch:
         if least is not None:
             return least
         best = best_counts(self.possible, self.criterion, *self.limits).counts
-        text = missed(
+        text = words_of_missed_target(
             self.forecast(best),
             goal.sizes,
             "no choice of readings within the limits",

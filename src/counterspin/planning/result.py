@@ -11,7 +11,7 @@ from counterspin.calibration.result_parts import Provenance
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.what_if import WhatIf
-from counterspin.reports.publication import ShownResult, loaded, on_axes
+from counterspin.reports.publication import ShownResult, load_function, on_axes
 from counterspin.results import ResultPart
 
 
@@ -189,4 +189,4 @@ class PlanResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
-        return on_axes(list(loaded("counterspin.planning.figures:plan_plots")(self)), axes)
+        return on_axes(list(load_function("counterspin.planning.figures:plan_plots")(self)), axes)

@@ -51,7 +51,7 @@ def text_width(text: str, weight: str = "normal") -> float:
     return float(width)
 
 
-def shortened(text: str, room: float) -> str:
+def shorten_words(text: str, room: float) -> str:
     """Return the words as far as there is room for them, in points."""
     if text_width(text) <= room:
         return text
@@ -68,7 +68,7 @@ def in_lines(text: str, room: float) -> str:
             lines[-1] = longer
         else:
             lines.append(word)
-    return "\n".join(shortened(line, room) for line in lines)
+    return "\n".join(shorten_words(line, room) for line in lines)
 
 
 def legend_columns(labels: Sequence[str]) -> int:
@@ -279,7 +279,7 @@ def whole_numbers(plot: Plot) -> range:
     return range(int(min(places)), int(max(places)) + 1)
 
 
-def spread(series: Sequence[PlotSeries]) -> list[PlotSeries]:
+def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
     """Move rows of points that share their places to the side, so that none hides another."""
     rows = [row for row in series if row.kind == "points"]
     step = min(0.12, 0.7 / max(len(rows), 1))

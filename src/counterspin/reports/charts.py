@@ -32,7 +32,7 @@ from typing import Any, Final, Literal, cast
 from counterspin.errors import CounterspinError
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Picture, Plot
-from counterspin.reports.drawing import COLOURS_OF_PAPER, colours_in_row, drawn, settings
+from counterspin.reports.drawing import COLOURS_OF_PAPER, colours_in_row, draw_pictures, settings
 from counterspin.reports.typography import typeset_block, with_indices
 
 Theme = Literal["light", "page"]
@@ -86,7 +86,7 @@ def save(
     metadata = {**_METADATA[suffix], _REMARKS[suffix]: mark(kind)}
     printed = [cast("Picture", typeset_block(picture)) for picture in pictures]
     with settings(COLOURS_OF_PAPER):
-        figure = drawn(printed, COLOURS_OF_PAPER, titled=True)
+        figure = draw_pictures(printed, COLOURS_OF_PAPER, titled=True)
         write_whole(
             path,
             lambda part: figure.savefig(part, format=suffix[1:], dpi=160, metadata=metadata),
@@ -101,7 +101,7 @@ def svg(picture: Picture, *, theme: Theme = "light") -> str:
         # A page of paper holds more of them, and less of it stays empty.
         picture = replace(picture, height=_HEIGHT_ON_PAPER * picture.height)
     with settings(_DRAWN):
-        figure = drawn([picture], _DRAWN, titled=False)
+        figure = draw_pictures([picture], _DRAWN, titled=False)
         stream = io.StringIO()
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     return _cleaned(stream.getvalue(), picture, theme)

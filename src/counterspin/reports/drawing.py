@@ -25,8 +25,8 @@ from counterspin.reports.chart_layout import (
     legend_columns,
     margins,
     place,
-    shortened,
-    spread,
+    shorten_words,
+    spread_points,
     text_width,
     thinned,
     whole_numbers,
@@ -135,7 +135,7 @@ def settings(palette: Palette) -> Iterator[None]:
         yield
 
 
-def drawn(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Figure:
+def draw_pictures(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Figure:
     """Draw pictures below each other, within `settings`.
 
     titled: Whether each title stands above its picture, because nobody else writes it.
@@ -176,7 +176,7 @@ def _draw_plot(
     axes: Any, plot: Plot, palette: Palette, title: str, below: Picture | None
 ) -> Margins:
     counts = whole_numbers(plot)
-    rows = spread(plot.series) if counts or plot.x_names else plot.series
+    rows = spread_points(plot.series) if counts or plot.x_names else plot.series
     for series, place_in_row in zip(rows, colours_in_row(plot.series), strict=True):
         colour, marker = palette["muted"], MARKERS[0]
         if series.stands_out:
@@ -197,7 +197,9 @@ def _draw_plot(
         axes.set_xticks(counts)
     axes.set(xlim=plot.x_range, ylim=plot.y_range, title=title, ylabel=plot.y_label)
     if plot.x_names:
-        axes.set_xticks(range(len(plot.x_names)), [shortened(name, 90.0) for name in plot.x_names])
+        axes.set_xticks(
+            range(len(plot.x_names)), [shorten_words(name, 90.0) for name in plot.x_names]
+        )
         axes.grid(visible=False, axis="x")
     if plot.dates:
         axes.set_xticks(*date_ticks(*axes.get_xlim()))
@@ -323,7 +325,7 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -
     corners = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
     cells = np.stack([columns, rows], axis=1)[:, None, :] + corners
     axes.add_collection(PolyCollection(cells, facecolors=_tints(values, palette), linewidths=0.0))
-    labels = [shortened(label, 130.0) for label in heat_map.labels]
+    labels = [shorten_words(label, 130.0) for label in heat_map.labels]
     widest = max(map(text_width, labels), default=0.0)
     wide = min(46.0, (WIDTH - widest - 12.0) / max(size, 1))
     if size <= _MAX_NUMBERED_CELLS:

@@ -40,7 +40,7 @@ def markdown(blocks: Sequence[Block]) -> str:
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
-def escaped(text: str, line_break: str = "\\\n") -> str:
+def escape_markdown(text: str, line_break: str = "\\\n") -> str:
     """Return words as Markdown that shows them as they are."""
     lines = (" ".join(line.split()) for line in escape_controls(text).splitlines())
     return line_break.join(_escaped_line(line) for line in lines if line)
@@ -59,13 +59,13 @@ def _escaped_line(line: str) -> str:
 def _set(block: Heading | Paragraph | Table) -> str:
     match block:
         case Heading(text, level):
-            return f"{'#' * level} {escaped(text, ' ')}"
+            return f"{'#' * level} {escape_markdown(text, ' ')}"
         case Paragraph(text, "equation"):
             return _fenced(text, "text")
         case Paragraph(text, "command"):
             return _fenced(text, "sh")
         case Paragraph(text, _):
-            return escaped(text)
+            return escape_markdown(text)
     return "\n".join(_table(block))
 
 
@@ -78,7 +78,7 @@ def _quoted(block: Block) -> str | None:
 def _quote(style: str, texts: Sequence[str]) -> str:
     lines = ["[!WARNING]"] if style == "warning" else []
     for number, text in enumerate(texts):
-        said = escaped(text)
+        said = escape_markdown(text)
         lines += [""] if number else []
         lines += (f"**{said}**" if style in ANSWERS else said).split("\n")
     return "\n".join(f"> {line}".rstrip() for line in lines)
@@ -91,8 +91,8 @@ def _fenced(text: str, language: str) -> str:
 
 
 def _table(table: Table) -> Iterator[str]:
-    titles = [escaped(column.title, " ") for column in table.columns]
-    rows = [[escaped(cell, "<br>") for cell in row] for row in table.rows]
+    titles = [escape_markdown(column.title, " ") for column in table.columns]
+    rows = [[escape_markdown(cell, "<br>") for cell in row] for row in table.rows]
     widths = [max(3, *map(len, cells)) for cells in zip(titles, *rows, strict=True)]
     rules = [
         "-" * (width - 1) + ":" if column.align == "right" else "-" * width

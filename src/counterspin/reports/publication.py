@@ -121,7 +121,7 @@ LINES: Final = 20
 _WIDTH: Final = 100
 
 
-def loaded(face: str) -> Callable[..., Any]:
+def load_function(face: str) -> Callable[..., Any]:
     """Return a function by ``package.module:name``, loaded when it is asked for.
 
     What draws a result imports the result, and not the other way: a result only names it.
@@ -143,7 +143,7 @@ class ShownResult(ResultFile):
 
     def blocks(self) -> list[Block]:
         """Return what a screen shows of it, pictures included."""
-        return list(loaded(self.BLOCKS)(self))
+        return list(load_function(self.BLOCKS)(self))
 
     @property
     def identifier(self) -> str:
@@ -157,7 +157,7 @@ class ShownResult(ResultFile):
 
     def publication(self, identifier: str | None = None) -> Publication:
         """Return its report, to be written as HTML, PDF or Markdown."""
-        blocks = list(loaded(self.REPORT_BLOCKS or self.BLOCKS)(self))
+        blocks = list(load_function(self.REPORT_BLOCKS or self.BLOCKS)(self))
         title = next((block.text for block in blocks if isinstance(block, Heading)), self.KIND)
         return Publication(self.report_kind(), title, identifier or self.identifier, blocks)
 

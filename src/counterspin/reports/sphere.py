@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.reports.blocks import Sphere
-from counterspin.reports.chart_layout import WIDTH, Margins, margins, shortened
+from counterspin.reports.chart_layout import WIDTH, Margins, margins, shorten_words
 from counterspin.reports.numbers import format_number
 
 #: Points to a radius, and radii from the middle of the drawing to that of each half.
@@ -42,7 +42,7 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
             _draw_point(axes, x, y, value / (largest or 1.0), palette, out=k in sphere.stands_out)
             if len(points) <= _MOST_NAMED:
                 axes.annotate(
-                    shortened(sphere.names[k], 60.0),
+                    shorten_words(sphere.names[k], 60.0),
                     (x, y),
                     xytext=(4.5, 3.5),
                     textcoords="offset points",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Final
 
-from counterspin.reports.publication import ShownResult, loaded, on_axes
+from counterspin.reports.publication import ShownResult, load_function, on_axes
 from counterspin.results import ResultPart
 from counterspin.studies.tally import LEVELS, Summary
 from counterspin.studies.work import ReportedCoefficient
@@ -83,14 +83,14 @@ class StudyResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw how each coefficient's error over its u is distributed."""
-        return on_axes(list(loaded("counterspin.studies.page:z_plots")(self)), axes)
+        return on_axes(list(load_function("counterspin.studies.page:z_plots")(self)), axes)
 
 
 def coefficient_result(
     reported: ReportedCoefficient, unit: str, summary: Summary
 ) -> CoefficientResult:
     """Return the figures of one coefficient."""
-    trustworthy, finding = judge(reported, summary)
+    trustworthy, finding = trust_in(reported, summary)
     bound = reported.bound
     return CoefficientResult(
         **vars(summary),
@@ -102,7 +102,7 @@ def coefficient_result(
     )
 
 
-def judge(reported: ReportedCoefficient, summary: Summary) -> tuple[bool | None, str]:
+def trust_in(reported: ReportedCoefficient, summary: Summary) -> tuple[bool | None, str]:
     """Return whether a coefficient's uncertainty holds, and why; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
