@@ -8,11 +8,11 @@ once, e' = e_p' - 2 Omega x (e - e(0)), where e_p is the error with the platform
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial.chebyshev import chebint, chebvander
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -85,15 +85,16 @@ def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array
     if not navigated:
         return [np.zeros(record.time.size) for record in errors]
     grid = np.unique(np.concatenate([record.time for record in navigated]))
+    integral = _integral_over(grid)
     recorded = np.linalg.pinv(_axes(errors), rcond=_RECORDED_PART) @ [
         _moved(record, grid) for record in navigated
     ]
     moved, term = recorded, recorded
     for _ in range(_TERMS):
-        term = -acting @ _integral(grid, term)
+        term = -acting @ integral(term)
         moved = moved + term
     velocity = coriolis(site) @ moved
-    shown = {"velocity": velocity, "displacement": _integral(grid, velocity)}
+    shown = {"velocity": velocity, "displacement": integral(velocity)}
     return [
         np.interp(record.time, grid, record.input_axis @ shown[record.observable])
         if record.observable in NAVIGATED
@@ -107,21 +108,31 @@ def _moved(record: AxisError, grid: Array) -> Array:
     there = np.isfinite(record.error)
     time, error = record.time[there], record.error[there]
     if record.observable == "velocity":
-        error = _integral(time, error[None])[0]
+        error = _integral_over(time)(error[None])[0]
     moved: Array = np.interp(grid, time, error - error[0])
     return moved
 
 
-def _integral(time: Array, values: Array) -> Array:
-    """Return integrals from the first time on, shape (k, n).
+def _integral_over(time: Array) -> Callable[[Array], Array]:
+    """Return what integrates values (k, n) at these times from the first one on.
 
     A polynomial is integrated exactly, and trapezoids only what it leaves: a gap in the record
     then costs next to nothing, for across it the error is not straight.
     """
-    result = np.empty_like(values)
-    for row, curve in enumerate(values):
-        smooth = Polynomial.fit(time, curve, min(_DEGREE, time.size - 1))
-        rest, whole = curve - smooth(time), smooth.integ(lbnd=float(time[0]))
-        steps = 0.5 * np.diff(time) * (rest[1:] + rest[:-1])
-        result[row] = whole(time) + np.append(0.0, np.cumsum(steps))
-    return result
+    half = 0.5 * float(time[-1] - time[0])
+    part = (time - time[0]) / half - 1.0 if half else np.zeros_like(time)
+    powers = chebvander(part, min(_DEGREE, time.size - 1))
+    inverse = np.linalg.pinv(powers)
+    whole = half * chebint(np.eye(powers.shape[1]), lbnd=-1.0, axis=1)
+    integrals = chebvander(part, powers.shape[1]) @ whole.T
+    steps = 0.5 * np.diff(time)
+
+    def integral(values: Array) -> Array:
+        smooth = values @ inverse.T
+        rest = values - smooth @ powers.T
+        left = np.cumsum(steps * (rest[:, 1:] + rest[:, :-1]), axis=1)
+        result: Array = smooth @ integrals.T
+        result[:, 1:] += left
+        return result
+
+    return integral
