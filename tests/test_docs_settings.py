@@ -1,4 +1,4 @@
-"""The tables of keys of plans, readings and LAB.toml are those of the code, with their defaults."""
+"""What the pages on plans, readings and studies list is what the code has."""
 
 import re
 from pathlib import Path
@@ -6,33 +6,13 @@ from typing import get_args
 
 from counterspin.campaign.memory.changes import SHORT
 from counterspin.campaign.readings_table import _COLUMNS, ReadingsSettings
-from counterspin.certificates import lab
 from counterspin.physics.terms import READING_TERMS
 from counterspin.studies import description
 from counterspin.studies.choice import EngineName
 from counterspin.studies.draws import NOISE_LEVELS
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = {
-    name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "readings", "certificate")
-}
-
-
-def test_tables_of_the_laboratory_have_every_key():
-    listed = dict(
-        re.findall(r"^\| `\[+([\w.]+)\]+` \| (.*) \|$", PAGES["certificate"], re.MULTILINE)
-    )
-    sections = {key: field for key, field in lab.Lab.model_fields.items() if key != "certificate"}
-    names = {"laboratory": lab.Laboratory, "item": lab.Item, "persons": lab.Person}
-    names |= {"accelerometers.NAME": lab.LabAccelerometer, "conditions": lab.Conditions}
-    for name, section in names.items():
-        own = set(re.findall(r"`(\w+)(?: = [^`]*)?`", listed[name]))
-        assert own == set(section.model_fields), name
-    assert {name.partition(".")[0] for name in listed} == set(sections) - {"schema_version"}
-    assert set(re.findall(r'"([\w ]+)"', listed["item"])) == set(lab.ITEM_STATES)
-    # Of the customer "the others": what differs is the country, and the code.
-    assert set(lab.Laboratory.model_fields) - set(lab.Contact.model_fields) == {"code"}
-    assert not lab.Contact.model_fields["country"].is_required()
+PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "readings")}
 
 
 def test_columns_of_a_table_of_readings_are_listed():

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import PlainValidator, PrivateAttr, ValidationInfo, create_model
+from pydantic import ConfigDict, PlainValidator, PrivateAttr, ValidationInfo, create_model
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import (
@@ -63,8 +63,13 @@ def _of_output(value: object, info: ValidationInfo) -> Quantity:
 class Accelerometer(SettingsSection):
     """One accelerometer under calibration; a key for each term has `AccelerometerKeys`."""
 
+    # What is required, the axes, a triad may go without.
+    model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
+
     input_axis: Direction = described(
-        "the sensitive axis, on the level platform", "east", kind="direction"
+        "the sensitive axis, on the level platform; [a triad](triads.md) may state no axes at all",
+        "east",
+        kind="direction",
     )
     pendulous_axis: Direction = described("at right angles to it", [0, 0, -1], kind="direction")
     output_axis: Direction | None = described(

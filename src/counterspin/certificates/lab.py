@@ -196,7 +196,7 @@ class Item(SettingsSection):
     manufacturer: Words = described("who made it", "Example Instruments")
     model: Words = described("its type", "IP-3")
     serial_number: Words = described("its own", "0042")
-    inventory_number: Words | None = described("of its owner", "INV-7", None)
+    inventory_number: Words | None = described("the customer's", "INV-7", None)
     state: ItemState | None = described(
         "in which it was calibrated",
         "as received",
@@ -209,7 +209,12 @@ class LabAccelerometer(SettingsSection):
 
     manufacturer: Words | None = described("who made it", "Example Instruments", None)
     model: Words | None = described("its type", "QA-2000", None)
-    serial_number: Words | None = described("its own", "Q-104", None)
+    serial_number: Words | None = described(
+        "its own; it may not contradict that of the campaign",
+        "Q-104",
+        None,
+        absent="the campaign's",
+    )
 
 
 class Person(SettingsSection):
@@ -236,19 +241,38 @@ class Lab(SettingsSection):
 
     schema_version: Literal[1] = described("version of this format", 1, alias="schema")
     certificate: CertificateSettings = described(
-        "identifier, dates and place of the calibration", {}
+        "identifier, dates and place of the calibration",
+        {
+            "begin": datetime.date(2026, 3, 2),
+            "end": datetime.date(2026, 3, 4),
+            "traceability": "Length and time are traceable to national standards.",
+        },
     )
-    laboratory: Laboratory = described("the calibration laboratory", {})
-    customer: Contact = described("for whom it was done", {})
-    item: Item = described("what was calibrated", {})
+    laboratory: Laboratory = described(
+        "the calibration laboratory",
+        {"name": "Example Calibration Ltd", "city": "Exampletown", "country": "DE"},
+    )
+    customer: Contact = described(
+        "for whom it was done", {"name": "Example Instruments", "city": "Exampletown"}
+    )
+    item: Item = described(
+        "what was calibrated",
+        {
+            "name": "Inertial platform",
+            "manufacturer": "Example Instruments",
+            "model": "IP-3",
+            "serial_number": "0042",
+        },
+    )
     accelerometers: dict[str, LabAccelerometer] = described(
         "those that have an identity of their own within the item, by name",
         {"Qx": {"serial_number": "Q-104"}},
         {},
         absent="none",
+        kind="tables",
     )
     persons: list[Person] = described(
-        "who is responsible for the results",
+        "who is responsible for the results; the first signs",
         [{"name": "N. N.", "role": "Head of the laboratory"}],
         min_length=1,
     )
@@ -265,13 +289,14 @@ class Lab(SettingsSection):
         absent="no limit",
     )
     evidence: Annotated[dict[str, Words], BeforeValidator(_flat)] = described(
-        "what bounds a term that the result assumes to be perfect, by term",
+        "what bounds each term that the result [assumes](#what-is-assumed) to be perfect, by term",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
     )
     specification: Annotated[dict[str, Any] | None, Section(SpecificationSettings)] = described(
-        "limits that coefficients shall meet, as in a campaign",
+        "limits that coefficients shall meet, as in [a campaign](campaign.md#specification): "
+        "[conformity](conformity.md)",
         {"K_II": "abs <= 5e-5 g/g^2"},
         None,
         absent="the campaign's",
