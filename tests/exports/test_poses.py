@@ -1,5 +1,8 @@
 """From a record of a sensor in many poses to a description."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import polars as pl
 import pytest
@@ -13,6 +16,7 @@ from counterspin.exports.looking import look_at
 from counterspin.exports.poses import poses_draft
 from counterspin.toml_text import write_document
 
+REAL = Path(__file__).parents[3] / "shared" / "real" / "imucal"
 PLACE = {"gravity": "9.81 m/s^2", "latitude": "45 deg"}
 ANSWERS = {**PLACE, "sampling_rate": "100 Hz"}
 BIAS = np.array([0.1, -0.2, 0.3])
@@ -441,6 +445,27 @@ def test_faces_set_twice_do_not_tell_angles(tmp_path):
         own = result.accelerometers[name].coefficients
         assert abs(own["K_F"].value - bias / 9.81) < 4.0 * own["K_F"].u
         assert abs(own["K_I"].value - 1.0) < 4.0 * own["K_I"].u
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the real records are not here")
+def test_a_real_sensor_on_six_faces(tmp_path):
+    """Half the sum and half the difference of opposite faces tell the same, but for their tilts."""
+    answers = {"gravity": "9.8066 m/s^2", "latitude": "49.6 deg", "sampling_rate": "204.8 Hz"}
+    found = drafted(look_at([REAL / "session.csv"]), answers, "poses")
+    assert found.triad == ("acc_x", "acc_y", "acc_z")
+    assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
+    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    assert result.state == "good" or {f.code for f in result.findings} == {"unjudged-readings"}
+    rows = np.loadtxt(REAL / "session.csv", delimiter=",", skiprows=1)[:, 4:7] / 9.8066
+    sections = json.loads((REAL / "sections.json").read_text())
+    for place, name in enumerate("XYZ"):
+        up, down = (
+            rows[slice(*sections[f"{name.lower()}_{side}"].values()), place].mean() for side in "pa"
+        )
+        own = result.accelerometers[name].coefficients
+        assert abs(own["K_F"].value - 0.5 * (up + down)) < 2.0 * own["K_F"].u
+        # A tilt of 1.5 deg takes 3.4e-4 of a face.
+        assert abs(own["K_I"].value - 0.5 * (up - down)) < 2.0 * own["K_I"].u + 3.4e-4
 
 
 @pytest.mark.parametrize("in_table", [False, True])

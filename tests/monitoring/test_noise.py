@@ -141,6 +141,23 @@ def test_gaps_spikes_and_rounding_are_told():
         assert words in told
 
 
+def test_a_sensor_that_is_moved_meanwhile_is_told():
+    rng = np.random.default_rng(8)
+    time = np.arange(20_000) / 100.0
+    values = 1.0 + 1e-3 * rng.standard_normal(time.size)
+    moved = values.copy()
+    moved[12_000:12_400] += 0.1 * np.sin(2.0 * np.pi * 0.5 * time[:400])
+    (remark,) = [
+        r for r in cs.noise({"t_s": time, "Q_g": moved}).signals[0].remarks if "quiet" in r
+    ]
+    assert remark.startswith("From 118.8 s to 125 s the record scatters ")
+    assert "not at rest all along" in remark
+    # Nor white noise nor the widest walk of a bias is a motion.
+    for own in (values, 1.0 + 1e-3 * rng.standard_normal(time.size).cumsum()):
+        remarks = cs.noise({"t_s": time, "Q_g": own}).signals[0].remarks
+        assert not any("at rest all along" in remark for remark in remarks)
+
+
 def test_a_filter_is_told():
     time, values = columns()
     smooth = np.convolve(values, np.full(4, 0.25), mode="valid")

@@ -211,7 +211,7 @@ def residual_of(parts: Sequence[FittedReadings]) -> Residual:
     return Residual(
         rms=float(np.sqrt(np.mean(left**2))),
         unit="g",
-        dof=sum(part.freedom for part in parts),
+        dof=round(sum(part.freedom for part in parts), 9),  # of as many readings as unknowns: 0
         chi2=chi2 if judged else None,
         lack_of_fit_p=chi_square_tail(freedom, chi2) if judged else None,
     )

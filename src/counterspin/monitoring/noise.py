@@ -48,6 +48,12 @@ _MAINS_WANDER: Final = 2e-3
 _MAINS_HARMONICS: Final = 20
 _SPINDLE_HARMONICS: Final = 8
 
+#: A record is cut into so many parts, of so many samples at least, to see whether it moves: by this
+#: factor one scatters more than a quiet quarter of them. A walk of the bias makes half of it.
+_PARTS: Final = 32
+_FEWEST_TOGETHER: Final = 32
+_MOVED: Final = 8.0
+
 #: Probability of a misfit of the spectrum, in all bands, below which it is told.
 _MISFIT: Final = 1e-3
 
@@ -354,7 +360,24 @@ def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
             ": rounding contributes much of the white noise here, and it is not white "
             "where the signal stays within one step."
         )
+    yield from _motion(found)
     yield from _misfit(found.analysis.noise.bands)
+
+
+def _motion(found: RestRecord) -> Iterator[str]:
+    """Yield where a specific force scatters as none at rest does."""
+    start, values = found.stretches.longest
+    size = max(_FEWEST_TOGETHER, values.size // _PARTS)
+    parts = values[: values.size // size * size].reshape(-1, size)
+    scatter = parts.std(axis=1)
+    usual, place = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
+    if found.signal.order == 0 and len(parts) >= _PARTS // 2 and scatter[place] > _MOVED * usual:
+        begin = start + place * size * found.stretches.step
+        yield (
+            f"From {begin:.4g} s to {begin + size * found.stretches.step:.4g} s the record "
+            f"scatters {scatter[place] / usual:.2g} times as much as where it is quiet: it is not "
+            "at rest all along, and these figures are not those of its noise. Cut it there."
+        )
 
 
 def _scatter(found: RestRecord) -> float:

@@ -78,7 +78,8 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         )
     for name, record in triad.records.items():
         yield Paragraph(
-            f"{name}: {record.poses} poses, found where the scatter stays below "
+            f"{name}: {record.poses} {'pose' if record.poses == 1 else 'poses'}, found where the "
+            "scatter stays below "
             f"{format_number(record.threshold, 3)} m/s^2."
         )
         for note in record.notes:
