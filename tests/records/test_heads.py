@@ -1,6 +1,7 @@
 """What the head of a LabVIEW measurement file states."""
 
 from counterspin.records.heads import stated_head
+from counterspin.records.tables import read_table
 
 HEAD = [
     ["LabVIEW Measurement", ""],
@@ -25,3 +26,15 @@ def test_what_is_not_stated_is_not_invented():
     uneven = [*HEAD[:3], ["Delta_X", "0,02", "0,04", "0,02"]]
     assert stated_head(uneven, NAMES, ",")[1] is None
     assert stated_head([*HEAD[:3], ["Delta_X", "x"]], NAMES, ",")[1] is None
+
+
+def test_names_that_look_like_a_number_with_a_unit_stay_names(tmp_path):
+    """Of a tumble's positions, beside columns of plain numbers."""
+    path = tmp_path / "readings.csv"
+    rows = "".join(f"{k} deg,{k},{1.25 + k}\n" for k in (0, 90, 180, 270))
+    path.write_text("position,angle_deg,reading_mA\n" + rows)
+    assert read_table(path).frame["position"].to_list()[:2] == ["0 deg", "90 deg"]
+    # Where the others have units too, each is one of a column.
+    with_units = "".join(f"{k} deg,{1.25 + k} mA\n" for k in (0, 90, 180, 270))
+    path.write_text("angle,reading\n" + with_units)
+    assert read_table(path).frame["reading"].to_list()[0] == "1.25"

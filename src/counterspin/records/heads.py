@@ -94,13 +94,17 @@ def _number(text: str, decimal: str) -> float | None:
 def delimiter_between_units(lines: Sequence[Line], stated: str | None = None) -> str | None:
     """Return what parts cells that have units, in lines below each other; None: none have.
 
+    Of several columns two have some at least: one alone, as `30 deg`, may be the rows' names.
+
     stated: What a person says that parts them.
     """
     best, most = None, 0
     for mark in [stated] if stated else MARKS:
-        counts = [sum(map(bool, map(_parted, split(line, mark)))) for _, line in lines]
+        rows = [split(line, mark) for _, line in lines]
+        counts = [sum(map(bool, map(_parted, cells))) for cells in rows]
+        enough = [count >= min(2, len(c)) for count, c in zip(counts, rows, strict=True)]
         below = any(
-            all(counts[k : k + _FEWEST_LINES]) for k in range(len(counts) - _FEWEST_LINES + 1)
+            all(enough[k : k + _FEWEST_LINES]) for k in range(len(enough) - _FEWEST_LINES + 1)
         )
         if below and sum(counts) > most:  # a decimal comma parts less than what parts cells
             best, most = mark, sum(counts)
