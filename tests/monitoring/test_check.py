@@ -107,6 +107,19 @@ def test_frames_and_other_files_are_judged_too(folder, tmp_path):
         cs.check(tmp_path / "nowhere.csv", folder)
 
 
+def test_a_file_is_judged_in_the_place_of_its_run_s(folder, tmp_path):
+    """In a campaign that has no file yet, and where it is another than the campaign's own."""
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    (bare / "campaign.toml").write_text((folder / "campaign.toml").read_text("utf-8"), "utf-8")
+    whole = cs.check(folder / "slow.csv", folder)
+    assert cs.check(folder / "slow.csv", bare, run="slow").run.rate == whole.run.rate
+    lines = (folder / "slow.csv").read_text("utf-8").splitlines(keepends=True)
+    (tmp_path / "half.csv").write_text("".join(lines[: len(lines) // 2]), "utf-8")
+    half = cs.check(tmp_path / "half.csv", folder, run="slow")
+    assert half.run.rows == len(lines) // 2 - 1 < whole.run.rows
+
+
 def test_the_command_says_all_of_it(folder, tmp_path, capsys):
     words = ["check", str(folder / "slow.csv"), "--campaign", str(folder)]
     assert main([*words, "--json", str(tmp_path / "c.json")]) == 0

@@ -13,7 +13,7 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.triads.declared import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.monitoring.observer import Observer, Recorded, recordings, with_values
+from counterspin.monitoring.observer import Observer, Recorded, recordings
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.monitoring.run_state import (
     FitSoFar,
@@ -73,7 +73,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
     meant = _meant(campaign, file, name)
-    own = meant if file is None else with_values(meant, record=file)
+    own = meant if file is None else _of_file(meant, file)
     if file is None:
         table: MemoryTable = memory_table(f"{own.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, own.record: table})
@@ -101,6 +101,13 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
         expected=expected,
         why_not=why_not,
     )
+
+
+def _of_file(run: Recorded, file: Path) -> Recorded:
+    """Return a run, or a record of poses, whose record is another file."""
+    if isinstance(run, Run):
+        return run.model_copy(update={"file": file})
+    return replace(run, record=file)
 
 
 def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None]) -> Campaign:
