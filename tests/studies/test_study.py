@@ -148,7 +148,7 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
     varying = '[study.vary]\n"platform.tilt.north" = { normal = "0 ± 3 arcsec", per = "run" }\n'
     analyses = VARYING[VARYING.index("[study.analyses.exact]") :]
     folder = write(tmp_path / "a", SHORT + varying + analyses + joint)
-    n = 2000 if FULL else 40
+    n = 2000 if FULL else 25
     truth, made = engines(folder, "auto", "full")
     few, many = truth.draw(stream(3, 0, 0), n), truth.draw(stream(4, 0, 0), 20 * n)
     for fast, slow in zip(*made, strict=True):
