@@ -10,7 +10,7 @@ from joint_campaign import noisy, three_rates, unknowns
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.uneven_noise import uneven_noise
+from counterspin.inference.joint.uneven_noise import noise_by_run, uneven_noise
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 
@@ -92,6 +92,25 @@ def test_even_noise_stays_even(observable):
         bent = replace(drawn[2], error=drawn[2].error + np.sin(drawn[2].time / 3.0))
         found = estimate([*drawn[:2], bent], MODEL, WANT, reject=False)
         assert {(one.relative, one.timing) for one in found.series} == {(1.0, 0.0)}
+
+
+def test_waves_of_the_spindle_are_no_noise():
+    """An encoder that errs four times a revolution leaves a fifth harmonic, with the force."""
+    rng = np.random.default_rng(5)
+    drawn = []
+    for one in three_rates(TRUTH, observable="specific_force"):
+        wave = 3e-3 * one.trajectory.spindle.rate**2
+        wave = wave * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
+        drawn.append(noisy(replace(one, error=one.error + wave), Noise(0.01), rng))
+    stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(WANTED)}
+    fit = estimate(drawn, MODEL, stated, reject=False).fit
+    assert noise_by_run(fit, "Qx") == {}
+    assert uneven_noise(fit, drawn, asked) == {}
+    # Another noise shows beneath them.
+    louder = [*drawn[:2], noisy(drawn[2], Noise(0.02), rng)]
+    sizes = noise_by_run(estimate(louder, MODEL, stated, reject=False).fit, "Qx")
+    assert sizes["run3"] == pytest.approx(math.sqrt(5.0), rel=0.15)
+    assert sizes["run1"] == pytest.approx(1.0, rel=0.15)
 
 
 def test_stated_noise_and_records_of_few_rows_are_left_as_they_are(clean):

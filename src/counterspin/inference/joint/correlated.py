@@ -62,7 +62,7 @@ def independent(fit: JointFit, series: Sequence[Series]) -> tuple[Series, ...]:
         spacing = {i: median(np.diff(series[i].time)) for i in places}
         plain = {i: fit.residuals[i].plain * np.sqrt(series[i].count) for i in places}
         if _grows(plain, spacing):
-            memory = _memory({i: _noise(series[i], plain[i]) for i in places}, spacing)
+            memory = _memory({i: without_waves(series[i], plain[i]) for i in places}, spacing)
         else:
             memory = 0.0
         for i in places if memory else ():
@@ -84,14 +84,20 @@ def _grows(left: Mapping[int, Array], spacing: Mapping[int, float]) -> bool:
     return any(_size(one, 2 * steps[i]) > _GROWS * _size(one, steps[i]) for i, one in left.items())
 
 
-def _noise(series: Series, residual: Array) -> Array:
-    """Return residuals without what is slow or goes with the spindle, shape (n,)."""
-    time = series.time / series.time[-1]
-    angle = series.trajectory.spindle.angle(series.time)
+def without_waves(series: Series, residuals: Array) -> Array:
+    """Return residuals without what is slow or goes with the spindle, shape (n,).
+
+    White noise keeps its variance, as a whole.
+
+    residuals: Of a series' last n rows, more than there are shapes of these.
+    """
+    last = series.time[-residuals.size :]
+    angle = series.trajectory.spindle.angle(last)
     waves = [f(j * angle) for j in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
-    shapes = np.column_stack([*np.vander(time, _POWERS).T, *waves])
-    found = np.linalg.lstsq(shapes, residual, rcond=None)[0]
-    return np.asarray(residual - shapes @ found)
+    shapes = np.column_stack([*np.vander(last / last[-1], _POWERS).T, *waves])
+    found = np.linalg.lstsq(shapes, residuals, rcond=None)[0]
+    count, gone = shapes.shape
+    return np.asarray((residuals - shapes @ found) * math.sqrt(count / (count - gone)))
 
 
 def _memory(left: Mapping[int, Array], spacing: Mapping[int, float]) -> float:

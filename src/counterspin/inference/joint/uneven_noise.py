@@ -21,9 +21,13 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.joint.correlated import without_waves
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import Noise
+
+#: Of the differences.
+_ORDER: Final = 3
 
 #: Squared weights of a third difference, over their sum: whose rows' variances it has.
 _WEIGHTS: Final = np.array([1.0, 9.0, 9.0, 1.0]) / 20.0
@@ -81,13 +85,25 @@ def noise_by_run(fit: JointFit, accelerometer: str) -> Mapping[str, float]:
 
 
 def _squares(fit: JointFit, accelerometer: str) -> dict[int, Array]:
-    """Return the squares of third differences, of mean 1 where the noise is even, by series."""
-    squares = {
-        i: np.diff(fit.residuals[i].whitened, 3) ** 2 / 20.0
+    """Return the squares of third differences, of mean 1 where the noise is even, by series.
+
+    Where they are uneven, what goes with the spindle is taken away first: of an error of the
+    encoder they leave a high harmonic.
+    """
+    left = {
+        i: fit.residuals[i].whitened
         for i, part in enumerate(fit.prepared)
         if part.accelerometer == accelerometer
+        and fit.residuals[i].whitened.size >= _FEWEST + _ORDER
     }
-    return {i: own for i, own in squares.items() if own.size >= _FEWEST}
+    squares = _differences(left)
+    if squares and (_by_run(fit, squares) is not None or _uneven_within(fit, squares)):
+        return _differences({i: without_waves(fit.prepared[i].series, o) for i, o in left.items()})
+    return squares
+
+
+def _differences(left: Mapping[int, Array]) -> dict[int, Array]:
+    return {i: np.diff(own, _ORDER) ** 2 / 20.0 for i, own in left.items()}
 
 
 def _uneven(
