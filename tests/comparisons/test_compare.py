@@ -144,6 +144,10 @@ def test_a_changed_input_differs_by_no_chance(one):
     assert (k_ii(other).u_difference, k_ii(other).z) == (0.0, None)
     assert other.agreements[0].p is None
     assert {c.subject for c in other.changes} == {"radius", "campaign.toml"}
+    assert "what was changed makes them differ" in comparison_text(other)
+    again = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
+    assert again.agreements[0].p is None
+    assert "are equal (the same records)" in comparison_text(again)
     # The same change of a radius that is uncertain, stated twice: the two are independent.
     twice = cs.compare(result, cs.calibrate(records.change(radius="2.5001 ± 1e-4 m")))
     (line,) = (

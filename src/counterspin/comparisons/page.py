@@ -108,6 +108,8 @@ def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
     records = _RECORDS[agreement.records]
     if not agreement.terms:
         return f"{whose} have no coefficient that both determine ({records})."
+    if agreement.p is None and _are_equal(compared, agreement):
+        return f"{whose} are equal ({records})."
     if agreement.p is None:
         return f"{whose} cannot differ by chance ({records}): what was changed makes them differ."
     agree = "agree" if agreement.agrees else "differ significantly"
@@ -117,6 +119,16 @@ def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
         f"p = {format_number(agreement.p, 2)}"
     )
     return f"{whose} {agree} ({words}; {records})."
+
+
+def _are_equal(compared: ResultComparison, agreement: AgreementOfTwo) -> bool:
+    """Return whether no coefficient that both determine differs."""
+    place = [result.name for result in compared.results].index(agreement.result)
+    return not any(
+        one.estimates[place].difference
+        for one in compared.coefficients
+        if one.accelerometer == agreement.accelerometer and one.term in agreement.terms
+    )
 
 
 def _table(compared: ResultComparison, own: Sequence[ComparedCoefficient]) -> Table:
