@@ -140,6 +140,15 @@ class Table(_Words):
     rows: tuple[tuple[str, ...], ...]
     quiet: frozenset[int] = frozenset()
 
+    def without_empty_columns(self) -> Table:
+        """Return the table without the columns in which no row has anything."""
+        full = [k for k in range(len(self.columns)) if any(row[k] for row in self.rows)]
+        return Table(
+            tuple(self.columns[k] for k in full),
+            tuple(tuple(row[k] for k in full) for row in self.rows),
+            self.quiet,
+        )
+
 
 @frozen
 class PlotSeries(_Words):

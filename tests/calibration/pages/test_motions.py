@@ -68,3 +68,10 @@ def test_the_forces_are_those_of_the_motions_alone():
     assert not any("At rest" in line or "double turntable" in line for line in text)
     assert text[-1].endswith("of the machine: centrifuge.radius.in.")
     assert list(reading_blocks(result([]))) == []
+
+
+def test_a_table_has_no_column_in_which_nothing_stands():
+    titles = [column.title for column in table_of_tests(TUMBLE).columns]
+    assert titles == ["Test", "Positions", "Indication, g", "Readings"]
+    titles = [column.title for column in table_of_tests(TUMBLE + ARM).columns]
+    assert titles[1:4] == ["Mounting", "Positions", "Rates, rad/s"]

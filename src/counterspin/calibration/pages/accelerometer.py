@@ -86,7 +86,6 @@ def _in_output_units(accelerometer: AccelerometerResult) -> str:
 def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
-    averaged = [line for line in readings if line.samples is not None]
     yield Table(
         columns=(
             Column("Reading", wraps=True),
@@ -95,7 +94,8 @@ def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[B
             Column("Indication, g", "right"),
             Column("Residual, ug", "right"),
             Column("Residual / its u", "right"),
-            *((Column("Used", "right"), Column("Rejected", "right")) if averaged else ()),
+            Column("Used", "right"),
+            Column("Rejected", "right"),
         ),
         rows=tuple(
             (
@@ -105,21 +105,19 @@ def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[B
                 format_compact(line.value, line.u),
                 f"{line.residual * 1e6:.2f}",
                 "-" if line.z is None else f"{line.z:.2f}",
-                *_samples(line, shown=bool(averaged)),
+                *_samples(line),
             )
             for line in readings
         ),
-    )
-    for line in averaged:
+    ).without_empty_columns()
+    for line in (line for line in readings if line.samples is not None):
         yield from note_blocks(line.name, line)
         if details:
             yield from count_blocks(line.name, line)
 
 
-def _samples(line: ReadingResult, *, shown: bool) -> tuple[str, ...]:
+def _samples(line: ReadingResult) -> tuple[str, str]:
     """Return the cells of samples used and rejected; a value that was read has none."""
-    if not shown:
-        return ()
     return ("", "") if line.samples is None else (str(line.samples), str(rejected_of(line.counts)))
 
 

@@ -97,7 +97,7 @@ def table_of_tests(readings: Sequence[ReadingResult]) -> Table:
             )
             for (motion, mounting), own in groups.items()
         ),
-    )
+    ).without_empty_columns()
 
 
 def reading_blocks(result: Result) -> Iterator[Block]:
