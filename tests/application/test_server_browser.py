@@ -618,7 +618,9 @@ def test_a_history_without_serial_numbers_leads_to_where_they_are_stated(opened,
     file.write_text(re.sub("serial_number.*\n", "", text), encoding="utf-8")
     calibrate(folder / "three").write(folder / "three" / "result.json", overwrite=True)
     tab = opened("/history")
-    tab.get_by_text("Qx, three/result.json, Qy: has no serial number").wait_for()
+    tab.get_by_text(
+        "Qx of three/result.json, Qy of three/result.json: has no serial number"
+    ).wait_for()
     tab.locator("main").get_by_role("link").click()
     section = tab.locator("#s-accelerometers")
     section.wait_for()

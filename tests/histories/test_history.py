@@ -300,7 +300,7 @@ def test_nothing_to_show_says_why(tmp_path):
     with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
         history([tmp_path])
     stored(tmp_path, a=result(date=None))
-    with pytest.raises(CounterspinError, match=r"a\.json, Qx: has no date"):
+    with pytest.raises(CounterspinError, match=r"Qx of .*a\.json: has no date"):
         history([tmp_path])
 
 
@@ -534,5 +534,7 @@ def test_results_count_as_their_files(tmp_path):
     assert [p.file for p in other.points] == [f"result {n} ({title})" for n in (1, 2, 3)]
     mixed = history([folder, results[0].model_copy(update={"title": "again"})])
     assert [unused.file for unused in mixed.left_out] == ["result 2 (again)"]
-    with pytest.raises(CounterspinError, match=r"no result can be used in a history\. result 1"):
+    with pytest.raises(
+        CounterspinError, match=r"no result can be used in a history\. Qx of result 1"
+    ):
         history([results[0].model_copy(update={"details": {}})])

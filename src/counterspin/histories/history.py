@@ -159,7 +159,7 @@ def _nothing(paths: Sequence[Path | str | Result], collected: CollectedResults) 
         )
     whose: dict[str, list[str]] = {}
     for item in lost[:5]:
-        name = f"{item.file}{f', {item.accelerometer}' if item.accelerometer else ''}"
+        name = f"{item.accelerometer} of {item.file}" if item.accelerometer else item.file
         whose.setdefault(item.reason, []).append(name)
     reasons = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in whose.items())
     more = f"; and {len(lost) - 5} more" if len(lost) > 5 else ""
