@@ -11,11 +11,16 @@ from counterspin.planning.possibilities import _Relaxation
 
 
 @pytest.mark.parametrize("total", [3.0, 40.0, 150.0, 1e4])
+@pytest.mark.parametrize("spread", [0.1, 2.0])
 @pytest.mark.parametrize("seed", range(5))
-def test_what_gains_most_is_that_of_a_linear_program(seed, total):
-    """From a time that few may take of to one that does not count."""
+def test_what_gains_most_is_that_of_a_linear_program(seed, spread, total):
+    """From a time that few may take of to one that does not count.
+
+    Where gains are much alike, two observations share the limits; else one gains most by far.
+    """
     rng, count, number = np.random.default_rng(seed), 60, 14.0
-    cost, gains = rng.uniform(1.0, 20.0, count), rng.lognormal(0.0, 2.0, count)
+    cost, gains = rng.uniform(1.0, 20.0, count), rng.lognormal(0.0, spread, count)
+    gains *= np.sqrt(cost)
     gains[cost < 2.0] *= 0.01
     criterion = Criterion((0,), (1.0,))
     found = _Relaxation(np.eye(1), criterion, np.ones((count, 1, 1)), cost, total, number)
