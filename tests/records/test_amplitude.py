@@ -36,6 +36,15 @@ def test_a_channel_that_is_dead_for_a_while_is_left_out_and_counted(tmp_path, le
     assert record.report.outliers[SIGNAL] == len(found)
 
 
+def test_an_empty_cell_of_a_dead_channel_is_counted_once(tmp_path):
+    columns = table(n=4000)
+    columns[SIGNAL][1500:1620] = -9999.0
+    columns[SIGNAL][[1520, 1521]] = np.nan
+    report = read(write(tmp_path / "run.csv", columns)).report
+    assert report.empty[SIGNAL] == 2
+    assert report.outliers[SIGNAL] == 118
+
+
 def test_a_channel_that_is_dead_for_too_long_is_refused(tmp_path):
     for dead, words in (
         (slice(1500, 1750), "between 30.24 s and 34.88 s after its start"),

@@ -442,6 +442,7 @@ class _RecordReader:
                 f"where a channel is dead; at most {MOST_EMPTY:.0%} may be. Cut the record here."
             )
         if len(dead):
+            dead = dead[~np.isnan(signal[dead])]  # what is empty or out already is counted
             self._outliers[place] += int(blocks.count[dead].sum())
             signal = signal.copy()
             signal[dead] = np.nan
