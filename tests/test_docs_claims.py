@@ -33,7 +33,7 @@ from counterspin.inference import (
     readings,
 )
 from counterspin.inference.distributions import normal_cdf
-from counterspin.inference.joint import condensed, encoder, mistakes, outliers
+from counterspin.inference.joint import encoder, mistakes, prepared, used_rows
 from counterspin.inference.noise import search as noise_search
 from counterspin.inference.noise import unseen_noise, wander
 from counterspin.physics import angle_error
@@ -104,7 +104,7 @@ NUMBERS = [
     ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
     ("methods", "further than {} typical sizes from nothing", [credible._TYPICAL_SIZES]),
     ("result", "further than {} of its typical sizes", [credible._TYPICAL_SIZES]),
-    ("methods", "above {} of the noise of one row", [condensed._LEAST_EFFECT]),
+    ("methods", "above {} of the noise of one row", [prepared._LEAST_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
     ("trust", "in u, at {} arcsec each", [ENCODER / ARCSEC]),
@@ -124,7 +124,7 @@ NUMBERS = [
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
     ("methods", "at least {} of its prior's variance", [1 - identifiability.PRIOR_LEFT]),
     ("methods", "off their neighbours by more than {} standard", [spikes.LIMIT_SDS]),
-    ("methods", "reaches in one of a {} whole records", [1 / outliers.FALSE_ALARMS]),
+    ("methods", "reaches in one of a {} whole records", [1 / used_rows.FALSE_ALARMS]),
     ("methods", "residuals more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
     ("methods", "noise beyond {} ug/Hz^0.5, a run", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),

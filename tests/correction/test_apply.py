@@ -31,8 +31,8 @@ from counterspin.calibration.result_parts import (
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
+from counterspin.inference.joint.agreement import Jackknife
 from counterspin.inference.joint.budget import BudgetLine
-from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
 from counterspin.physics.terms import TERMS
 

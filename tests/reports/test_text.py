@@ -22,8 +22,8 @@ from counterspin.calibration.result_parts import (
     RippleResult,
 )
 from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.inference.joint.agreement import Jackknife
 from counterspin.inference.joint.budget import BudgetLine
-from counterspin.inference.joint.runs_left_out import Jackknife
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Column, Heading, Lines, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED

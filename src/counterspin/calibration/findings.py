@@ -35,7 +35,7 @@ from counterspin.inference.diagnostics import (
     normal_equivalent,
 )
 from counterspin.inference.distributions import normal_quantile
-from counterspin.inference.joint.runs_left_out import Jackknife
+from counterspin.inference.joint.agreement import Jackknife
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.

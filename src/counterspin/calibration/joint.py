@@ -57,10 +57,9 @@ from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
-from counterspin.inference.joint.budget import budget
+from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
 from counterspin.records.mean import RecordMean
 

@@ -22,9 +22,8 @@ from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.relaxed import relax
-from counterspin.inference.joint.slow_parts import slow_parts
+from counterspin.inference.joint.agreement import slow_parts
+from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.physics.terms import INPUTS, OWN_TERMS, shown_by_readings
 from counterspin.reports.numbers import format_number
 

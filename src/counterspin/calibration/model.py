@@ -25,7 +25,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import EVERYTHING
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.terms import acts, shows, symbols_shown
-from counterspin.inference.joint.inputs import CLOCK, TIMING
+from counterspin.inference.joint.series import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.accelerometer import Mounting

@@ -18,9 +18,8 @@ from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravi
 from counterspin.campaign.quantity import Quantity
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.budget import BudgetLine, Kind
-from counterspin.inference.joint.runs_left_out import Jackknife
-from counterspin.inference.joint.what_if import WhatIf
+from counterspin.inference.joint.agreement import Jackknife
+from counterspin.inference.joint.budget import BudgetLine, Kind, WhatIf
 from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.reports.publication import load_function

@@ -38,12 +38,11 @@ from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.budget import budget
+from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.found_noise import uncertain
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
-from counterspin.inference.joint.what_if import what_if
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.curvatures import strobed, two_stage_model

@@ -20,7 +20,7 @@ from counterspin.inference.diagnostics import agreement_of, normal_equivalent
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import ConfoundedTerms, write_combination
 from counterspin.inference.joint.alternatives import of_priors, scores
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import relax
 from counterspin.inference.two_stage.second_stage import SecondStage
 from counterspin.physics.terms import INPUTS, term
 from counterspin.reports.numbers import field_unit, format_number

@@ -29,7 +29,7 @@ from counterspin.campaign.truth_tables import (
     SimulatedTruth,
     Simulation,
 )
-from counterspin.inference.joint.inputs import CLOCK
+from counterspin.inference.joint.series import CLOCK
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, SHARED_TERMS, term
 

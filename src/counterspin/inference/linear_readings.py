@@ -17,8 +17,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block, reduce_block
-from counterspin.inference.joint.observation import Observation
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Observation, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Site

@@ -18,8 +18,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.readings import Reading
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.joint.budget import budget
-from counterspin.inference.joint.what_if import what_if
+from counterspin.inference.joint.budget import budget, what_if
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.forecast import Forecast

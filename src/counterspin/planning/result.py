@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Literal
 
 from counterspin.calibration.result_parts import Provenance
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.budget import BudgetLine
-from counterspin.inference.joint.what_if import WhatIf
+from counterspin.inference.joint.budget import BudgetLine, WhatIf
 from counterspin.reports.publication import ShownResult, load_function, on_axes
 from counterspin.results import ResultPart
 

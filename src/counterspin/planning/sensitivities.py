@@ -22,9 +22,8 @@ from counterspin.campaign.triads.grouped import all_groups
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import INPUTS, TIMING, Series
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns, unit_of
 from counterspin.inference.linear_readings import blocks_at
 from counterspin.physics.terms import MOTION_TERMS, term

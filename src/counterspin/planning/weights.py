@@ -17,9 +17,8 @@ from numpy.polynomial import chebyshev
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import CLOCK, Series
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting

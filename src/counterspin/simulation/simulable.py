@@ -15,7 +15,7 @@ from counterspin.campaign.readings import MOST_RECORDS
 from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS, Run
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import CampaignError
-from counterspin.inference.joint.inputs import CLOCK, TIMING
+from counterspin.inference.joint.series import CLOCK, TIMING
 from counterspin.inference.linear_readings import Readings, with_input
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term

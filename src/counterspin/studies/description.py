@@ -35,7 +35,7 @@ from counterspin.campaign.toml_file import (
     mistakes,
 )
 from counterspin.frozen import frozen
-from counterspin.inference.joint.inputs import CLOCK
+from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
 from counterspin.simulation.simulable import (

@@ -21,9 +21,8 @@ from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.joint.inputs import concerns, input_column
 from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import Series, concerns, input_column
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import Measured, blocks_at

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.inputs import concerns, with_input
+from counterspin.inference.joint.series import concerns, with_input
 from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.two_stage.request import TwoStageRequest

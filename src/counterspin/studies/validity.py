@@ -13,7 +13,7 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.request import TwoStageRequest

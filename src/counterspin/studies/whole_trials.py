@@ -20,8 +20,7 @@ from counterspin.campaign.readings import Reading
 from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.inputs import CLOCK, TIMING
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import CLOCK, TIMING, Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_input
 from counterspin.inference.poses import TriadPoses, indications_along

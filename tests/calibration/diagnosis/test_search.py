@@ -22,7 +22,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import Alternative, Scores, of_priors
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import relax
 from counterspin.inference.joint.unknowns import Considered
 from counterspin.physics.simulation import accelerometer_walk
 

@@ -9,7 +9,7 @@ from joint_campaign import ARCSEC, held_inputs, noisy, three_rates, unknowns
 
 from counterspin.inference.joint.alternatives import Alternative, of_priors, of_unstated, scores
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.relaxed import extended, relax
+from counterspin.inference.joint.fit import extended, relax
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 

@@ -20,12 +20,12 @@ from joint_campaign import (
 from scipy.special import stdtrit
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint import cleaning
+from counterspin.inference.joint import used_rows
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
+from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics.motion import Trajectory
@@ -411,7 +411,7 @@ def test_good_samples_that_an_earlier_model_made_stand_out_are_taken_back(clean)
     kept = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
     fit = solve_joint(kept, MODEL, {"Qx": WHITE})
     noise, outliers = {"Qx": Noise(0.01, 0.0)}, tuple(outliers)
-    again, left = cleaning.taken_back(fit, (prepared, MODEL), drawn, noise, outliers)
+    again, left = used_rows.taken_back(fit, (prepared, MODEL), drawn, noise, outliers)
     assert [np.flatnonzero(mask).tolist() for mask in left] == [[], [], [100]]
     only = [part.without(mask) for part, mask in zip(prepared, left, strict=True)]
     expected = solve_joint(only, MODEL, {"Qx": WHITE}).solution

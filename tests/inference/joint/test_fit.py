@@ -28,8 +28,8 @@ from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns, prepared_for
+from counterspin.inference.joint.series import INPUTS, TIMING
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.spindle import Spindle

@@ -11,7 +11,7 @@ from scipy import integrate, stats
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import Alternative, scores
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import relax
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
 

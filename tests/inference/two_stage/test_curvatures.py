@@ -8,7 +8,7 @@ import pytest
 
 from counterspin.inference.joint.alternatives import of_priors, scores
 from counterspin.inference.joint.budget import budget
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import relax
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR

@@ -22,7 +22,7 @@ from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTes
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.kinds import OfOneKind, agreements
+from counterspin.inference.joint.agreement import OfOneKind, agreements
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.least_squares import Solution
 from counterspin.reports.numbers import field_unit, format_number

@@ -23,9 +23,8 @@ from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
 from counterspin.inference.distributions import normal_quantile
 from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.relaxed import relax
-from counterspin.inference.joint.turned import ACROSS, turned, with_turned
+from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.joint.mistakes import ACROSS, turned, with_turned
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses

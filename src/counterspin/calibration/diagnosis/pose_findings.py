@@ -25,8 +25,7 @@ from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings
-from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.inference.pose_tests import pose_candidates
 from counterspin.inference.poses import TriadPoses
 from counterspin.inference.reading_tests import STEP, TERM, Followed, most_followed

@@ -20,7 +20,7 @@ from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings, Outlying
 from counterspin.inference.joint.alternatives import Alternative
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import relax
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.reading_tests import (
     APPROACH,

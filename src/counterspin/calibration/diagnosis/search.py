@@ -42,10 +42,9 @@ from counterspin.inference.joint.alternatives import (
     scores,
 )
 from counterspin.inference.joint.estimation import Estimate, estimate_again
-from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.fit import JointFit, extended, relax
 from counterspin.inference.joint.found_noise import unseen_covariance
-from counterspin.inference.joint.inputs import TIMING
-from counterspin.inference.joint.relaxed import extended, relax
+from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise

@@ -18,9 +18,8 @@ from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.alternatives import of_priors
-from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.inputs import CLOCK
-from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.reports.numbers import field_unit, format_number
 

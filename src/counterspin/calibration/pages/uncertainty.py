@@ -7,8 +7,7 @@ from typing import Final, Protocol
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Knowledge
-from counterspin.inference.joint.budget import BudgetLine
-from counterspin.inference.joint.what_if import WhatIf
+from counterspin.inference.joint.budget import BudgetLine, WhatIf
 from counterspin.physics.terms import words_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (

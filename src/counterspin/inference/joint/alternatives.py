@@ -26,8 +26,7 @@ from counterspin.inference.blocks import Block
 from counterspin.inference.diagnostics import LEAST_PART_LEFT
 from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.fit import JointFit, solve_blocks
-from counterspin.inference.joint.relaxed import widened
+from counterspin.inference.joint.fit import JointFit, solve_blocks, widened
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.terms import INPUTS, mounting_of

@@ -1,10 +1,19 @@
-"""The uncertainty budget: where the uncertainty of a coefficient comes from, line by line."""
+"""The uncertainty budget: where u of a coefficient comes from, and what it would be otherwise.
+
+What u would be if something were known better or worse is an update, not a refit. Let A be the
+covariance that the weights minimise, and D the changes of 1/u^2 of what is known beforehand of the
+sources J. The estimates then become M times what they were, with
+M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes M A (the information form of a sequential update,
+Bierman 1977, chapter V). What is beside the weights, of held terms and of noise that does not show,
+goes through the same gain: E becomes M E M^T. A held term weighs nothing: if it were known better,
+only what it adds to E would become less, by the square. The noise stays as it was found.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -156,3 +165,138 @@ def by_kind(fit: JointFit, index: int) -> tuple[float, float, float]:
                 squares[kind] += (slope * unknown.prior[1]) ** 2
     of_noise, of_stated, of_unstated = (math.sqrt(max(s, 0.0)) for s in squares.values())
     return of_noise, of_stated, of_unstated
+
+
+# What if ---------------------------------------------------------------------------------------
+
+#: Sources below this share of any u^2 are not asked about, nor more of them than a page has room
+#: for.
+_LEAST_SHARE: Final = 1e-3
+_MOST: Final = 12
+
+#: What is beside the weights, below this part of a variance, is rounding.
+_ROUNDING: Final = 1e-9
+
+
+@frozen
+class WhatIf:
+    """What the uncertainties of coefficients depend on, as far as an update of them needs it."""
+
+    names: list[str]  #: Coefficients and sources, named as in a budget.
+    units: list[str]  #: Of each: SI, or g-units.
+    #: By source: its standard uncertainty beforehand; what is not there has none that can change.
+    known: dict[str, float]
+    #: The covariance that the weights minimise, rows and columns as `names`.
+    weighed: list[list[float]]
+    #: What held terms and noise that does not show add to it; empty: nothing.
+    beside: list[list[float]] = field(default_factory=list)
+    #: By held source: what its standard uncertainty moves each of `names` by.
+    held: dict[str, list[float]] = field(default_factory=dict)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether names, units and matrices belong together, as those of a file may not."""
+        names = set(self.names)
+        matrices = (self.weighed, self.beside or self.weighed)
+        return (
+            len(names) == len(self.names) == len(self.units)
+            and self.known.keys() <= names
+            and self.held.keys() <= self.known.keys()
+            and all(0.0 < u < math.inf for u in self.known.values())
+            and all(len(m) == len(names) == len(r) for m in matrices for r in m)
+            and all(len(moved) == len(names) for moved in self.held.values())
+            and all(math.isfinite(v) for m in (*matrices, self.held.values()) for r in m for v in r)
+        )
+
+    def u(self, name: str, known: Mapping[str, float]) -> float:
+        """Return the standard uncertainty of a coefficient if sources were known so well.
+
+        known: By source its standard uncertainty beforehand, above 0; others stay as they are.
+        """
+        return math.sqrt(sum(self.parts(name, known).values()))
+
+    def parts(self, name: str, known: Mapping[str, float]) -> dict[str, float]:
+        """Return the u^2 of a coefficient by source, and the rest, as ``""``; as `u`."""
+        if unknown := [source for source in known if source not in self.known]:
+            raise ValueError(f"there is no prior for {', '.join(unknown)}")
+        if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
+            raise ValueError("a standard uncertainty is a number above 0")
+        least = np.array(self.weighed)
+        beside = np.array(self.beside) if self.beside else np.zeros_like(least)
+        weighed = {source: u for source, u in known.items() if source not in self.held}
+        here = [self.names.index(source) for source in weighed]
+        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in weighed.items()])
+        inner = np.eye(len(here)) + least[np.ix_(here, here)] @ change
+        moved = np.eye(len(least))
+        moved[:, here] -= least[:, here] @ change @ np.linalg.inv(inner)
+        row = moved[self.names.index(name)]
+        covariances = row @ least  # with every name
+        variance = float(covariances[self.names.index(name)] + row @ beside @ row)
+        parts = {}
+        for source, u in (self.known | dict(known)).items():
+            if source in self.held:
+                moves = float(row @ self.held[source])
+                parts[source] = (moves * u / self.known[source]) ** 2
+                variance += parts[source] - moves**2
+            else:
+                # What a prior contributes is its u times the sensitivity to it, A / u^2.
+                parts[source] = float(covariances[self.names.index(source)] / u) ** 2
+        return parts | {"": max(variance - sum(parts.values()), 0.0)}
+
+
+def what_if(
+    fit: JointFit, places: Mapping[str, int], budget: Mapping[str, Sequence[BudgetLine]], owner: str
+) -> WhatIf | None:
+    """Return what an update of coefficients needs; None where nothing that counts could change.
+
+    places: Coefficient -> its place among the unknowns.
+    budget: Coefficient -> its budget.
+    owner: Accelerometer, whose own terms are named without it.
+    """
+    shares: dict[str, float] = {}
+    for line in (line for lines in budget.values() for line in lines):
+        shares[line.source] = max(shares.get(line.source, 0.0), line.share)
+    unknowns, considered = fit.model.unknowns, fit.model.considered
+    terms = {
+        term.name.removeprefix(f"{owner}."): (term, place)
+        for some in (considered, unknowns)
+        for place, term in enumerate(some)
+    }
+    sources = [
+        source
+        for source, share in sorted(shares.items(), key=lambda item: -item[1])
+        if share >= _LEAST_SHARE
+        and source in terms
+        # What is exactly known would have to become uncertain first.
+        and 0.0 < terms[source][0].prior[1] < math.inf
+    ][:_MOST]
+    if not sources:
+        return None
+    names = list(dict.fromkeys([*(symbol for symbol in places if symbol in budget), *sources]))
+    # A held term has a row of zeros: no weights know of it.
+    rows = np.zeros((len(names), len(unknowns)))
+    held = {}
+    for row, name in zip(rows, names, strict=True):
+        term, place = terms[name]
+        if isinstance(term, Considered):
+            held[name] = place
+        else:
+            row[place] = 1.0
+    # From the factors: what the weights take the covariance for, whatever the noise turned out.
+    root = fit.solution.root_of(rows)
+    weighed = root @ root.T
+    beside = rows @ fit.solution.covariance @ rows.T - weighed
+    moved = rows @ fit.solution.sensitivity_considered
+    return WhatIf(
+        names=names,
+        units=[terms[name][0].unit for name in names],
+        known={source: terms[source][0].prior[1] for source in sources},
+        weighed=weighed.tolist(),
+        beside=beside.tolist() if _counts(beside, weighed) else [],
+        held={name: (considered[k].prior[1] * moved[:, k]).tolist() for name, k in held.items()},
+    )
+
+
+def _counts(beside: Array, weighed: Array) -> bool:
+    size = np.sqrt(np.diag(weighed))
+    return bool(np.any(np.abs(beside) > _ROUNDING * np.outer(size, size)))

@@ -1,7 +1,7 @@
 """The joint estimate as a list of stages, from the records to degrees of freedom.
 
 Each stage takes the state of the estimate and returns it with what it found. Between them what
-nobody asks for is in as few columns as tell the same (`counterspin.inference.joint.condensed`); the
+nobody asks for is in as few columns as tell the same (`counterspin.inference.joint.prepared`); the
 last fit has all.
 """
 
@@ -16,10 +16,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint import cleaning, encoder, rotation
-from counterspin.inference.joint.cleaning import Rows
-from counterspin.inference.joint.condensed import condense
-from counterspin.inference.joint.correlated import independent
+from counterspin.inference.joint import encoder, rotation, used_rows
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.found_noise import (
     losses,
@@ -27,10 +24,11 @@ from counterspin.inference.joint.found_noise import (
     uncertain,
     with_found_noise,
 )
-from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
+from counterspin.inference.joint.prepared import Prepared, condense, prepare_columns, prepared_for
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.uneven_noise import Uneven, uneven_noise
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
+from counterspin.inference.joint.used_rows import Rows, independent
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
 
@@ -180,15 +178,15 @@ def first_fit(series: tuple[Series, ...], model: Unknowns, requests: Mapping[str
         prepared = prepare_columns(series, model, known)
     white = _white({name: request.known for name, request in requests.items()})
     fit = solve_joint(*condense(prepared, model, white), _rough(requests))
-    none = cleaning.nothing_left_out(series)
+    none = used_rows.nothing_left_out(series)
     return _State(requests, series, model, known, at, prepared, none, fit)
 
 
 def reject_outliers(state: _State) -> _State:
     """Leave out what the noise of its neighbours does not explain, before it is taken for noise."""
-    fit, outliers = cleaning.reject(state.fit, state.series, state.requests, state.outliers)
+    fit, outliers = used_rows.reject(state.fit, state.series, state.requests, state.outliers)
     return replace(
-        state, fit=fit, outliers=outliers, prepared=cleaning.kept(state.prepared, outliers)
+        state, fit=fit, outliers=outliers, prepared=used_rows.kept(state.prepared, outliers)
     )
 
 
@@ -261,13 +259,15 @@ def take_back_outliers(state: _State) -> _State:
     def columns() -> tuple[Prepared, ...]:
         return prepare_columns(state.series, state.model, state.scale_factors, values)
 
-    if cleaning.many(outliers):
+    if used_rows.many(outliers):
         everything = condense(columns(), state.model, _white(fit.noise))
-        fit, outliers = cleaning.taken_back(fit, everything, state.series, state.requests, outliers)
-    fit, outliers = cleaning.reject(fit, state.series, state.requests, outliers)
+        fit, outliers = used_rows.taken_back(
+            fit, everything, state.series, state.requests, outliers
+        )
+    fit, outliers = used_rows.reject(fit, state.series, state.requests, outliers)
     if fit is state.fit:
         return state
-    kept = cleaning.kept(columns(), outliers)
+    kept = used_rows.kept(columns(), outliers)
     return replace(state, fit=fit, outliers=outliers, prepared=kept).with_noise()
 
 

@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.joint.condensed import condense
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.prepared import Prepared, condense
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import COMPONENTS, Noise, information_lost

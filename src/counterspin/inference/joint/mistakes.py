@@ -1,7 +1,9 @@
 """Mistakes that are likely in a campaign, as alternatives to be held against its records.
 
 What a mistake does to a record is its column to first order; a mistake that is large is refused
-when the record is read.
+when the record is read. An accelerometer turned about its input axis, which its records may not
+show, is a fit of its own: half a turn reverses the sign of K_IP, K_IO, delta_O and delta_P, a
+quarter exchanges K_PP and K_OO.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ from counterspin.arrays import Array
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.inputs import CLOCK, TIMING, input_column, rotation_column
+from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.series import CLOCK, TIMING, input_column, rotation_column
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.physics import observation
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 
@@ -303,3 +307,42 @@ def log_evidence(other: Alternative, value: float, u: float) -> float:
     if other.stated:
         known = _MISTAKEN * of_mistake + (1.0 - _MISTAKEN) * known
     return math.log(u * known)
+
+
+# Turned about the input axis -------------------------------------------------------------------
+
+#: The terms that the turn changes.
+ACROSS: Final = tuple(
+    symbol for symbol, row in TERMS.items() if not {"P", "O"}.isdisjoint(row.effect.factors)
+)
+
+
+def turned(mounting: Mounting, quarters: int) -> Mounting:
+    """Return a mounting after quarter turns about its input axis, from P towards O."""
+    along, pendulous, output = mounting.matrix
+    for _ in range(quarters % 4):
+        pendulous, output = output, -pendulous
+    return Mounting.from_axes(along.tolist(), pendulous.tolist(), output.tolist())
+
+
+def with_turned(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:
+    """Return a relaxed fit with an accelerometer turned; what was stated is of its axes then."""
+    observations = tuple(
+        _with_columns(fit, one, quarters)
+        if isinstance(one, Prepared) and one.accelerometer == accelerometer
+        else one
+        for one in fit.observations
+    )
+    fit = replace(fit, observations=observations)
+    return fit.with_noise({name: fit.noise[name] for name in fit.noise if name == accelerometer})
+
+
+def _with_columns(fit: JointFit, part: Prepared, quarters: int) -> Prepared:
+    symbols = [fit.model.unknowns[place].symbol for place in part.unknowns]
+    places = [k for k, symbol in enumerate(symbols) if symbol in ACROSS]
+    series = replace(part.series, mounting=turned(part.series.mounting, quarters))
+    design = part.design.copy()
+    if places:
+        shown = series.columns([symbols[k] for k in places], part.scale_factor)
+        design[:, places] = np.asarray(shown)
+    return replace(part, series=series, design=design)

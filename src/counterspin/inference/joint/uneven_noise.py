@@ -21,9 +21,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.correlated import without_waves
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.used_rows import without_waves
 from counterspin.inference.noise.model import Noise
 
 #: Of the differences.

@@ -19,9 +19,8 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.inputs import rotation_column
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import Series, rotation_column
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage import strobes as strobing

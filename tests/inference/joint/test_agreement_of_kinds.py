@@ -7,10 +7,9 @@ import pytest
 
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import reduce_block
+from counterspin.inference.joint.agreement import agreements
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.kinds import agreements
-from counterspin.inference.joint.observation import Observation
-from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
+from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
 
 FREE = (0.0, math.inf)
 MEAN = Unknown("A", "K_F", FREE, 0.1)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.joint.outliers import FALSE_ALARMS, _of_pairs, outlying
+from counterspin.inference.joint.used_rows import FALSE_ALARMS, _of_pairs, outlying
 
 
 def all_rounds(residuals, weight=None, floor=0.0, time=None):

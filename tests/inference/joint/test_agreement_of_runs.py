@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
+from counterspin.inference.joint.agreement import growth, leave_out
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.found_noise import losses
-from counterspin.inference.joint.runs_left_out import growth, leave_out
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 

@@ -8,8 +8,8 @@ import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.relaxed import relax
-from counterspin.inference.joint.turned import ACROSS, turned, with_turned
+from counterspin.inference.joint.fit import relax
+from counterspin.inference.joint.mistakes import ACROSS, turned, with_turned
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting

@@ -7,9 +7,9 @@ import pytest
 from joint_campaign import noisy, three_rates, unknowns
 from scipy.stats import f as fisher
 
+from counterspin.inference.joint.agreement import _cosines, slow_parts
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.relaxed import extended, relax
-from counterspin.inference.joint.slow_parts import _cosines, slow_parts
+from counterspin.inference.joint.fit import extended, relax
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 

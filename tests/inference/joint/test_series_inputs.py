@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from joint_campaign import SITE, simulated
 
-from counterspin.inference.joint.inputs import CLOCK, input_column
+from counterspin.inference.joint.series import CLOCK, input_column
 from counterspin.physics.observation import LEVEL, ORDERS
 from counterspin.physics.spindle import Ripple, Spindle
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from joint_campaign import noisy, three_rates, unknowns
 
-from counterspin.inference.joint.condensed import condense
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.prepared import condense, prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
