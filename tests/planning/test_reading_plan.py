@@ -12,10 +12,10 @@ import pytest
 from counterspin import calibrate, cli
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.planning.faults import effects_of, faults_of
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.reading_plan import in_order
-from counterspin.planning.sensitivities import faults_of, sensitivities
 from counterspin.planning.stations import read_reading_plan
 
 HEAD = """
@@ -278,7 +278,7 @@ def test_stretch_of_the_arm(ways, written, tmp_path):
     text = ARM.partition("[[stations]]")[0] + "\n".join(runs)
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     prediction = forecast(tmp_path)
-    found = sensitivities(prediction, faults_of(prediction.campaign, "A"))
+    found = effects_of(prediction, faults_of(prediction.campaign, "A"))
     stretch = next(one for one in found if one.fault.symbol == "centrifuge.stretch")
     place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
     shift = stretch.shift(place)

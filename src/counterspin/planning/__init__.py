@@ -12,10 +12,8 @@
   not be whole
 - `polishing`, `optimisation`: the best plan of records, and what no plan can better
 - `search`, `feasibility`: the plan's problem, solved; whether its goal can be had
-  it
 - `stations`, `reading_plan`: the same for readings: what may be read, how often, in which order
-- `predicted`, `sensitivities`: the expected uncertainties; what faults would shift, and how large
-  each of them may become
-- `result`: what planning found, its JSON
+- `faults`: what faults would shift unseen, and how large each of them may become
+- `result`: what a plan or a forecast says, its JSON
 - `page`, `figures`: a plan as a person reads it, and the curves of its figures
 """

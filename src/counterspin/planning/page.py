@@ -11,12 +11,12 @@ from counterspin.calibration.pages.uncertainty import assumption, dominance
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, words_of
+from counterspin.planning.faults import Requirement
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
     PlanResult,
     PredictedCoefficient,
-    Requirement,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share

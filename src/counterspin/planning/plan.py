@@ -16,16 +16,15 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
+from counterspin.planning.faults import Requirement, requirements_of
 from counterspin.planning.feasibility import limits_of, require_determined, unreachable
 from counterspin.planning.figures import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
-from counterspin.planning.predicted import other_plan, result_of
 from counterspin.planning.reading_plan import ReadingSearch
 from counterspin.planning.recorded import from_records, lacks, with_pose_noise
-from counterspin.planning.result import OtherPlan, PlanResult, Requirement
+from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
 from counterspin.planning.search import Search
-from counterspin.planning.sensitivities import requirements_of
 from counterspin.planning.stations import read_reading_plan
 from counterspin.toml_text import write_document
 from counterspin.workers import one_blas_thread

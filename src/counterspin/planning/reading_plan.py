@@ -35,8 +35,14 @@ from counterspin.planning.feasibility import (
 )
 from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.possibilities import Possibilities
-from counterspin.planning.predicted import other_plan, planned_readings, result_of
-from counterspin.planning.result import LimitResult, OtherPlan, PlanResult
+from counterspin.planning.result import (
+    LimitResult,
+    OtherPlan,
+    PlanResult,
+    other_plan,
+    planned_readings,
+    result_of,
+)
 from counterspin.planning.stations import PossibleReading, ReadingPlan
 
 Counts = npt.NDArray[np.int64]

@@ -1,15 +1,31 @@
-"""The result of a plan or a forecast: one object, its JSON.
+"""The result of a plan or a forecast: one object, its JSON, and what a forecast says of it.
 
 Units are SI, coefficients in g-units of the stated gravity, as in the result of a calibration.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+
+from counterspin._version import __version__
+from counterspin.arrays import Array
+from counterspin.calibration.joint_parts import coefficient
+from counterspin.calibration.model import assumed, model_of
 from counterspin.calibration.result_parts import Provenance
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.questions import questions
+from counterspin.campaign.readings import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.budget import BudgetLine, WhatIf
+from counterspin.inference.joint.budget import BudgetLine, WhatIf, budget, what_if
+from counterspin.physics.station import FRAMES
+from counterspin.physics.terms import TERMS
+from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
+from counterspin.planning.forecast import Forecast
 from counterspin.reports.publication import ShownResult, load_function, on_axes
 from counterspin.results import ResultPart
 
@@ -53,25 +69,6 @@ class PredictedCoefficient(ResultPart):
     prior: float | None = None
     unit: str
     estimated: bool
-
-
-class FaultEffect(ResultPart):
-    """Something assumed to be perfect that would move K_II by more than its u."""
-
-    #: As in the table of terms, or as it would stand there; what it is called.
-    symbol: str
-    words: str
-    #: At which it is taken: a typical one.
-    size: float
-    unit: str
-    #: Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each run
-    #: has anew the root of the sum of squares.
-    shift: float
-    ratio: float  #: The shift over u(K_II).
-    #: Standard deviations that the best test for it would see: a fit that estimates it.
-    deviation: float
-    detection: float  #: Probability that the residuals of the fit without it fail their test.
-    noticed: bool  #: Whether they nearly always do.
 
 
 class PlannedAccelerometer(ResultPart):
@@ -122,17 +119,6 @@ class LimitResult(ResultPart):
     words: str
     binds: bool
     gain: float
-
-
-class Requirement(ResultPart):
-    """How large a fault of the centrifuge may be before u of the goal grows by a twentieth.
-
-    `size` is None where any size that can occur would do.
-    """
-
-    words: str
-    size: float | None
-    unit: str
 
 
 class Curve(ResultPart):
@@ -189,3 +175,189 @@ class PlanResult(ShownResult):
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
         return on_axes(list(load_function("counterspin.planning.figures:plan_plots")(self)), axes)
+
+
+def result_of(
+    prediction: Forecast,
+    sampling_rate: float | None,
+    total_time: float,
+    attitudes: Mapping[str, str] | None = None,
+    starts: Mapping[str, float] | None = None,
+) -> PlanResult:
+    """Return what a forecast says of a campaign, without a goal and what limits it.
+
+    attitudes, starts: Of each run by name, in words and s, as of `planned_runs`; None: runs are
+        there already.
+    """
+    campaign = prediction.campaign
+    return PlanResult(
+        title=campaign.title,
+        gravity=campaign.site.gravity,
+        radius=campaign.radius.value,
+        sampling_rate=sampling_rate,
+        total_time=total_time,
+        runs=[] if attitudes is None else planned_runs(campaign, attitudes, starts),
+        readings=planned_readings(campaign),
+        accelerometers=accelerometers_of(prediction),
+        platform=platform_of(prediction),
+        assumed=list(assumed(campaign, model_of(campaign))),
+        warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
+        provenance=Provenance(version=__version__, inputs={}),
+    )
+
+
+def other_plan(
+    words: str,
+    total_time: float,
+    here: Mapping[str, float],
+    there: Mapping[str, float],
+    names: Iterable[str],
+) -> OtherPlan:
+    """Return another plan beside this one.
+
+    here, there: u of this plan and of the other, by name.
+    """
+    u = {name: there[name] for name in names}
+    ratio = {name: here[name] / size for name, size in u.items()}
+    return OtherPlan(words=words, total_time=total_time, u=u, ratio=ratio)
+
+
+def _one_rate(campaign: Campaign) -> list[str]:
+    """Return what runs that all have one rate cannot tell; nothing of other campaigns."""
+    rates = [abs(run.rate) for run in campaign.runs]
+    if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
+        return []
+    return [
+        f"All runs are at one rate, {rates[0]:.6g} rad/s. At one rate the mean effects of K_F, "
+        f"K_II, K_4 and K_F.heating cannot be separated, so that K_II depends on the priors of "
+        f"the others; if these are wrong, the records will not show it. Runs at a "
+        "second rate would."
+    ]
+
+
+def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
+    """Return what a campaign is expected to give for each accelerometer."""
+    asked = prediction.fit.model.asked
+    places = {
+        name: {u.symbol: i for i, u in enumerate(asked) if u.owner == name and u.symbol in TERMS}
+        for name in prediction.campaign.accelerometers
+    }
+    return {name: _accelerometer(prediction, name, own) for name, own in places.items()}
+
+
+def _accelerometer(prediction: Forecast, name: str, own: Mapping[str, int]) -> PlannedAccelerometer:
+    coefficients = {symbol: _predicted(prediction, index) for symbol, index in own.items()}
+    campaign = prediction.campaign
+    others = [f"{other}." for other in campaign.accelerometers if other != name]
+    determined = "K_II" in coefficients and coefficients["K_II"].estimated
+    share, faults = unseen_effects(prediction, name, own["K_II"]) if determined else (None, None)
+    budgets = {
+        symbol: budget(prediction.fit, index, name)
+        for symbol, index in own.items()
+        if coefficients[symbol].estimated
+    }
+    return PlannedAccelerometer(
+        coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
+        budget=budgets,
+        what_if=what_if(prediction.fit, own, budgets, name),
+        confounded=[
+            replace(item.of(name), value=None)
+            for item in prediction.assessment.confounded
+            if not any(t.startswith(other) for t in item.terms for other in others)
+        ],
+        harmonic_share=share,
+        faults=faults,
+    )
+
+
+def platform_of(prediction: Forecast) -> dict[str, PredictedCoefficient]:
+    """Return the expected uncertainties of the platform's terms that all runs share."""
+    return {
+        unknown.symbol: _predicted(prediction, index)
+        for index, unknown in enumerate(prediction.fit.model.asked)
+        if not unknown.owner
+    }
+
+
+def _predicted(prediction: Forecast, index: int) -> PredictedCoefficient:
+    """Return an unknown's uncertainty."""
+    shown = coefficient(prediction.estimate, prediction.assessment, index)
+    prior = prediction.fit.model.unknowns[index].prior[1]
+    return PredictedCoefficient(
+        u=shown.u if shown.estimated else None,
+        u_noise=shown.u_noise,
+        u_stated=shown.u_stated,
+        u_unstated=shown.u_unstated,
+        prior=prior if math.isfinite(prior) else None,
+        unit=shown.unit,
+        estimated=shown.estimated,
+    )
+
+
+def planned_runs(
+    campaign: Campaign, attitudes: Mapping[str, str], starts: Mapping[str, float] | None = None
+) -> list[PlannedRun]:
+    """Return a campaign's runs in their order.
+
+    starts: Run -> when its record starts, s; None: not planned.
+    """
+    runs = []
+    for run in campaign.runs:
+        duration = run.duration or 0.0
+        runs.append(
+            PlannedRun(
+                name=run.name,
+                rate=run.rate,
+                specific_force=campaign.radius.value * run.rate**2 / campaign.site.gravity,
+                revolutions=abs(run.rate) * duration / (2.0 * math.pi),
+                duration=duration,
+                attitude=attitudes[run.name],
+                start=None if starts is None else starts[run.name],
+            )
+        )
+    return runs
+
+
+def planned_readings(campaign: Campaign) -> list[PlannedReading]:
+    """Return a campaign's readings in their order."""
+    return [
+        PlannedReading(
+            name=reading.name,
+            accelerometer=reading.accelerometer,
+            motion=reading.motion,
+            mounting=reading.mounting,
+            rate=reading.rate,
+            specific_force=campaign.radius.value * reading.rate**2 / campaign.site.gravity,
+            axes=", ".join(
+                _direction(axis, FRAMES[reading.motion]) for axis in reading.axes.matrix[:2]
+            ),
+            u=reading.u or 0.0,
+            time=reading.time,
+        )
+        for reading in campaign.readings
+    ] + [_planned_pose(pose) for pose in (campaign.triad.poses if campaign.triad else ())]
+
+
+def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
+    """Return a pose of a triad, which is one reading of all three."""
+    values = np.array([reading.value for reading in pose])
+    parts = zip(pose, values / np.linalg.norm(values), strict=True)
+    return PlannedReading(
+        name=pose[0].name,
+        accelerometer=", ".join(reading.accelerometer for reading in pose),
+        motion=pose[0].motion,
+        mounting="",
+        rate=0.0,
+        specific_force=0.0,
+        axes="up: " + ", ".join(f"{r.accelerometer} {part:+.2f}" for r, part in parts),
+        u=max(reading.u or 0.0 for reading in pose),
+        time=pose[0].time,
+    )
+
+
+def _direction(axis: Array, names: Mapping[str, tuple[float, float, float]]) -> str:
+    """Return the name of a direction, or its components."""
+    for name, components in names.items():
+        if np.allclose(axis, components, atol=1e-9):
+            return name
+    return "[" + ", ".join(f"{part:.4f}" for part in axis) + "]"

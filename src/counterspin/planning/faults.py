@@ -8,37 +8,75 @@ cannot notice it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array
 from counterspin.calibration.model import assumed_of, model_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import sample_count
-from counterspin.campaign.triads.grouped import all_groups
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
-from counterspin.inference.joint.fit import solve_blocks
-from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
-from counterspin.inference.joint.series import INPUTS, TIMING, Series
-from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns, unit_of
-from counterspin.inference.linear_readings import blocks_at
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.joint.budget import Sensitivities, columns_of, sensitivities
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.prepared import Prepared, prepared_for
+from counterspin.inference.joint.series import INPUTS, TIMING
+from counterspin.inference.joint.unknowns import (
+    ROTATION,
+    Considered,
+    Observation,
+    Unknowns,
+    unit_of,
+)
+from counterspin.inference.linear_readings import LinearReadings
 from counterspin.physics.terms import MOTION_TERMS, term
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
-from counterspin.planning.possibilities import Places
-from counterspin.planning.result import Requirement
+from counterspin.results import ResultPart
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
 _TOLERABLE_PART_OF_U: Final = math.sqrt(1.05**2 - 1.0)
+
+#: Probability of failing the test of the residuals above which a fault counts as noticed.
+_DETECTION_PROBABILITY: Final = 0.95
 
 #: The inputs of which something is required.
 _INPUTS: Final = ("centrifuge.radius", TIMING)
 
 #: No centrifuge has larger faults; a length is a part of the radius.
 _LARGEST_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
+
+
+class Requirement(ResultPart):
+    """How large a fault of the centrifuge may be before u of the goal grows by a twentieth.
+
+    `size` is None where any size that can occur would do.
+    """
+
+    words: str
+    size: float | None
+    unit: str
+
+
+class FaultEffect(ResultPart):
+    """Something assumed to be perfect that would move K_II by more than its u."""
+
+    #: As in the table of terms, or as it would stand there; what it is called.
+    symbol: str
+    words: str
+    #: At which it is taken: a typical one.
+    size: float
+    unit: str
+    #: Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each run
+    #: has anew the root of the sum of squares.
+    shift: float
+    ratio: float  #: The shift over u(K_II).
+    #: Standard deviations that the best test for it would see: a fit that estimates it.
+    deviation: float
+    detection: float  #: Probability that the residuals of the fit without it fail their test.
+    noticed: bool  #: Whether they nearly always do.
 
 
 def requirements_of(
@@ -56,11 +94,10 @@ def requirements_of(
     symbols = {part.symbol for fault in paths for part in fault.parts}
     before = prediction.fit
     model = before.model.without({*symbols, *INPUTS, TIMING})
-    prepared = prepared_for(before.prepared, before.model, model, scale_factors(campaign), {})
-    fit = replace(before, model=model, observations=prepared)
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
+    fit = replace(before, model=model, observations=_of_model(prediction, model, expected))
     words = f"at the expected value of {name}"
     if expected[place] == 0.0:
         expected[place] = unknown.limit
@@ -73,7 +110,7 @@ def requirements_of(
         Fault(symbol, "", 1.0, "", tuple(perfect(owner, symbol) for owner in of))
         for symbol, of in owners.items()
     ]
-    found = sensitivities(replace(prediction, fit=fit), [*faults, *paths], expected)
+    found = effects_of(replace(prediction, fit=fit), [*faults, *paths], expected)
     zero, rate, drift, radius, delay, *machine = (one.moved[place] for one in found)
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
@@ -100,6 +137,16 @@ def requirements_of(
         )
         for text, moved, unit in lines
     ]
+
+
+def _of_model(prediction: Forecast, model: Unknowns, expected: Array) -> tuple[Observation, ...]:
+    """Return what is measured with the columns of a model that has fewer terms."""
+    fit, factors = prediction.fit, scale_factors(prediction.campaign)
+    readings = [one.group for one in fit.observations if isinstance(one, LinearReadings)]
+    return (
+        *prepared_for(fit.prepared, fit.model, model, factors, {}),
+        *(group.linearised(model, expected) for group in readings),
+    )
 
 
 def _over(allowed: float, moved: Array | float) -> float:
@@ -143,8 +190,8 @@ class Fault:
     #: Whether the parts are independent (each run has its own); else they are cosine and sine of
     #: one amplitude, the worst phase of which is taken.
     random: bool = False
-    #: What a record shows of one unit in place of the one part, shape (n,), or None: nothing.
-    shown: Callable[[Series], Array | None] | None = None
+    #: What an observation shows of one unit, shape (n,), of what is no term and has no parts.
+    shown: Callable[[Observation], Array] | None = None
 
 
 def _of_family(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
@@ -182,17 +229,16 @@ def square(name: str) -> Fault:
 def mean_square(name: str) -> Fault:
     """Return what K_II of an accelerometer does to the mean force, without its harmonics."""
 
-    def shown(series: Series) -> Array | None:
-        if series.accelerometer != name:
-            return None
-        motion = series.trajectory
+    def shown(one: Observation) -> Array:
+        if not isinstance(one, Prepared) or one.accelerometer != name:
+            return np.zeros(len(one.design))
+        series, motion = one.series, one.series.trajectory
         times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))
         along = motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
         mean = float(np.mean((along / motion.site.gravity) ** 2))
         return np.asarray(mean * series.columns(["K_F"], 1.0)[:, 0])
 
-    # Readings are of a mean force: nobody's term shows them nothing.
-    return Fault("K_II", "", 1.0, "g/g^2", (perfect("nobody", ""),), shown=shown)
+    return Fault("K_II", "", 1.0, "g/g^2", (), shown=shown)
 
 
 #: Columns of faults that are there at once; of one that each run has anew there is one a run.
@@ -200,18 +246,10 @@ _PARTS_AT_ONCE: Final = 16
 
 
 @frozen(eq=False)
-class Sensitivity:
-    """What a fault would shift, and what it would leave in the residuals."""
+class FaultSensitivity(Sensitivities):
+    """What a fault would shift, and what it would leave in the residuals, part by part."""
 
     fault: Fault  #: The fault.
-    #: What one unit of each of its parts moves the unknowns by, (p, k).
-    moved: Array
-    #: The products of what one unit of its parts leaves in the whitened rows and priors once the
-    #: fit has followed it as far as it can, (k, k).
-    left: Array
-    #: By accelerometer, the same in its own whitened residuals, and their degrees of freedom.
-    left_in: dict[str, Array]
-    freedom: dict[str, float]
 
     def of_unit(self, place: int) -> float:
         """Return what one unit of the fault moves an unknown by, without sign."""
@@ -247,107 +285,80 @@ class Sensitivity:
         return max(0.0, size**2 * float(phase @ left @ phase))
 
 
-def sensitivities(
+def effects_of(
     prediction: Forecast, faults: Sequence[Fault], expected: Array | None = None
-) -> list[Sensitivity]:
+) -> list[FaultSensitivity]:
     """Return what faults would do to a campaign's fit, each by itself.
 
-    expected: Values of the model's unknowns, less nominal, on which inputs act; None: what
+    expected: Values of the fit's unknowns, less nominal, on which inputs act; None: what
         `expected_values` says.
     """
+    fit = prediction.fit
     if expected is None:
-        expected = expected_values(prediction.campaign, prediction.fit.model.unknowns)
+        expected = expected_values(prediction.campaign, fit.model.unknowns)
     groups: list[list[Fault]] = [[]]
     for fault in faults:
         if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _PARTS_AT_ONCE:
             groups.append([])
         groups[-1].append(fault)
-    return [one for group in groups for one in _together(prediction, group, expected)]
+    return [one for group in groups for one in _together(fit, group, expected)]
 
 
-def _together(prediction: Forecast, faults: Sequence[Fault], expected: Array) -> list[Sensitivity]:
-    model, campaign = prediction.fit.model, prediction.campaign
-    parts = [(fault, part) for fault in faults for part in fault.parts]
-    here = len(model.considered) + np.arange(len(parts))
-    extended = Unknowns(model.unknowns, (*model.considered, *(part for _, part in parts)))
-    # An input acts on what is expected: nothing else is needed for its column.
-    acting = np.flatnonzero(expected)
-    on = Unknowns(tuple(model.unknowns[i] for i in acting), model.considered)
-    factors = scale_factors(campaign)
-    blocks = []
-    for record in prediction.fit.prepared:
-        # One after the other: the columns of all of them together would take much memory.
-        whole = _with_faults(record, parts, on, expected[acting], factors)
-        blocks.append(whole.block_in(extended, prediction.fit.noise))
-    groups = all_groups(campaign)
-    blocks += blocks_at(groups, extended, expected)
-    solution = solve_blocks(blocks, extended)
-    owners = [record.accelerometer for record in prediction.fit.prepared]
-    owners += [group.accelerometer for group in groups]
-    moved = -solution.sensitivity_considered[:, here]
-    total, left_in = _left(blocks, owners, extended, here)
-    ends = np.cumsum([block.factor.shape[0] for block in blocks])
-    freedom: dict[str, float] = {}
-    followed = np.split(solution.leverages, ends[:-1])
-    for owner, block, leverages in zip(owners, blocks, followed, strict=True):
-        own = block.rows - block.nuisance - float(leverages.sum())
-        freedom[owner] = freedom.get(owner, 0.0) + own
-    found = []
+def _together(
+    fit: JointFit, faults: Sequence[Fault], expected: Array
+) -> Iterator[FaultSensitivity]:
+    of_terms = columns_of(fit, [part for fault in faults for part in fault.parts], expected)
+    ends = np.cumsum([len(fault.parts) for fault in faults])[:-1]
+
+    def shown(one: Observation) -> Array:
+        parts = np.split(of_terms(one), ends, axis=1)
+        return np.column_stack(
+            [
+                own if fault.shown is None else fault.shown(one)
+                for fault, own in zip(faults, parts, strict=True)
+            ]
+        )
+
+    found = sensitivities(fit, shown)
+    start = 0
     for fault in faults:
-        places = np.flatnonzero([owner is fault for owner, _ in parts])
-        square = np.ix_(places, places)
-        by_accelerometer = {name: own[square] for name, own in left_in.items()}
-        found.append(Sensitivity(fault, moved[:, places], total[square], by_accelerometer, freedom))
-    return found
+        own = slice(start, start := start + max(1, len(fault.parts)))
+        left_in = {name: left[own, own] for name, left in found.left_in.items()}
+        moved, left = found.moved[:, own], found.left[own, own]
+        yield FaultSensitivity(moved, left, left_in, found.freedom, fault)
 
 
-def _with_faults(
-    record: Prepared,
-    faults: Sequence[tuple[Fault, Considered]],
-    on: Unknowns,
-    expected: Array,
-    factors: Mapping[str, float],
-) -> Prepared:
-    """Return a record with the columns of faults' parts after those of what is considered.
+def unseen_effects(
+    prediction: Forecast, name: str, k_ii: int
+) -> tuple[float | None, list[FaultEffect]]:
+    """Return what of K_II rests on the second harmonic, and which faults would move it.
 
-    on, expected: What inputs act on, and how large it is, shape (p,).
+    The first is None where there are readings, which are means.
+
+    k_ii: The place of the accelerometer's K_II among the unknowns.
     """
-    shown = [(i, fault.shown(record.series)) for i, (fault, _) in enumerate(faults) if fault.shown]
-    seen = [(i, column) for i, column in shown if column is not None]
-    model = Unknowns(on.unknowns, tuple(part for _, part in faults))
-    (made,) = prepare_columns([record.series], model, factors, expected)
-    places = (*made.considered, *(i for i, _ in seen))
-    return replace(
-        record,
-        fixed=np.column_stack([record.fixed, made.fixed, *(column for _, column in seen)]),
-        considered=(*record.considered, *(len(on.considered) + i for i in places)),
-    )
-
-
-def _left(
-    blocks: Sequence[Block], owners: Sequence[str], model: Unknowns, faulty: Places
-) -> tuple[Array, dict[str, Array]]:
-    """Return the products of what the faults' columns leave in rows and priors.
-
-    What is considered is followed here as what is estimated: the test of the residuals allows
-    for it.
-    """
-    others = np.setdiff1d(np.arange(len(model.considered_names)), faulty)
-    sizes = np.array(model.considered_sizes)[others]
-    spread = np.array([*(u.spread for u in model.unknowns), *sizes])
-    p = spread.size
-    held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
-    rows = [
-        np.hstack([block.factor, block.considered[:, others], block.considered[:, faulty]])
-        for block in blocks
-    ]
-    prior = np.hstack([held, np.zeros((p, faulty.size))])
-    triangle = triangle_of(np.vstack([*rows, prior]))
-    rest = triangle[p:, p:]
-    followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
-    by_accelerometer: dict[str, Array] = {}
-    for block, owner in zip(rows, owners, strict=True):
-        residual = block[:, p:] - block[:, :p] @ followed
-        before = by_accelerometer.get(owner, 0.0)
-        by_accelerometer[owner] = before + residual.T @ residual
-    return rest.T @ rest, by_accelerometer
+    campaign, fit = prediction.campaign, prediction.fit
+    faults = [*faults_of(campaign, name), mean_square(name), square(name)]
+    *found, of_mean, of_square = effects_of(prediction, faults)
+    u = float(fit.solution.u[k_ii])
+    effects = []
+    for one in found:
+        shift, fault = one.shift(k_ii), one.fault
+        if shift > u:
+            detection = one.detection(k_ii, name, SIGNIFICANCE)
+            effects.append(
+                FaultEffect(
+                    symbol=fault.symbol,
+                    words=fault.words,
+                    size=fault.size,
+                    unit=fault.unit,
+                    shift=shift,
+                    ratio=shift / u,
+                    deviation=one.deviation(k_ii),
+                    detection=detection,
+                    noticed=detection >= _DETECTION_PROBABILITY,
+                )
+            )
+    part = float(of_mean.moved[k_ii, 0] / of_square.moved[k_ii, 0])
+    share = None if campaign.readings else 1.0 - part
+    return share, sorted(effects, key=lambda effect: -effect.shift)

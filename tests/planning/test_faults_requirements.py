@@ -7,9 +7,9 @@ from campaigns import changed
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.starter import init
+from counterspin.planning.faults import effects_of, of_path
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan
-from counterspin.planning.sensitivities import of_path, sensitivities
 from counterspin.reports.text import report_console
 from counterspin.toml_text import write_document
 
@@ -39,7 +39,7 @@ def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
     prediction = forecast(planned_campaign(planned, starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
-    found = sensitivities(prediction, [of_path(symbol) for symbol in paths])
+    found = effects_of(prediction, [of_path(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
     for one, words in zip(found, ("eccentric encoder", "imbalance"), strict=True):
         size = next(size for key, size in sizes.items() if words in key)

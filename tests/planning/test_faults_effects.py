@@ -11,17 +11,17 @@ from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.planning.design import Design, RunType
+from counterspin.planning.faults import (
+    effects_of,
+    faults_of,
+    mean_square,
+    of_path,
+    square,
+)
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.search import Search
-from counterspin.planning.sensitivities import (
-    faults_of,
-    mean_square,
-    of_path,
-    sensitivities,
-    square,
-)
 from counterspin.reports.text import report_console
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
@@ -59,7 +59,7 @@ def place_of(prediction, name="Qx.K_II"):
 
 def fault(prediction, symbol):
     """Return what a fault of those of a campaign would do."""
-    found = sensitivities(prediction, faults_of(prediction.campaign, "Qx"))
+    found = effects_of(prediction, faults_of(prediction.campaign, "Qx"))
     return next(one for one in found if one.fault.symbol == symbol)
 
 
@@ -108,7 +108,7 @@ OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
     prediction = predict(*changes)
-    (found,) = sensitivities(prediction, [ECCENTRICITY])
+    (found,) = effects_of(prediction, [ECCENTRICITY])
     place = place_of(prediction)
     moved = found.moved[place]
     phase = moved / np.linalg.norm(moved)
@@ -178,7 +178,7 @@ def test_stretch_looks_like_a_radius_for_each_rate(predict):
 
 def share(prediction):
     place = place_of(prediction)
-    found = sensitivities(prediction, [mean_square("Qx"), square("Qx")])
+    found = effects_of(prediction, [mean_square("Qx"), square("Qx")])
     mean, whole = (one.moved[place, 0] for one in found)
     return 1.0 - mean / whole
 
