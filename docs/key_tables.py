@@ -18,7 +18,7 @@ from counterspin import schemas
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Section
 from counterspin.campaign.kinds import SettingsSection, extra_of, known
-from counterspin.campaign.truth_tables import AccelerometerTruthSettings
+from counterspin.campaign.truth import AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
 from counterspin.comparisons.result import RepeatedCalibration, ResultComparison
 from counterspin.histories.result import History

@@ -8,7 +8,7 @@ import pytest
 
 from counterspin.campaign import settings, specification, truth
 from counterspin.campaign.kinds import SettingsSection
-from counterspin.campaign.truth_tables import TRUTH_TABLES
+from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.physics.terms import MOTION_TERMS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import UNITS

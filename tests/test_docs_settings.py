@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from counterspin.campaign.memory.changes import SHORT
+from counterspin.campaign.changes import SHORT
 from counterspin.campaign.readings_table import _COLUMNS, ReadingsSettings
 from counterspin.physics.terms import READING_TERMS
 from counterspin.studies import description

@@ -301,7 +301,7 @@ def test_one_place_knows_the_description_s_name():
         for node in ast.walk(tree_of(source))
         if isinstance(node, ast.Constant) and node.value == "campaign.toml"
     ]
-    assert named == ["campaign/toml_file.py"]
+    assert named == ["campaign/documents.py"]
 
 
 # Start-up

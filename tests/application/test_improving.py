@@ -6,7 +6,7 @@ from served import InlineJobs
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.documents import load_document
 
 CAMPAIGN = {"name": "three", "result": "three/result.json"}
 QX = {"name": "three/result.json", "accelerometer": "Qx"}

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 from campaigns import write
 
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.documents import load_document
 from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import write_document
 

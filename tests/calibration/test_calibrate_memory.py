@@ -12,8 +12,7 @@ from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.pages.full_report import document
 from counterspin.calibration.result import Result
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.memory.making import make_campaign
+from counterspin.campaign.description import make_campaign, read_campaign
 from counterspin.errors import RecordError
 
 

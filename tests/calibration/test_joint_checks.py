@@ -12,7 +12,7 @@ from counterspin.calibration.joint_checks import unseen_ripple
 from counterspin.calibration.joint_parts import hidden_walk
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.campaign.memory.making import make_campaign
+from counterspin.campaign.description import make_campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import DEGREE_PER_HOUR
 from counterspin.simulation.simulate import simulate

@@ -8,8 +8,7 @@ from recorded_campaigns import WHITE, at_rest
 
 import counterspin as cs
 from counterspin.calibration.joint_problem import noise_of
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.memory.making import make_campaign
+from counterspin.campaign.description import make_campaign, read_campaign
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.errors import CampaignError
 from counterspin.planning.forecast import forecast

@@ -4,6 +4,8 @@ import pytest
 from campaigns import campaign_of
 from reading_descriptions import ACCELEROMETER, on_arm, place
 
+from counterspin.campaign.accelerometers import TRUTH_TABLES
+from counterspin.campaign.truth import TruthSettings
 from counterspin.errors import CampaignError
 from counterspin.simulation.simulable import unfit_readings
 
@@ -87,3 +89,7 @@ def test_what_cannot_be_simulated_is_told(tmp_path):
     text = BASE.replace("[[runs]]\n", f"{column}{at_rest}[[runs]]\n")
     (line,) = said('[truth.A]\n[records]\ntime = { column = "t", unit = "s" }\n', text)
     assert line == 'run "rest": a record at rest that is simulated needs a duration'
+
+
+def test_no_accelerometer_has_the_name_of_another_table():
+    assert set(TRUTH_TABLES) == set(TruthSettings.model_fields)

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 import counterspin as cs
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.documents import load_document
 from counterspin.cli import main
 from counterspin.errors import CampaignError, RecordError
 from counterspin.physics.simulation import accelerometer_walk, bias_wander

@@ -5,7 +5,7 @@ import pytest
 import triads
 
 import counterspin as cs
-from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triad import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.simulation.pose_record import forces_in_record, record_seconds

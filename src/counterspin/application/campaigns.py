@@ -16,8 +16,8 @@ from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.campaign.starter import Test
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.input import DOCUMENT_BYTES
 from counterspin.physics.terms import TERMS

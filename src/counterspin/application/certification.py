@@ -11,7 +11,7 @@ from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
 
 from counterspin.application.desk import Desk, certificate_command
 from counterspin.application.folder import OutsideError
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.documents import load_document
 from counterspin.certificates.issuing import certificate, check_place, other_kind
 from counterspin.certificates.signers import KeyFile, PasswordNeededError, Signer, read_signer
 from counterspin.errors import CounterspinError

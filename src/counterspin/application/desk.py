@@ -19,7 +19,7 @@ from counterspin.application.guard import Tickets
 from counterspin.application.jobs import Jobs, LiveViews
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.certificates.signers import Signer
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity

@@ -27,8 +27,8 @@ from counterspin.application.form import campaign_form, lab_form, run_kinds
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.documents import DESCRIPTION_NAME, parse_document
 from counterspin.campaign.questions import questions
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, parse_document
 from counterspin.certificates.lab import example_keys, read_lab, write_example
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen

@@ -27,7 +27,7 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
-from counterspin.campaign.truth_tables import TRUE_TABLES, AccelerometerTruthSettings
+from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.schemas import SECTIONS, unlinked

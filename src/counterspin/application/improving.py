@@ -20,7 +20,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.pages.uncertainty import KNOWN_BETTER
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, key_path, load_document
+from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_document
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.budget import WhatIf

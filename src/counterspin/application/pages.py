@@ -23,7 +23,7 @@ from counterspin.application.desk import (
 )
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.documents import load_document
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Picture
 from counterspin.reports.typography import typeset_block

@@ -14,8 +14,8 @@ from pydantic import FiniteFloat
 from counterspin.application.desk import Desk, plan_command
 from counterspin.application.editing import with_value
 from counterspin.application.jobs import Job, Progress, report_progress
+from counterspin.campaign.documents import load_document, parse_document
 from counterspin.campaign.runs import MOST_ROWS
-from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import unit_of

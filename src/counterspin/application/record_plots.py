@@ -29,9 +29,9 @@ from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.arrays import Array
 from counterspin.calibration.observed import record_columns
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
 from counterspin.monitoring.check import check
 from counterspin.monitoring.run_state import goals_of

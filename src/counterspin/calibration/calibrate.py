@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, get_args
 
 from counterspin.calibration.options import Method, TwoStageOptions, without_words
 from counterspin.campaign.checksums import checksums_of
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
 from counterspin.input import FileIdentity
 from counterspin.records.isolation import uses_reader_process
@@ -106,7 +106,7 @@ def calibrate(
 
 def _left_out(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without runs; what it came from is still its file."""
-    from counterspin.campaign.memory.source import keep
+    from counterspin.campaign.memory import keep
 
     _require_runs(campaign, without)
     try:

@@ -16,11 +16,11 @@ from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.memory.source import keep
+from counterspin.campaign.memory import keep
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics import observation

@@ -19,10 +19,9 @@ from counterspin.calibration.result_parts import (
     ReadingResult,
     Residual,
 )
-from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.conditions import groups_of, poses_together
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, dof_beside

@@ -5,23 +5,24 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
 - `attitude`: directions and platform attitudes
 - `kinds`: kinds of values: how each is read, and what its schema says
-- `columns`: columns of files, and how these are read
-- `document`: the sections of ``campaign.toml``, each with the class of its table
-- `settings`: the keys of the sections that all campaigns have
+- `documents`: documents in TOML: read, patched and compared; the lines in which their keys stand
 - `checking`: mistakes in the file, collected and reported with their keys
+- `settings`: the keys of the sections that all campaigns have
+- `columns`: columns of files, and how these are read
+- `accelerometers`: the tables of the accelerometers: axes, columns, priors
+- `runs`: runs with records: how each is read, and which are left out
+- `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
+- `triad`: three accelerometers of one sensor, in poses whose attitudes nobody knows
 - `terms`: names of error terms: what each stands for, and where it acts
 - `model`: what is asked for, held and known of terms
-- `truth_tables`, `truth`: the true values of a simulated campaign; a calibration does not read them
+- `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
-- `toml_file`: files in TOML, read; the lines in which their keys stand
-- `accelerometers`: the tables of the accelerometers: axes, columns, priors
-- `description`: the `Campaign`, and `read_campaign`, from the file to it
-- `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
-- `triads`: three accelerometers of one sensor, in poses whose attitudes nobody knows
+- `resolution`: the sections of ``campaign.toml``, each with its class, and what they say together
+- `description`: the `Campaign`, and how it comes from a file, or from mappings and arrays
+- `changes`: a campaign with named changes
+- `memory`: records in memory; campaigns joined, and written as a folder
 - `questions`: what a description says that may well be a slip
-- `conditions`: when runs were made, and how warm it was; readings grouped with theirs
-- `memory`: campaigns made or changed in Python, and written as folders
-- `runs`: runs with records: how each is read, and which are left out
+- `conditions`: when runs were made, and how warm it was; readings and poses grouped with theirs
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `starter`: a commented campaign to start from
 - `noise_at_rest`: noise that is left to a record at rest

@@ -37,7 +37,6 @@ from counterspin.campaign.settings import (
     StatedNoise,
     term_keys,
 )
-from counterspin.campaign.truth_tables import TRUTH_TABLES
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.record import ColumnSpec
@@ -47,6 +46,18 @@ from counterspin.units import unit_factor
 _AXES: Final = ("input_axis", "pendulous_axis", "output_axis")
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+#: Tables of [truth] that are not accelerometers', and so no names for one.
+TRUTH_TABLES: Final = (
+    "spindle",
+    "platform",
+    "centrifuge",
+    "encoder",
+    "noise",
+    "machine",
+    "site",
+    "records",
+)
 
 
 def _of_output(value: object, info: ValidationInfo) -> Quantity:

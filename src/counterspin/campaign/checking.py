@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import FunctionType
 from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from counterspin.campaign.toml_file import key_path
+from counterspin.campaign.documents import KeyPath, key_path
 
-Path = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
 
@@ -57,10 +57,16 @@ class Section:
     """What may stand in a table of a document that is checked apart, whatever else is wrong there.
 
     written: A class with the table's keys; a dictionary of such tables by name, or a list of them.
+        Of a table that few documents have, a function that loads it.
     """
 
     def __init__(self, written: Any) -> None:
-        self.written = written
+        self._written = written
+
+    @property
+    def written(self) -> Any:
+        """What may stand there."""
+        return self._written() if isinstance(self._written, FunctionType) else self._written
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
@@ -90,13 +96,13 @@ class Problems:
         self.lines: list[str] = []
         self._raw = raw
 
-    def add(self, path: Path, message: str) -> None:
+    def add(self, path: KeyPath, message: str) -> None:
         """Note a mistake at a key."""
         line = f"{key_path(path)}: {message}{self._run_name(path)}"
         if line not in self.lines:
             self.lines.append(line)
 
-    def check(self, model: type[M], raw: Any, path: Path, **context: object) -> M | None:
+    def check(self, model: type[M], raw: Any, path: KeyPath, **context: object) -> M | None:
         """Return the section as its model, or None with its mistakes noted.
 
         What its keys contradict in each other is noted, too.
@@ -118,7 +124,7 @@ class Problems:
         return None if wrong else made
 
     def partly(
-        self, model: type[M], raw: Any, path: Path, **context: object
+        self, model: type[M], raw: Any, path: KeyPath, **context: object
     ) -> tuple[M | None, set[str]]:
         """Return the section with its right keys, and the wrong ones; parameters as of `check`.
 
@@ -139,7 +145,7 @@ class Problems:
                 self.add((*path, *place), words)
         return made, wrong
 
-    def attempt(self, path: Path, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
+    def attempt(self, path: KeyPath, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
         """Return ``make(...)``, or None with its ValueError noted."""
         try:
             return make(*args, **kwargs)
@@ -147,7 +153,7 @@ class Problems:
             self.add(path, str(error))
             return None
 
-    def _run_name(self, path: Path) -> str:
+    def _run_name(self, path: KeyPath) -> str:
         if len(path) < 3 or path[0] != "runs" or not isinstance(path[1], int):
             return ""
         run = self._raw["runs"][path[1]]
@@ -155,7 +161,7 @@ class Problems:
         return f' (run "{name}")' if isinstance(name, str) and path[2] != "name" else ""
 
 
-def _words(mistake: Any, loc: Path, model: type[BaseModel]) -> str:
+def _words(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
     """Return what pydantic says of a mistake in plain words."""
     kind, sizes = mistake["type"], mistake.get("ctx", {})
     if kind == "extra_forbidden":
@@ -198,12 +204,12 @@ def _right_part(
         return None
 
 
-def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[Path, Any]]:
+def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
     """Yield the mistakes with their places, those of a value that may be of several types as one.
 
     Where one of these types fits but for a mistake within, that is the one.
     """
-    several: dict[Path, list[Any]] = {}
+    several: dict[KeyPath, list[Any]] = {}
     for mistake in mistakes:
         loc = mistake["loc"]
         at = next((i for i, part in enumerate(loc) if _is_type(part)), len(loc))

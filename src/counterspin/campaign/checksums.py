@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from counterspin.campaign.toml_file import description_file, load_document
+from counterspin.campaign.documents import description_file, load_document
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
 from counterspin.records.isolation import prepare

@@ -2,62 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any
 
-from counterspin.campaign.accelerometers import Accelerometer, AccelerometersReader
-from counterspin.campaign.checking import M, Problems
-from counterspin.campaign.checking import Path as KeyPath
-from counterspin.campaign.columns import Recording, RecordsSettings
-from counterspin.campaign.document import CampaignDocument
-from counterspin.campaign.memory.changes import change_campaign
-from counterspin.campaign.memory.joining import join_campaigns
-from counterspin.campaign.memory.source import Source, keep, source_of
-from counterspin.campaign.memory.writing import write_campaign
-from counterspin.campaign.model import (
-    Apparatus,
-    ErrorModel,
-    check_conditions,
-    refuse_encoder,
-    resolve_model,
-)
-from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading, positioned, resolve_readings
-from counterspin.campaign.readings_table import read_table
-from counterspin.campaign.runs import (
-    Run,
-    is_pose,
-    is_reading,
-    recorders_of,
-    resolve_runs,
-    skipped_runs,
-    taken_runs,
-)
-from counterspin.campaign.settings import (
-    CampaignSettings,
-    CentrifugeSettings,
-    FixtureSettings,
-    ModelSettings,
-    NoiseSettings,
-    Output,
-    SiteSettings,
-)
-from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.toml_file import (
+from counterspin.campaign.accelerometers import Accelerometer
+from counterspin.campaign.changes import change_campaign
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.columns import Recording
+from counterspin.campaign.documents import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
+    Source,
     description_file,
-    list_of,
     load_with_checksum,
     mistakes,
+    plain,
     table_of,
+    unusable,
 )
-from counterspin.campaign.triads.declared import Triad, resolve_triad, with_usual_axes
-from counterspin.campaign.truth import TruthReader
-from counterspin.campaign.truth_tables import Simulation
+from counterspin.campaign.memory import (
+    give_records,
+    join_campaigns,
+    keep,
+    name_records,
+    source_of,
+    write_campaign,
+)
+from counterspin.campaign.model import (
+    ErrorModel,
+)
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.readings_table import take_readings
+from counterspin.campaign.resolution import DescriptionReader
+from counterspin.campaign.runs import (
+    Run,
+)
+from counterspin.campaign.settings import (
+    NoiseSettings,
+)
+from counterspin.campaign.specification import Specifications
+from counterspin.campaign.triad import Triad
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.grades import DEFAULT_GRADE, Size
@@ -68,8 +55,8 @@ from counterspin.records.formats import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 
-#: Of a campaign without records.
-NOT_RECORDED: Final = Recording(ColumnSpec("", unit="s"), None)
+if TYPE_CHECKING:
+    from counterspin.campaign.truth import Simulation
 
 
 @frozen
@@ -162,6 +149,46 @@ class Campaign:
         names, held = ", ".join(self.accelerometers), f"{len(self.runs)} runs"
         return f"<campaign {self.title!r}: {names}; {held}, {len(self.readings)} readings>"
 
+    @classmethod
+    def of(
+        cls,
+        source: Source,
+        folder: Path,
+        frames: Mapping[Path, MemoryTable] | None = None,
+        noted: Problems | None = None,
+    ) -> Campaign:
+        """Return the campaign of a document that is in memory.
+
+        Parameters
+        ----------
+        source
+            The document, and the file from which it came, if from one.
+        folder
+            Of the files that it names.
+        frames
+            Records in memory, by the files in whose place they are.
+        noted
+            Mistakes in the document that are known already.
+
+        Raises
+        ------
+        CampaignError
+            With every mistake.
+        """
+        problems = noted or Problems(source.document)
+        campaign = resolve_campaign(source.document, folder / DESCRIPTION_NAME, problems)
+        if campaign is None or problems.lines:
+            raise CampaignError(source.label, problems.lines)
+        titled = source.file is not None or "title" in table_of(source.document, "campaign")
+        named = {*campaign.files, campaign.rest}
+        made = replace(
+            campaign,
+            path=Path(source.label),
+            title=campaign.title if titled else "",
+            frames={path: table for path, table in (frames or {}).items() if path in named},
+        )
+        return keep(made, source)
+
     def limit_of(self, symbol: str, owner: str = "") -> float:
         """Return the largest credible size of a term: as stated, or by the owner's grade.
 
@@ -217,7 +244,7 @@ class Campaign:
         """
         document, frames = change_campaign(self, changes)
         source = replace(source_of(self), document=document)
-        return resolved_in_memory(source, {**self.frames, **frames}, self.folder)
+        return Campaign.of(source, self.folder, {**self.frames, **frames})
 
     def join(self, *others: Campaign) -> Campaign:
         """Return one campaign with the runs of this one and of others, for one fit.
@@ -239,7 +266,7 @@ class Campaign:
             With all that they do not have in common.
         """
         document, frames = join_campaigns([self, *others])
-        return resolved_in_memory(Source(document), frames, self.folder)
+        return Campaign.of(Source(document), self.folder, frames)
 
     def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write ``campaign.toml`` and all records, from which the same result comes.
@@ -324,254 +351,76 @@ def read_campaign(path: Path | str) -> Campaign:
     return keep(campaign, Source(raw, campaign.path, checksum, raw))
 
 
+def make_campaign(
+    description: Mapping[str, Any] | Path | str,
+    records: Mapping[str, Any] | None = None,
+    *,
+    readings: Any = None,
+    folder: Path | str | None = None,
+) -> Campaign:
+    """Make a campaign from a description and records, without files where there are none.
+
+    Parameters
+    ----------
+    description
+        What ``campaign.toml`` says, as nested mappings with the same keys; ``schema`` may be left
+        out, and so may the ``record`` of a run for which `records` has one, or of each where
+        there are no records (yet). Quantities are text, or a `Quantity`. Or the file itself.
+    records
+        Run's name -> its record: a frame of polars or pandas, a mapping of arrays, a structured
+        array, or a file. Numbers are copied. ``"noise.from"`` -> a record at rest, from which the
+        noise is taken.
+    readings
+        The table of ``[readings]`` as a frame, in the place of its ``file``; each of its rows
+        becomes a run, as which `Campaign.write` writes it.
+    folder
+        Where the files are that the description names; None: the current one, or the file's.
+
+    Returns
+    -------
+    Campaign
+        As `read_campaign` returns it.
+
+    Raises
+    ------
+    CampaignError
+        With every mistake of the description, as of a file.
+    RecordError
+        If a frame cannot be taken for a record.
+    """
+    source, where = _source(description, folder)
+    document = dict(source.document)
+    problems = Problems(document)
+    if readings is not None:
+        take_readings(document, readings, problems)
+        if problems.lines:
+            raise CampaignError(source.label, problems.lines)
+    if records is None:
+        name_records(document)
+    tables = give_records(document, records or {}, where, problems)
+    return Campaign.of(replace(source, document=document), where, tables, problems)
+
+
+def _source(
+    description: Mapping[str, Any] | Path | str, folder: Path | str | None
+) -> tuple[Source, Path]:
+    """Return where a description comes from, and the folder of its files."""
+    if isinstance(description, Mapping):
+        where = Path(folder if folder is not None else ".").absolute()
+        problems = Problems(description)
+        document = {"schema": 1} | plain(description, (), problems.add)
+        problems.lines += unusable(document, "")
+        source = Source(document)
+        if problems.lines:
+            raise CampaignError(source.label, problems.lines)
+        return source, where
+    file = description_file(description).absolute()
+    document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
+    where = file.parent if folder is None else Path(folder).absolute()
+    return Source(document, file, checksum, document), where
+
+
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:
     """Return the campaign that a document describes, or None with its mistakes noted."""
-    return _DescriptionReader(raw, file.absolute(), problems).campaign()
-
-
-def resolved_in_memory(
-    source: Source,
-    frames: Mapping[Path, MemoryTable],
-    folder: Path,
-    noted: Problems | None = None,
-) -> Campaign:
-    """Return the campaign of a document and of records in memory.
-
-    noted: Mistakes in the document that are known already.
-    """
-    problems = noted or Problems(source.document)
-    campaign = resolve_campaign(source.document, folder / DESCRIPTION_NAME, problems)
-    if campaign is None or problems.lines:
-        raise CampaignError(source.label, problems.lines)
-    info = source.document.get("campaign")
-    titled = source.file is not None or (isinstance(info, Mapping) and "title" in info)
-    named = {*campaign.files, campaign.rest}
-    made = replace(
-        campaign,
-        path=Path(source.label),
-        title=campaign.title if titled else "",
-        frames={path: table for path, table in frames.items() if path in named},
-    )
-    return keep(made, source)
-
-
-class _DescriptionReader:
-    """Reads one document; each section is checked even where another one is wrong."""
-
-    def __init__(self, raw: Mapping[str, Any], file: Path, problems: Problems) -> None:
-        self.raw = raw
-        self.file = file
-        self.problems = problems
-        problems.check(CampaignDocument, raw, ())
-        self.site = self._required(SiteSettings, "site")
-        # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
-        self.gravity = self.site.gravity.value if self.site else 9.80665
-        self.simulated = "simulation" in raw or "truth" in raw
-        self.all_runs = list_of(raw, "runs")
-        self.numbered_runs = taken_runs(self.all_runs)
-        self.raw_runs = [run for _, run in self.numbered_runs]
-        tables = with_usual_axes(table_of(raw, "accelerometers"), raw.get("triad"))
-        self.accelerometers = AccelerometersReader(tables, self.raw_runs, problems, self.gravity)
-        self.table_checksums: dict[Path, str] = {}
-
-    def _required(self, model: type[M], key: str) -> M | None:
-        """Check a section that must be there; that it is absent is noted already."""
-        value = self.raw.get(key)
-        return self.problems.check(model, value, (key,)) if isinstance(value, dict) else None
-
-    def campaign(self) -> Campaign | None:
-        """Return the campaign, or None if there are problems."""
-        problems, gravity = self.problems, self.gravity
-        info = problems.check(CampaignSettings, table_of(self.raw, "campaign"), ("campaign",))
-        centrifuge = self._required(CentrifugeSettings, "centrifuge")
-        records = self._required(RecordsSettings, "records")
-        fixture = self._required(FixtureSettings, "fixture") or FixtureSettings()
-        noise = self._noise()
-        right, tables = self.accelerometers.mountings, self.accelerometers.tables
-        mountings = {name: right.get(name) for name in tables}
-        self.accelerometers.check_names()
-        observables = self.accelerometers.observables(noise)
-        settings = problems.check(ModelSettings, table_of(self.raw, "model"), ("model",))
-        turns = self._sampling().revolutions if self.simulated else None
-        placed = resolve_runs(
-            self.numbered_runs,
-            self.file.parent,
-            table_of(self.raw, "records"),
-            turns,
-            problems,
-        )
-        runs = tuple(placed.values())
-        outputs = self.accelerometers.outputs
-        before = len(problems.lines)
-        numbered = self._numbered_readings(outputs)
-        read = partial(
-            resolve_readings,
-            mountings=mountings,
-            outputs=outputs,
-            folder=self.file.parent,
-            problems=problems,
-            gravity=gravity,
-            turns=turns,
-        )
-        readings = positioned(
-            read([one for one in numbered if not is_pose(one[0])]), fixture.position
-        )
-        whole = len(problems.lines) == before
-        self._check_sections(readings)
-        if not self.raw_runs and "readings" not in self.raw:
-            said = "must have at least one entry" if "runs" in self.raw else "is missing"
-            said = "are all left out by skip = true" if self.all_runs else said
-            problems.add(("runs",), said)
-        given = self.accelerometers.own_priors
-        triad = resolve_triad(
-            self.raw.get("triad"),
-            mountings,
-            [one for one in numbered if is_pose(one[0])],
-            self.file.parent,
-            read,
-            given=None if readings or runs else given,
-            problems=problems,
-        )
-        reference = centrifuge.reference_temperature if centrifuge else None
-        model, priors = None, given
-        if settings is not None:
-            apparatus = Apparatus(
-                right,
-                {name: table.grade for name, table in tables.items() if table is not None},
-                [run.attitude for run in runs],
-                readings,
-                triad.count if triad else 0,
-                centrifuge,
-                fixture.position,
-                whole,
-            )
-            model, priors = resolve_model(settings, given, apparatus, problems, gravity)
-            if records is not None and records.angle is None:
-                refuse_encoder(model, problems)
-            common = records.recording if records else NOT_RECORDED
-            recorded = {run.name for run in runs if (run.recording or common).temperature}
-            check_conditions(model, placed, recorded, reference, problems)
-        known = readings if whole else None
-        simulation = self._simulation(outputs, noise, placed, known, centrifuge)
-        specifications = self._specifications()
-        accelerometers = self.accelerometers.accelerometers(observables, priors)
-        if records is not None:
-            self.accelerometers.check_columns(records, accelerometers)
-        if problems.lines:
-            return None
-        # No problem noted: every section is there.
-        assert info is not None
-        assert self.site is not None
-        assert model is not None
-        site, recording = self.site, records.recording if records else NOT_RECORDED
-        return Campaign(
-            title=info.title or self.file.parent.name,
-            path=self.file,
-            folder=self.file.parent,
-            site=Site(
-                site.gravity.value,
-                site.latitude.value,
-                removed_gravity=site.removed_gravity,
-            ),
-            gravity=site.gravity,
-            latitude=site.latitude,
-            radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
-            time=recording.time,
-            angle=recording.angle,
-            dialect=recording.dialect,
-            temperature=recording.temperature,
-            skipped=skipped_runs(self.all_runs),
-            timing_offset=records.timing_offset if records else None,
-            clock=records.clock if records else None,
-            own_velocity=records is not None and records.reference == "own velocity",
-            accelerometers=accelerometers,
-            noise=noise,
-            model=model,
-            runs=runs,
-            simulation=simulation,
-            details=info.model_dump(exclude={"title"}, exclude_none=True),
-            specifications=specifications,
-            readings=readings,
-            reference_temperature=reference,
-            tables=self._tables(),
-            table_checksums=self.table_checksums,
-            triad=triad,
-        )
-
-    def _check_sections(self, readings: Sequence[Reading]) -> None:
-        """Note sections that are missing although what there is needs them."""
-        recorded = any(not is_reading(raw) or "record" in raw for raw in self.raw_runs)
-        turning = any(r.motion != "static" for r in readings) or any(
-            not isinstance(raw, dict) or raw.get("motion") != "static" for raw in self.raw_runs
-        )
-        for key, needed in (("centrifuge", turning), ("records", recorded)):
-            if (needed or not (self.raw_runs or "readings" in self.raw)) and key not in self.raw:
-                self.problems.add((key,), "is missing")
-
-    def _numbered_readings(self, outputs: Mapping[str, Output | None]) -> list[tuple[Any, KeyPath]]:
-        """Return the runs that are readings, rows of the table too, with where each stands."""
-        runs: list[tuple[Any, KeyPath]] = [
-            (raw, ("runs", index)) for index, raw in self.numbered_runs if is_reading(raw)
-        ]
-        if "readings" in self.raw:
-            folder, checksums = self.file.parent, self.table_checksums
-            every = {name: outputs.get(name) for name in self.accelerometers.raw}
-            runs += read_table(self.raw, folder, every, self.problems, checksums)
-        return runs
-
-    def _tables(self) -> tuple[Path, ...]:
-        """Return the files of readings."""
-        files = {
-            self.file.parent / raw["record"]
-            for raw in self.raw_runs
-            if is_reading(raw) and "record" in raw
-        }
-        if "readings" in self.raw:
-            files.add(self.file.parent / self.raw["readings"]["file"])
-        return tuple(sorted(files))
-
-    def _noise(self) -> NoiseSettings | None:
-        if not isinstance(raw := self.raw.get("noise"), dict):
-            return None
-        noise = self.problems.check(NoiseSettings, raw, ("noise",), gravity=self.gravity)
-        if noise is not None and noise.rest is not None:
-            if all(map(is_reading, self.raw_runs)):
-                self.problems.add(("noise", "from"), "no run has a record; noise is of records")
-            named = [run.get("record") for run in self.raw_runs if isinstance(run, dict)]
-            if noise.rest in named:
-                self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
-        return noise
-
-    def _simulation(
-        self,
-        outputs: Mapping[str, Output | None],
-        noise: NoiseSettings | None,
-        runs: Mapping[int, Run],
-        readings: Sequence[Reading] | None,
-        centrifuge: CentrifugeSettings | None,
-    ) -> Simulation | None:
-        """Return how records are simulated; parameters as of `TruthReader.simulation`."""
-        if not self.simulated:
-            return None
-        recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
-        names = list(self.accelerometers.raw)
-        truth = TruthReader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
-        return truth.simulation(
-            self._sampling(), outputs, noise, runs, readings, centrifuge, recorders
-        )
-
-    def _sampling(self) -> Simulation:
-        settings = self.problems.check(
-            Simulation, table_of(self.raw, "simulation"), ("simulation",)
-        )
-        return settings or Simulation()
-
-    def _specifications(self) -> Specifications | None:
-        if not isinstance(self.raw.get("specification"), dict):
-            return None
-        return resolve_specifications(
-            self.raw["specification"],
-            self.accelerometers.raw,
-            problems=self.problems,
-            gravity=self.gravity,
-        )
+    made = DescriptionReader(raw, file.absolute(), problems).attributes()
+    return None if made is None else Campaign(**made)

@@ -32,8 +32,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
 from counterspin.campaign.attitude import Attitude, read_attitude, read_direction
+from counterspin.campaign.documents import BACKSLASH_ADVICE
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, Quantity, parse
-from counterspin.campaign.toml_file import BACKSLASH_ADVICE
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import TEMPERATURE_SCALES, unit_factor

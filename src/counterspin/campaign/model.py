@@ -7,7 +7,8 @@ from functools import cached_property
 from typing import Any, Final
 
 from counterspin.arrays import Array
-from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.documents import KeyPath, flat_keys
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
@@ -21,7 +22,6 @@ from counterspin.campaign.terms import (
     rows_of,
     symbols_shown,
 )
-from counterspin.campaign.toml_file import flat_keys
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES
@@ -242,7 +242,7 @@ def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -
     return tuple(symbols)
 
 
-def _symbols(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[str, ...]:
+def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[str, ...]:
     """Return what a name in a list stands for."""
     if on.read and of_readings(name):
         return _read(name, path, on, problems)
@@ -261,7 +261,7 @@ def _symbols(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[
     return symbols
 
 
-def _read(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[str, ...]:
+def _read(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[str, ...]:
     """Return what a name of the machine, or of a slope, stands for among what readings show."""
     found = expand(name, on.shown)
     if not found and on.whole:
@@ -269,7 +269,7 @@ def _read(name: str, path: Path, on: Apparatus, problems: Problems) -> tuple[str
     return found
 
 
-def _unknown(name: str, path: Path, problems: Problems) -> None:
+def _unknown(name: str, path: KeyPath, problems: Problems) -> None:
     known = [*OWN_TERMS, *BARE_NAMES, *SHARED_TERMS]
     hint = did_you_mean(name, known)
     if "known:" in hint:

@@ -15,9 +15,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import BLANK
+from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.quantity import Quantity, last_digit, parse
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import Output

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator
 
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import (
     BLANK,
@@ -27,6 +26,7 @@ from counterspin.campaign.columns import (
     with_points,
     words_of,
 )
+from counterspin.campaign.documents import KeyPath, list_of, table_of
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.readings import MOST_READINGS
@@ -36,6 +36,7 @@ from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
+from counterspin.records.memory import columns_of
 from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 
 #: A column's name, or those of the repeats of one reading.
 _Repeats = str | list[str]
+
+#: What messages call a table of readings without a file.
+_IN_MEMORY: Final = "readings in memory"
 
 #: No cell has more characters.
 _MAX_CHARACTERS: Final = 1000
@@ -202,6 +206,41 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
     if dialect.decimal == ",":
         table = replace(table, frame=with_points(table.frame))
     return table, places, checksum
+
+
+def take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
+    """Put the rows of a frame among a document's runs, by what its section of readings says."""
+    raw = document.pop("readings", None)
+    if not isinstance(raw, Mapping) or "file" in raw:
+        said = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
+        problems.add(
+            ("readings",),
+            f"{said}: the table is given as a frame, and `columns` say which column is what",
+        )
+        return
+    settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
+    columns = {
+        name: values.to_list() if hasattr(values, "to_list") else list(values)
+        for name, values in columns_of(_IN_MEMORY, frame)
+    }
+    if settings is None:
+        return
+    if len({len(values) for values in columns.values()}) != 1:
+        problems.add(("readings",), "the columns of the frame differ in length, or there are none")
+        return
+    tables = table_of(document, "accelerometers")
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    outputs = {name: _output(table) for name, table in tables.items()}
+    table = ReadingsTable(settings, outputs, problems, document)
+    made = [run for run, _ in table.runs(list(columns), rows)]
+    document["runs"] = [*list_of(document, "runs"), *made]
+
+
+def _output(table: Any) -> Output | None:
+    """Return what an accelerometer's readings are in, as far as its unit tells."""
+    output = table.get("output") if isinstance(table, Mapping) else None
+    unit = output.get("unit") if isinstance(output, Mapping) else None
+    return Output.model_construct(unit=unit) if isinstance(unit, str) else None
 
 
 @frozen

@@ -12,9 +12,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr
 
 from counterspin.arrays import Array
 from counterspin.campaign.attitude import UNKNOWN, of_platform, read_attitude
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, Section
 from counterspin.campaign.columns import Recording, RecordsSettings
+from counterspin.campaign.documents import KeyPath, patched
 from counterspin.campaign.kinds import (
     Contradiction,
     PositiveRatio,
@@ -31,9 +31,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     with_units,
 )
-from counterspin.campaign.memory.documents import patched
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.truth_tables import RunTruthSettings
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -94,6 +92,12 @@ class PosesSettings(SettingsSection):
         None,
         absent="by how the poses fit",
     )
+
+
+def _true_of_run() -> Any:
+    from counterspin.campaign.truth import RunTruthSettings  # which a calibration does not need
+
+    return RunTruthSettings
 
 
 class Run(SettingsSection):
@@ -212,7 +216,7 @@ class Run(SettingsSection):
     stop: Annotated[float, read_exactly("s")] | None = described(
         "until when", "390 s", None, absent="its last row", of=RECORDS
     )
-    truth: Annotated[dict[str, Any] | None, Section(RunTruthSettings)] = described(
+    truth: Annotated[dict[str, Any] | None, Section(_true_of_run)] = described(
         "for `simulate`: [what differs in this run](campaign.md#truth)",
         {"drift": "2e-6 1/s"},
         None,

@@ -12,7 +12,8 @@ from typing import Annotated, Any, Final, get_args
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator
 
-from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.kinds import SettingsSection, described, exact
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.frozen import frozen
@@ -180,7 +181,7 @@ def resolve_specifications(
 
 def _terms(
     raw: Mapping[str, Any],
-    path: Path,
+    path: KeyPath,
     known: list[str],
     problems: Problems,
     gravity: float | None,

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, Literal
 
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text
 

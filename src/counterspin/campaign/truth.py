@@ -7,28 +7,35 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from dataclasses import field
+from typing import Annotated, Any, Final
 
-from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.kinds import exact
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, PrivateAttr, create_model
+
+from counterspin.campaign.accelerometers import TRUTH_TABLES
+from counterspin.campaign.checking import Problems, Section, did_you_mean, sections_of
+from counterspin.campaign.documents import KeyPath, flat_keys, table_of
+from counterspin.campaign.kinds import (
+    PositiveRatio,
+    Ratio,
+    SettingsSection,
+    a_latitude,
+    a_ratio,
+    coefficient,
+    described,
+    exact,
+    of_earth,
+    positive,
+    read_exactly,
+    small_rate_error,
+)
 from counterspin.campaign.model import less_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run
-from counterspin.campaign.settings import CentrifugeSettings, Output, StatedNoise
+from counterspin.campaign.settings import CentrifugeSettings, Output, StatedNoise, term_keys
 from counterspin.campaign.terms import expand, symbols_shown
-from counterspin.campaign.toml_file import flat_keys, table_of
-from counterspin.campaign.truth_tables import (
-    ALL_RECORDERS,
-    TRUE_TABLES,
-    TRUTH_TABLES,
-    AccelerometerTruthSettings,
-    RippleSettings,
-    RunTruth,
-    RunTruthSettings,
-    SimulatedTruth,
-    Simulation,
-)
+from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, SHARED_TERMS, term
@@ -41,6 +48,284 @@ _MACHINE: Final = "machine"
 
 #: Term that records show too, and its place in [truth.centrifuge].
 _STRETCH: Final = "centrifuge.stretch"
+
+#: Of all recorders, and the largest error of a clock.
+ALL_RECORDERS: Final = "*"
+_MOST_OF_A_CLOCK: Final = 0.01
+
+_STATED: Final = "as stated"
+
+
+def _clocks(value: object) -> dict[str, float]:
+    """Return by how much of itself each recorder's clock is fast; of all of them under ``*``."""
+    named = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
+    clocks = {str(name): a_ratio(part) for name, part in named.items()}
+    if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
+        raise ValueError("a clock error above 1 % is not plausible")
+    return clocks
+
+
+class SiteTruthSettings(SettingsSection):
+    """[truth.site]: where the centrifuge really stands."""
+
+    gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(of_earth)] | None = described(
+        "plumb-line gravity", "9.80663 m/s^2", None, absent=_STATED
+    )
+    latitude: Annotated[float, read_exactly("rad", "deg"), AfterValidator(a_latitude)] | None = (
+        described("for the Earth's rate", "45.7502 deg", None, absent=_STATED)
+    )
+
+
+class TrueRadius(SettingsSection):
+    """[truth.centrifuge]: its true size."""
+
+    radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = described(
+        "from the spindle axis to the platform's centre", "2.50001 m", None, absent=_STATED
+    )
+
+
+class RecordsTruthSettings(SettingsSection):
+    """[truth.records]: when the rows were really taken."""
+
+    timing_offset: Annotated[float, read_exactly("s")] | None = described(
+        "how much later than its displacement an angle is sampled", "2e-5 s", None, absent=_STATED
+    )
+    clock: (
+        Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
+        | None
+    ) = described(
+        "by how much of itself the clock of every recorder runs fast; or a table of the recorders",
+        {"A": "20 ppm", "B": "-5 ppm"},
+        None,
+        absent=_STATED,
+        kind="part, or table",
+    )
+
+
+class RippleSettings(SettingsSection):
+    """``ripple``: a periodic fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
+
+    harmonic: Annotated[int, AfterValidator(positive)] = described("times a revolution", 2, 1)
+    ratio: Ratio | None = described("w_n/w0", "0.5 ppm", None, kind="number, or in ppm")
+    amplitude: Annotated[float, read_exactly("rad/s")] | None = described("w_n", "1e-6 rad/s", None)
+    phase: Annotated[float, read_exactly("rad", "deg")] = described("at time zero", "30 deg", 0.0)
+
+
+class SpindleTruthSettings(SettingsSection):
+    """[truth.spindle]: how the spindle really turns."""
+
+    drift: Annotated[float, read_exactly("1/s")] | None = described(
+        "relative drift C of the rate", "1e-6 1/s", None
+    )
+    ripple: list[RippleSettings] | None = described(
+        "fluctuations of the rate within a revolution",
+        [{"ratio": "0.5 ppm"}],
+        None,
+        kind="list of tables",
+    )
+    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = described(
+        "at time zero", "30 deg", None, absent="0"
+    )
+    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = described(
+        "of the true rate, relative to the nominal one",
+        "5 ppm",
+        None,
+        absent="0",
+        kind="number, or in ppm",
+    )
+
+
+#: What a table of [truth] for a family of terms has: meaning, and an example.
+_FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
+    "platform.tilt": ("about `east`, `north`, `up`", {"north": "0.2 arcsec"}),
+    "platform.drift": ("of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
+    "platform.g_sensitivity": (
+        "of gyro z to force along x, and so on",
+        {"zx": "0.01 deg/h/g"},
+    ),
+    "platform.g2_sensitivity": (
+        "of the gyros about `east`, `north`, `up` to the square of the force",
+        {"north": "1e-4 deg/h/g^2"},
+    ),
+    "platform.compliance": ("turn about z by force along y, and so on", {"zy": "0.1 arcsec/g"}),
+    "centrifuge.imbalance": (
+        "change of the radius with the cosine or sine of 1 or 2 times the angle",
+        {"1": {"cos": "1 um"}},
+    ),
+    "centrifuge.axis_tilt": (
+        "tilt of the spindle's axis about `east` or `north`",
+        {"east": "5 arcsec"},
+    ),
+    "encoder.harmonic": (
+        "what the encoder records too much, with the cosine or sine of 1 to 4 times the angle",
+        {"1": {"sin": "1 arcsec"}},
+    ),
+}
+
+
+def _truth_table(
+    name: str, family: str, base: type[SettingsSection] = SettingsSection
+) -> type[SettingsSection]:
+    """Return a table with a key for each term of a family; of a name with dots, tables in it."""
+    within = {
+        symbol.removeprefix(f"{family}."): row
+        for symbol, row in SHARED_TERMS.items()
+        if symbol.startswith(f"{family}.")
+    }
+    fields = term_keys({key: row for key, row in within.items() if "." not in key}, read_exactly)
+    for inner in dict.fromkeys(key.partition(".")[0] for key in within if "." in key):
+        words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
+        table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
+        fields[inner] = (table | None, described(words, example, None))
+    words = f"[truth.{family}]: what is true of it."
+    return create_model(name, __base__=base, __doc__=words, **fields)
+
+
+#: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
+PlatformTruthSettings = _truth_table("PlatformTruthSettings", "platform")
+#: [truth.centrifuge]: ``radius``, ``stretch``, ``imbalance.1.cos`` and so on.
+CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge", TrueRadius)
+#: [truth.encoder]: ``harmonic.1.cos`` and so on.
+EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
+
+_TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
+
+RunTruthSettings = create_model(
+    "RunTruthSettings",
+    __base__=SpindleTruthSettings,
+    __doc__="``truth``: what differs from [truth.spindle] in one run, and its own tilt.",
+    tilt=(_TILT, described(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
+)
+
+
+class _AccelerometerTruthKeys(SettingsSection):
+    start_offset: Annotated[float, read_exactly("m")] = described(
+        "error of the displacement at the start of each run", "0.02 m", 0.0
+    )
+    start_velocity: Annotated[float, read_exactly("m/s")] = described(
+        "error of the velocity there", "-1e-4 m/s", 0.0
+    )
+    bias: Annotated[float, coefficient("g")] | None = described("the same as K_F", "5 mg", None)
+    scale_factor: Annotated[float, coefficient("g/g")] | None = described(
+        "the same as K_I", "1.002 g/g", None
+    )
+
+
+AccelerometerTruthSettings = create_model(
+    "AccelerometerTruthSettings",
+    __base__=_AccelerometerTruthKeys,
+    __doc__="[truth.NAME]: the true coefficients of one accelerometer.",
+    **term_keys(OWN_TERMS, coefficient),
+)
+
+
+class TrueNoise(StatedNoise):
+    """[truth.noise]: of records, and of readings."""
+
+    reading: Any = described(
+        "of readings, in g or in the unit of their `output`; or a table of the accelerometers",
+        "2e-6 mA",
+        None,
+        absent="what is stated with each",
+        kind="quantity, or table",
+    )
+
+    @property
+    def of_records(self) -> StatedNoise:
+        """What is true of records."""
+        return StatedNoise.model_construct(**self.model_dump(exclude={"reading"}))
+
+
+class TruthSettings(SettingsSection):
+    """[truth]: what is true of a simulation; and a table for each accelerometer."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, AccelerometerTruthSettings] = Field(init=False)  # type: ignore[valid-type]
+
+    spindle: Annotated[dict[str, Any], Section(SpindleTruthSettings)] = described(
+        "how the spindle really turns", {"drift": "1e-6 1/s"}, {}
+    )
+    platform: Annotated[dict[str, Any], Section(PlatformTruthSettings)] = described(
+        "errors of the platform", {"tilt": {"north": "0.2 arcsec"}}, {}
+    )
+    centrifuge: Annotated[dict[str, Any], Section(CentrifugeTruthSettings)] = described(
+        "its true size, and errors of the path", {"radius": "2.50001 m"}, {}
+    )
+    encoder: Annotated[dict[str, Any], Section(EncoderTruthSettings)] = described(
+        "errors of the recorded angle", {"harmonic": {"1": {"sin": "1 arcsec"}}}, {}
+    )
+    noise: Annotated[dict[str, Any], Section(TrueNoise)] = described(
+        "of records and of readings", {"displacement": "0.01 m"}, {}, absent="that of `[noise]`"
+    )
+    machine: dict[str, Any] = described(
+        "terms of the machine that readings show", {"centrifuge.radius.in": "1.00001 m"}, {}
+    )
+    site: Annotated[dict[str, Any], Section(SiteTruthSettings)] = described(
+        "where the centrifuge really stands", {"latitude": "45.7502 deg"}, {}, absent=_STATED
+    )
+    records: Annotated[dict[str, Any], Section(RecordsTruthSettings)] = described(
+        "when the rows were really taken", {"timing_offset": "2e-5 s"}, {}, absent=_STATED
+    )
+
+
+#: Tables of [truth] that have keys of their own -> their classes.
+TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = sections_of(TruthSettings)
+
+
+@frozen
+class RunTruth:
+    """True spindle motion and platform errors of one simulated run."""
+
+    spindle: Spindle  #: The true motion of the spindle.
+    #: Symbol of a shared term -> true value, SI; those that are not there are zero.
+    shared: Mapping[str, float]
+
+
+@frozen
+class SimulatedTruth:
+    """What is true of a simulated campaign; no calibration reads it."""
+
+    #: Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
+    coefficients: Mapping[str, Mapping[str, float]]
+    #: Accelerometer -> error of the displacement at the start of each run and of its rate of
+    #: change: m, m/s.
+    start_offset: Mapping[str, float]
+    start_velocity: Mapping[str, float]
+    noise: StatedNoise  #: True noise of records; every component a number.
+    runs: Mapping[str, RunTruth]  #: Run -> what is true of its motion and of what all share.
+    #: Recorder (of its clock; else empty) and input -> true value, SI; those that are not there are
+    #: what the description states.
+    inputs: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    #: Term of the machine -> true value less nominal, SI.
+    machine: Mapping[str, float] = field(default_factory=dict)
+    #: Accelerometer -> true noise of its readings, g; of one that is not named, each reading has
+    #: that which is stated with it.
+    reading_noise: Mapping[str, float] = field(default_factory=dict)
+
+
+class Simulation(SettingsSection):
+    """[simulation]: how `counterspin simulate` samples."""
+
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
+        "rows a second", "100 Hz", 50.0, absent="50 Hz"
+    )
+    seed: Annotated[int, Field(ge=0)] = described(
+        "of the random numbers; each run has a stream of its own", 7, 1
+    )
+    revolutions: PositiveRatio = described("of each run", 40, 100.0)
+    poses: Annotated[int, Field(ge=1, le=10_000)] = described(
+        "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
+    )
+
+    _truth: SimulatedTruth = PrivateAttr()
+
+    @property
+    def truth(self) -> SimulatedTruth:
+        """What the records are made from."""
+        return self._truth
+
+
+# Read
 
 
 class TruthReader:
@@ -79,7 +364,7 @@ class TruthReader:
         stretch = self.problems.attempt(path, exact, text, term(_STRETCH).unit)
         self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
 
-    def _of_run(self, run: Run, path: Path) -> RunTruth | None:
+    def _of_run(self, run: Run, path: KeyPath) -> RunTruth | None:
         """Return the true spindle and machine of one run; its own values take precedence.
 
         path: Where its `truth` is.
@@ -95,7 +380,7 @@ class TruthReader:
             return next(value for value in values if value is not None)
 
         true_rate = run.rate * (1.0 + first("rate_error", 0.0))
-        ripple_path: Path = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
+        ripple_path: KeyPath = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
         ripples = tuple(
             _ripple(entry, true_rate, ripple_path, self.problems) for entry in first("ripple", ())
         )
@@ -201,7 +486,7 @@ class TruthReader:
         given = self.tables["noise"] and self.tables["noise"].reading
         if given is None:
             return {}
-        path: Path = ("truth", "noise", "reading")
+        path: KeyPath = ("truth", "noise", "reading")
         sizes = {}
         for name, text in (
             given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
@@ -230,7 +515,7 @@ def _stated(table: Any, keys: Sequence[str]) -> float | None:
     return value
 
 
-def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) -> Ripple:
+def _ripple(entry: RippleSettings, rate: float, path: KeyPath, problems: Problems) -> Ripple:
     if (entry.ratio is None) == (entry.amplitude is None):
         problems.add(path, "give each ripple either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
@@ -262,7 +547,7 @@ def _by_recorder(
     if ALL_RECORDERS in clocks:
         return {(owner, CLOCK): clocks[ALL_RECORDERS] for owner in recorders.values()}
     for name in sorted(clocks.keys() - recorders.keys()):
-        path: Path = ("truth", "records", "clock", name)
+        path: KeyPath = ("truth", "records", "clock", name)
         problems.add(
             path,
             f'no run names this recorder; in [records] or in a run\'s own: recorder = "{name}"',

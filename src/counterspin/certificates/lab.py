@@ -16,23 +16,23 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from counterspin.calibration.result import Result
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, Section, did_you_mean
-from counterspin.campaign.kinds import Contradiction, SettingsSection, described
-from counterspin.campaign.memory.documents import plain
-from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.specification import (
-    Specifications,
-    SpecificationSettings,
-    resolve_specifications,
-)
-from counterspin.campaign.toml_file import (
+from counterspin.campaign.documents import (
+    KeyPath,
     flat_keys,
     key_path,
     list_of,
     load_document,
     mistakes,
+    plain,
     table_of,
+)
+from counterspin.campaign.kinds import Contradiction, SettingsSection, described
+from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.specification import (
+    Specifications,
+    SpecificationSettings,
+    resolve_specifications,
 )
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
 from counterspin.certificates.schema import clean
@@ -336,7 +336,7 @@ def read_lab(
     """
     if isinstance(path, Mapping):
         source, problems = "the laboratory's data", Problems(path)
-        raw = plain(path, (), problems)
+        raw = plain(path, (), problems.add)
     else:
         source = str(path)
         advice = "`certificates.lab.write_example` makes one"

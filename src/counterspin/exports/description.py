@@ -11,11 +11,11 @@ import numpy as np
 
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.kinds import COMPASS
-from counterspin.campaign.memory.records import record_name
+from counterspin.campaign.memory import record_name
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.starter import Test
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.arm import ArmDraft, arm_draft, shows_arm
 from counterspin.exports.guessing import NONE, FileGuess, agreed, guess_file

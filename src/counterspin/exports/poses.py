@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.memory.records import record_name
+from counterspin.campaign.memory import record_name
 from counterspin.errors import CampaignError
 from counterspin.exports.guessing import FileGuess, converts
 from counterspin.exports.looking import Look

@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.triads.declared import USUAL_AXES
+from counterspin.campaign.triad import USUAL_AXES
 from counterspin.errors import RecordError
 from counterspin.exports.axes import threes
 from counterspin.exports.guessing import (

@@ -29,7 +29,7 @@ from counterspin.calibration.posed.found_poses import FoundPose, columns_of_pose
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import Run
-from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity, open_file
 from counterspin.monitoring.result import RunState

@@ -23,11 +23,11 @@ from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.posed.found_poses import FoundPose
 from counterspin.calibration.readings import ReadingsAndPoses
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.triads.declared import PoseRecord
-from counterspin.campaign.triads.grouped import one_group
+from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE

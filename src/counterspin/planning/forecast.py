@@ -16,11 +16,10 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
-from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.conditions import all_groups, conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.noise_at_rest import said_noise, true_noise
 from counterspin.campaign.runs import Run, sample_count
-from counterspin.campaign.triads.grouped import all_groups
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment

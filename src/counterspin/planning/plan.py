@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text

@@ -13,15 +13,21 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.model import model_of
+from counterspin.campaign.changes import SHORT
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
+from counterspin.campaign.documents import (
+    list_of,
+    load_document,
+    mistakes,
+    patched,
+    plain,
+    table_of,
+)
 from counterspin.campaign.kinds import ESTIMATE
-from counterspin.campaign.memory.changes import SHORT
-from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.noise_at_rest import SI_UNITS, with_sizes_found
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES, NoiseSettings
-from counterspin.campaign.toml_file import list_of, load_document, mistakes, table_of
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
@@ -90,7 +96,7 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
     """Return a plan's document; CampaignError if it cannot be read."""
     if isinstance(path, Mapping):
         problems = Problems(path)
-        document: dict[str, Any] = {"schema": 1} | plain(path, (), problems)
+        document: dict[str, Any] = {"schema": 1} | plain(path, (), problems.add)
         if problems.lines:
             raise CampaignError(str(plan_name(path)), problems.lines)
         return document

@@ -12,7 +12,6 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Section
 from counterspin.campaign.columns import RecordsSettings
-from counterspin.campaign.document import Accelerometers, Runs
 from counterspin.campaign.kinds import (
     PositiveRatio,
     Schema,
@@ -26,6 +25,7 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.campaign.readings_table import ReadingsSettings
+from counterspin.campaign.resolution import Accelerometers, Runs
 from counterspin.campaign.settings import (
     CampaignSettings,
     CentrifugeSettings,
@@ -34,8 +34,8 @@ from counterspin.campaign.settings import (
     NoiseSettings,
     SiteSettings,
 )
-from counterspin.campaign.triads.declared import TriadSettings
-from counterspin.campaign.truth_tables import TruthSettings
+from counterspin.campaign.triad import TriadSettings
+from counterspin.campaign.truth import TruthSettings
 
 #: Most attitudes among which is searched, which takes seconds, not minutes.
 MOST_ATTITUDES: Final = 24

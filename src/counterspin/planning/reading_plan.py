@@ -16,10 +16,9 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
-from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.conditions import groups_of, poses_together
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import MOST_READINGS
-from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block

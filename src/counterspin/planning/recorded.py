@@ -16,13 +16,13 @@ from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
 from counterspin.calibration.posed.found_poses import noise_within, poses_of
 from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.conditions import poses_together
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.memory.source import source_of
+from counterspin.campaign.memory import source_of
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
-from counterspin.campaign.triads.grouped import poses_together
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit

@@ -15,14 +15,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import BLANK
+from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign, resolve_campaign
+from counterspin.campaign.documents import KeyPath, list_of, mistakes, table_of
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.toml_file import list_of, mistakes, table_of
-from counterspin.campaign.triads.declared import TriadSettings
-from counterspin.campaign.triads.grouped import one_group
+from counterspin.campaign.triad import TriadSettings
 from counterspin.frozen import frozen
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.planning.plan_file import (

@@ -15,7 +15,7 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.calibration.two_stage import TwoStageOutcome, two_stage
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.input import read_file

@@ -11,7 +11,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.conditions import origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import sample_count
-from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triad import PoseRecord
 from counterspin.inference.poses import TriadPoses, indications_along
 
 #: How long a hand takes from one pose to the next, s.

@@ -17,8 +17,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import BLANK, is_empty
-from counterspin.campaign.conditions import groups_of
+from counterspin.campaign.conditions import groups_of, one_group
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.documents import load_document
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.readings_table import (
@@ -28,8 +29,6 @@ from counterspin.campaign.readings_table import (
 )
 from counterspin.campaign.runs import is_pose, is_reading, sample_count
 from counterspin.campaign.terms import POSITION
-from counterspin.campaign.toml_file import load_document
-from counterspin.campaign.triads.grouped import one_group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.linear_readings import Readings

@@ -17,15 +17,14 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.conditions import conditions_of
-from counterspin.campaign.description import Campaign, read_campaign, resolved_in_memory
-from counterspin.campaign.memory.records import WRITERS, write_as_it_is
-from counterspin.campaign.memory.source import source_of
+from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
+from counterspin.campaign.memory import WRITERS, source_of, write_as_it_is
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run, sample_count
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
-from counterspin.campaign.truth_tables import SimulatedTruth
+from counterspin.campaign.truth import SimulatedTruth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
@@ -211,7 +210,7 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
         for file, frame in zip(files, frames, strict=True)
     }
     # A record at rest is not simulated; it goes along.
-    return resolved_in_memory(source, {**campaign.frames, **tables}, campaign.folder)
+    return Campaign.of(source, campaign.folder, {**campaign.frames, **tables})
 
 
 def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:

@@ -18,22 +18,22 @@ from pydantic import AfterValidator, Field, create_model
 
 from counterspin.calibration.model import inputs_by_owner, model_of
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, Section, did_you_mean
 from counterspin.campaign.description import Campaign, resolve_campaign
-from counterspin.campaign.document import CampaignDocument
-from counterspin.campaign.kinds import Schema, SettingsSection, Several, Text, described, exact
-from counterspin.campaign.memory.source import source_of
-from counterspin.campaign.quantity import parse
-from counterspin.campaign.runs import recorders_of
-from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
-from counterspin.campaign.toml_file import (
+from counterspin.campaign.documents import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
+    KeyPath,
     description_file,
     load_document,
     mistakes,
 )
+from counterspin.campaign.kinds import Schema, SettingsSection, Several, Text, described, exact
+from counterspin.campaign.memory import source_of
+from counterspin.campaign.quantity import parse
+from counterspin.campaign.resolution import CampaignDocument
+from counterspin.campaign.runs import recorders_of
+from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of

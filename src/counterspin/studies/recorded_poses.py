@@ -12,7 +12,7 @@ import numpy as np
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.runs import is_pose
-from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triad import PoseRecord
 from counterspin.simulation.pose_record import record_seconds
 
 

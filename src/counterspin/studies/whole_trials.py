@@ -15,9 +15,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
+from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.triads.grouped import one_group
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import CLOCK, TIMING, Series

@@ -280,7 +280,7 @@ def _si_covariance(module: Any, given: Given) -> Found:
 
 
 def _forecast(module: Any, given: Given) -> Found:
-    from counterspin.campaign.memory.making import make_campaign
+    from counterspin.campaign.description import make_campaign
 
     runs = [
         {

@@ -10,7 +10,7 @@ from typing import Final
 from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
 from counterspin.calibration.pages.motions import poses_of, reading_blocks, readings_of
 from counterspin.calibration.result import Result
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.physics.effects import Product
 from counterspin.physics.terms import MOTION_TERMS, PLATFORM_TERMS, TERMS, Term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table

@@ -10,7 +10,7 @@ import numpy as np
 from counterspin.campaign.conditions import origin_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.triads.declared import PoseRecord
+from counterspin.campaign.triad import PoseRecord
 from counterspin.frozen import frozen
 from counterspin.records.poses import Poses, read_poses
 from counterspin.records.record import ColumnSpec, RecordColumns

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.kinds import SettingsSection, Text, described
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading

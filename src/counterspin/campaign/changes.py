@@ -7,14 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.document import CampaignDocument
-from counterspin.campaign.memory.documents import patched, plain
-from counterspin.campaign.memory.records import give_records
-from counterspin.campaign.memory.source import Documented, source_of
+from counterspin.campaign.documents import KeyPath, flat_keys, patched, plain
+from counterspin.campaign.memory import Documented, give_records, source_of
+from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.toml_file import flat_keys
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.memory import MemoryTable
@@ -102,7 +99,7 @@ def _set(document: dict[str, Any], path: KeyPath, value: Any, problems: Problems
 def _patch(value: Any, path: KeyPath, problems: Problems) -> Any:
     """Return a value as TOML would be read, None staying in tables, where it takes keys away."""
     if not isinstance(value, Mapping):
-        return plain(value, path, problems)
+        return plain(value, path, problems.add)
     return {
         key: None if inner is None else _patch(inner, (*path, key), problems)
         for key, inner in value.items()
@@ -138,7 +135,7 @@ def _select(document: dict[str, Any], key: str, value: Any, problems: Problems) 
         problems.add((key,), "must be a list of names, or a mapping from names to changes")
         return
     if key == "runs" and asked and all(isinstance(run, Mapping) for run in asked):
-        document["runs"] = plain(list(asked), ("runs",), problems)
+        document["runs"] = plain(list(asked), ("runs",), problems.add)
         return
     unknown = [name for name in asked if name not in names]
     for name in unknown:

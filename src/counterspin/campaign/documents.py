@@ -1,17 +1,23 @@
-"""TOML files, read with errors that say where."""
+"""Documents in TOML: read with errors that say where, patched, compared; where they came from."""
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field
+from functools import cached_property
+from pathlib import Path, PurePath
 from typing import Any, Final, Literal
 
+from counterspin.campaign.quantity import Quantity
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.input import looks_like, read_file
+from counterspin.toml_text import write_document
 
 #: What to do where no campaign is.
 CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
@@ -29,6 +35,9 @@ _TEXT_BYTES: Final = 20_000_000
 #: Nor is any text in it longer.
 _MAX_CHARACTERS: Final = 10_000
 
+#: What messages call a campaign without a file.
+IN_MEMORY: Final = "campaign in memory"
+
 #: How the path of a file on Windows is written.
 BACKSLASH_ADVICE: Final = "write paths with / , or in single quotation marks, 'C:\\data\\run1.csv'"
 
@@ -44,8 +53,12 @@ _LAST: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
 
-def key_path(path: tuple[str | int, ...]) -> str:
-    """Write the path of a key as TOML users know it; list items count from 0."""
+#: The path of a key; items of lists count from 0.
+KeyPath = tuple[str | int, ...]
+
+
+def key_path(path: KeyPath) -> str:
+    """Write the path of a key as TOML users know it."""
     text = ""
     for part in path:
         if isinstance(part, int):
@@ -226,8 +239,8 @@ def _line_of(message: str, found: dict[str, int]) -> int | None:
 def lines_of(text: str) -> dict[str, int]:
     """Return key -> line, of a document in TOML; keys as messages write them, unquoted."""
     found: dict[str, int] = {}
-    counts: dict[tuple[str | int, ...], int] = {}
-    table: tuple[str | int, ...] = ()
+    counts: dict[KeyPath, int] = {}
+    table: KeyPath = ()
     depth, quotes = 0, ""
     for number, line in enumerate(text.splitlines(), 1):
         if quotes:  # within a text of several lines
@@ -271,3 +284,104 @@ def _parts(key: str) -> list[str]:
 
 def _plain(path: tuple[str | int, ...]) -> str:
     return key_path(path).replace('"', "")
+
+
+# Documents as mappings, in Python
+
+
+def plain(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> Any:
+    """Return a copy of what stands at a key as TOML would be read.
+
+    value: Text, a number, a date, a `Quantity`, or a mapping or sequence of these. Keys whose value
+        is None are left out.
+    note: Takes the key of what cannot stand in a document, and why.
+    """
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                note(path, f"the key {key!r} must be text")
+        return {
+            key: plain(inner, (*path, key), note)
+            for key, inner in value.items()
+            if isinstance(key, str) and inner is not None
+        }
+    if isinstance(value, list | tuple):
+        return [plain(inner, (*path, place), note) for place, inner in enumerate(value)]
+    if isinstance(value, Quantity):
+        return f"{value.value!r} ± {value.u!r} {value.unit}".replace(" ± 0.0 ", " ")
+    if hasattr(value, "tolist"):  # a number of NumPy, or an array
+        return plain(value.tolist(), path, note)
+    if isinstance(value, PurePath):
+        return str(value)
+    if not isinstance(value, str | bool | int | float | datetime.date | datetime.time):
+        note(path, f"a {type(value).__name__} cannot stand here; write text or a number")
+    return value
+
+
+def patched(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a document with keys changed, as a JSON Merge Patch does it (RFC 7396).
+
+    Tables are patched key by key, None takes a key away, all else is replaced.
+    """
+    whole = dict(document)
+    for key, value in patch.items():
+        inside = whole.get(key)
+        if value is None:
+            whole.pop(key, None)
+        elif isinstance(value, Mapping):
+            whole[key] = patched(inside if isinstance(inside, Mapping) else {}, value)
+        else:
+            whole[key] = value
+    return whole
+
+
+def differences(before: Any, after: Any, path: KeyPath = ()) -> Iterator[str]:
+    """Yield the keys in which documents differ; those of a list whose length differs as one."""
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for key in dict.fromkeys([*before, *after]):
+            yield from differences(before.get(key), after.get(key), (*path, key))
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for place, (one, other) in enumerate(zip(before, after, strict=True)):
+            yield from differences(one, other, (*path, place))
+    elif type(before) is not type(after) or before != after:
+        yield key_path(path)
+
+
+@frozen(eq=False)
+class Source:
+    """The description that a campaign was resolved from."""
+
+    document: Mapping[str, Any]  #: As TOML is read.
+    file: Path | None = None  #: The description's file; None: it was made in Python.
+    #: SHA-256 of that file as it was read, such as ``sha256:9f86...``; None without a file.
+    checksum: str | None = None
+    #: What the file says, which `document` may have changed since.
+    of_file: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def changed(self) -> tuple[str, ...]:
+        """The keys that are no longer as in the file; empty if it was made in Python."""
+        return () if self.file is None else tuple(differences(self.of_file, self.document))
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether no file says what the document does."""
+        return self.file is None or bool(self.changed)
+
+    @property
+    def label(self) -> str:
+        """What messages call the description."""
+        if self.file is None:
+            return IN_MEMORY
+        return f"{self.file}, changed in memory" if self.changed else str(self.file)
+
+    @property
+    def text(self) -> str:
+        """The document as TOML, as text."""
+        return write_document(self.document)
+
+    def content_checksum(self) -> str:
+        """Return SHA-256 of the description: of the file, or of the text that would be written."""
+        if self.checksum is not None and not self.in_memory:
+            return self.checksum
+        return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"

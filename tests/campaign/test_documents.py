@@ -1,0 +1,238 @@
+"""The lines in which the keys of a TOML file stand."""
+
+import datetime
+import hashlib
+import re
+import tomllib
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import PurePosixPath
+
+import campaigns
+import frames
+import numpy as np
+import pytest
+from campaigns import SMALL as BASE
+from campaigns import write
+
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.description import make_campaign, read_campaign
+from counterspin.campaign.documents import (
+    differences,
+    key_path,
+    lines_of,
+    lines_of_messages,
+    patched,
+    plain,
+)
+from counterspin.campaign.quantity import Quantity, parse
+from counterspin.certificates.lab import write_example
+from counterspin.errors import CampaignError
+from counterspin.planning.plan_file import read_plan
+
+TEXT = '''\
+schema = 1
+# [site] in a comment
+site.gravity = "9.8 m/s^2"
+"platform.tilt" = """
+rate = 3
+"""
+names = [
+  ["a", "b"],
+  ["[runs]"]
+]
+[accelerometers.Qx]  # the first
+output = { unit = "mA", sensitivity = "1 mA/g" }
+[[runs]]
+name = "[one]"
+[runs.truth]
+drift = 1
+[[runs]]
+name = 'two # no comment'
+[[runs.truth.ripple]]
+harmonic = 1
+[[runs.truth.ripple]]
+harmonic = 2
+'''
+
+
+def test_keys_are_found_in_tables_lists_of_tables_and_with_dots():
+    assert tomllib.loads(TEXT)["runs"][1]["truth"]["ripple"][1] == {"harmonic": 2}
+    assert lines_of(TEXT) == {
+        "schema": 1,
+        "site": 3,
+        "site.gravity": 3,
+        "platform.tilt": 4,
+        "names": 7,
+        "accelerometers.Qx": 11,
+        "accelerometers.Qx.output": 12,
+        "runs[0]": 13,
+        "runs[0].name": 14,
+        "runs[0].truth": 15,
+        "runs[0].truth.drift": 16,
+        "runs[1]": 17,
+        "runs[1].name": 18,
+        "runs[1].truth.ripple[0]": 19,
+        "runs[1].truth.ripple[0].harmonic": 20,
+        "runs[1].truth.ripple[1]": 21,
+        "runs[1].truth.ripple[1].harmonic": 22,
+    }
+
+
+def _values(value, path=()):
+    """Return key, as messages write it, -> value, of all that stands in a document."""
+    found = {key_path(path).replace('"', ""): value}
+    inner = value.items() if isinstance(value, dict) else ()
+    if isinstance(value, list):
+        inner = enumerate(value)
+    for key, one in inner:
+        found |= _values(one, (*path, key))
+    return found
+
+
+@pytest.mark.parametrize("name", ["starter.toml", "starter_tumble.toml", "starter_arm.toml"])
+def test_each_line_holds_the_value_of_its_key(name):
+    text = (files("counterspin.campaign") / name).read_text("utf-8")
+    values, lines = _values(tomllib.loads(text)), text.splitlines()
+    checked = 0
+    for key, number in lines_of(text).items():
+        value = values[key]
+        if not isinstance(value, dict) and not lines[number - 1].startswith("["):
+            (own,) = tomllib.loads(lines[number - 1]).values()
+            while isinstance(own, dict):
+                (own,) = own.values()
+            assert own == value, key
+            checked += 1
+    assert checked > 15
+
+
+def test_a_message_has_the_line_of_its_key_or_of_its_table(tmp_path):
+    file = tmp_path / "a.toml"
+    file.write_text(TEXT, encoding="utf-8")
+    told = {
+        "accelerometers.Qx.output.zero: must be text": 12,
+        "accelerometers.Qx.input_axis: is missing": 11,
+        'runs[1].rate: is missing (run "two")': 17,
+        '"platform.tilt": unknown term': 4,
+        'readings."table.csv row 3".reading: is not a number': None,
+        "limits: is missing": None,
+        "no key at all": None,
+    }
+    assert lines_of_messages(list(told), file) == list(told.values())
+    assert lines_of_messages(list(told), tmp_path / "none.toml") == [None] * len(told)
+
+
+def test_each_mistake_of_a_file_is_told_with_its_line(tmp_path):
+    wrong = BASE.replace("schema = 1", "schema = 2").replace('column = "time_s"', "column = 3")
+    with pytest.raises(CampaignError) as raised:
+        read_campaign(write(tmp_path, wrong))
+    lines = str(raised.value).splitlines()
+    assert lines[0].endswith(f"campaign.toml: {len(raised.value.problems)} mistakes")
+    for told, problem in zip(lines[1:], raised.value.problems, strict=True):
+        number = int(re.fullmatch(rf"  line (\d+): {re.escape(problem)}", told)[1])
+        last = re.split(r"[.:]", problem.partition(": ")[0])[-1]
+        assert last in wrong.splitlines()[number - 1]
+
+
+def test_plans_and_laboratories_tell_theirs_too(tmp_path):
+    plan = tmp_path / "PLAN.toml"
+    plan.write_text('schema = 1\n[goal]\nminimise = ["K_II"]\ntarget = 3\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"line 4: goal.target: must be a table"):
+        read_plan(plan)
+    assert lines_of(write_example(tmp_path / "LAB.toml").read_text("utf-8"))["laboratory.name"] > 1
+
+
+def test_what_python_has_becomes_what_toml_has():
+    problems = Problems({})
+    day = datetime.date(2026, 3, 1)
+    written = plain(
+        {
+            "a": (1, np.float64(0.5), np.int64(3)),
+            "b": {"axis": np.array([1.0, 0.0])},
+            "c": None,
+            "d": day,
+            "e": PurePosixPath("x/y.csv"),
+        },
+        (),
+        problems.add,
+    )
+    assert written == {"a": [1, 0.5, 3], "b": {"axis": [1.0, 0.0]}, "d": day, "e": "x/y.csv"}
+    assert [type(value) for value in written["a"]] == [int, float, int]
+    assert problems.lines == []
+
+
+def test_a_quantity_is_read_back_to_the_last_bit():
+    for quantity in (Quantity(1 / 3, 1e-7 / 3, "m"), Quantity(-1e-22, 0.0, "g/g^2")):
+        text = plain(quantity, (), Problems({}).add)
+        assert parse(text, quantity.unit) == quantity
+
+
+def test_what_cannot_stand_in_a_description_is_noted_with_its_key():
+    problems = Problems({})
+    plain({"site": {"gravity": 1j}, 7: 1}, (), problems.add)
+    assert problems.lines == [
+        ": the key 7 must be text",
+        "site.gravity: a complex cannot stand here; write text or a number",
+    ]
+
+
+def test_patches_are_merge_patches():
+    # The cases of RFC 7396, appendix A, whose documents are objects.
+    for before, patch, after in [
+        ({"a": "b"}, {"a": "c"}, {"a": "c"}),
+        ({"a": "b"}, {"b": "c"}, {"a": "b", "b": "c"}),
+        ({"a": "b"}, {"a": None}, {}),
+        ({"a": "b", "b": "c"}, {"a": None}, {"b": "c"}),
+        ({"a": ["b"]}, {"a": "c"}, {"a": "c"}),
+        ({"a": "c"}, {"a": ["b"]}, {"a": ["b"]}),
+        ({"a": {"b": "c"}}, {"a": {"b": "d", "c": None}}, {"a": {"b": "d"}}),
+        ({"a": [{"b": "c"}]}, {"a": [1]}, {"a": [1]}),
+        ({"e": None}, {"a": 1}, {"e": None, "a": 1}),
+        ({}, {"a": {"bb": {"ccc": None}}}, {"a": {"bb": {}}}),
+    ]:
+        assert patched(before, patch) == after
+
+
+def test_differences_are_named_by_their_keys():
+    before = {"a": {"b": 1, "c": [1, 2]}, "runs": [{"rate": "1"}, {"rate": "2"}]}
+    after = {"a": {"b": 1, "c": [1]}, "runs": [{"rate": "1"}, {"rate": "3"}], "x.y": 0}
+    assert list(differences(before, after)) == ["a.c", "runs[1].rate", '"x.y"']
+    assert list(differences(before, before)) == []
+    assert list(differences({"a": 1}, {"a": True})) == ["a"]
+
+
+def sha(data):
+    return f"sha256:{hashlib.sha256(data).hexdigest()}"
+
+
+def test_a_file_is_known_by_its_bytes(tmp_path):
+    file = campaigns.write(tmp_path, "# a comment\n" + campaigns.SMALL)
+    source = read_campaign(tmp_path).source
+    assert source.content_checksum() == sha(file.read_bytes())
+    assert (source.in_memory, source.label) == (False, str(file))
+
+
+def test_a_change_is_known_by_what_would_be_written(tmp_path):
+    file = campaigns.write(tmp_path, campaigns.SMALL)
+    campaign = read_campaign(tmp_path)
+    changed = campaign.change(radius="2.6 m")
+    assert changed.source.changed == ("centrifuge.radius",)
+    assert changed.source.content_checksum() != sha(file.read_bytes())
+    assert str(changed.path) == changed.source.label == f"{file}, changed in memory"
+    for name in ("slow", "middle", "fast"):
+        (tmp_path / f"{name}.csv").write_text("time_s\n0\n", encoding="utf-8")
+    written = changed.write(tmp_path / "written")
+    assert changed.source.content_checksum() == sha(written.read_bytes())
+
+
+def test_what_is_changed_back_is_the_file_again(tmp_path):
+    file = campaigns.write(tmp_path, campaigns.SMALL)
+    back = read_campaign(tmp_path).change(radius="2.6 m").change(radius="2.5 m")
+    assert not back.source.in_memory
+    assert back.source.content_checksum() == sha(file.read_bytes())
+
+
+def test_a_copy_with_a_part_replaced_has_no_source():
+    campaign = make_campaign(frames.small())
+    assert campaign.source is not None
+    assert replace(campaign, title="other").source is None
