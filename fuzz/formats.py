@@ -35,7 +35,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 import certificates
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.full_report import document
+from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
 from counterspin.certificates.build import certificate, to_bytes

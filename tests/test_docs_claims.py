@@ -17,9 +17,10 @@ import counterspin as cs
 from counterspin.calibration import (
     assembly,
     findings,
+    outcome,
     two_stage_findings,
 )
-from counterspin.calibration.diagnosis import attitude_findings, credible, record_counts, search
+from counterspin.calibration.diagnosis import limits, search
 from counterspin.campaign import conditions, runs
 from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.certificates import build
@@ -102,8 +103,8 @@ NUMBERS = [
         [encoder._CONSIDERED_NORM_SQUARED, encoder._ESTIMATED_NORM_SQUARED],
     ),
     ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
-    ("methods", "further than {} typical sizes from nothing", [credible._TYPICAL_SIZES]),
-    ("result", "further than {} of its typical sizes", [credible._TYPICAL_SIZES]),
+    ("methods", "further than {} typical sizes from nothing", [limits._TYPICAL_SIZES]),
+    ("result", "further than {} of its typical sizes", [limits._TYPICAL_SIZES]),
     ("methods", "above {} of the noise of one row", [prepared._LEAST_EFFECT]),
     ("methods", "With the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
     ("methods", "enter u as stated, or with {} arcsec", [ENCODER / ARCSEC]),
@@ -170,7 +171,7 @@ NUMBERS = [
         [ALARMS, diagnostics.AGREEMENT],
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
-    ("result", "more than {} % of a run were outliers", [100 * record_counts.OUTLIER_SHARE]),
+    ("result", "more than {} % of a run were outliers", [100 * outcome.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_PART]),
     ("result", "is infinite, or more than {}", [distributions._INFINITE_DOF]),
     (
@@ -199,7 +200,7 @@ NUMBERS = [
         "physics",
         "below about {} deg/h over {} s, where the neglected $g d^2 T^4/24$ reaches {} m",
         [
-            attitude_findings._FIRST_ORDER_LIMIT / 400.0**2,
+            limits._FIRST_ORDER_LIMIT / 400.0**2,
             400,
             9.8 * (0.2 * DEGREE_PER_HOUR) ** 2 * 400.0**4 / 24,
         ],

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.calibration.pages.full_report import document
+from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.certificates.reading import read_certificate
 from counterspin.reports.blocks import Paragraph

@@ -18,8 +18,7 @@ from prose import agrees, sentences, told
 import counterspin as cs
 from counterspin import errors, workers
 from counterspin.application import guard
-from counterspin.calibration import assembly
-from counterspin.calibration.diagnosis import record_counts
+from counterspin.calibration import assembly, outcome
 from counterspin.calibration.pages import pictures
 from counterspin.campaign.kinds import exact
 from counterspin.certificates import signers, wording
@@ -142,7 +141,7 @@ ROWS = {
     "monitoring": [
         ("its rate is off by more than {} %", 100.0 * assembly.RATE_DIFFERENCE),
         ("shorter than {} of what is stated", assembly.COMPLETE_PART),
-        ("more than {} % of it are outliers", 100.0 * record_counts.OUTLIER_SHARE),
+        ("more than {} % of it are outliers", 100.0 * outcome.OUTLIER_SHARE),
         ("A run of fewer than {} revolutions is not assessed", observer.FEWEST_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows a second take {} MB an hour",

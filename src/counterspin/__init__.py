@@ -82,7 +82,7 @@ if TYPE_CHECKING:
     from counterspin._version import __version__ as __version__
     from counterspin.calibration.calibrate import calibrate as calibrate
     from counterspin.calibration.options import TwoStageOptions as TwoStageOptions
-    from counterspin.calibration.pages.terminal import print_result as print_result
+    from counterspin.calibration.pages.document import print_result as print_result
     from counterspin.calibration.result import Result as Result
     from counterspin.calibration.result import read_result as read_result
     from counterspin.calibration.result import write_result as write_result
@@ -202,7 +202,7 @@ _OFFERED = {
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
     "reports.publication": ("report", "write_report"),
     "certificates.issuing": ("Certificate", "certificate"),
-    "calibration.pages.terminal": ("print_result",),
+    "calibration.pages.document": ("print_result",),
     "reproduction.comparison": ("reproduce",),
     "reproduction.plan": ("Reproduction",),
     "studies.folder": ("StudyFolder",),

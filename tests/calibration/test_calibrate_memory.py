@@ -10,7 +10,7 @@ import pytest
 
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.pages.full_report import document
+from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import make_campaign, read_campaign
 from counterspin.errors import RecordError

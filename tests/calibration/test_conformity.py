@@ -6,10 +6,10 @@ from results import accelerometer
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.conformity import conformity, with_conformity
-from counterspin.calibration.pages.conformity import conformity_blocks
-from counterspin.calibration.pages.sections import sections
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.pages.document import sections
+from counterspin.calibration.pages.verdict import conformity_blocks
 from counterspin.calibration.result import Result
-from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.specification import resolve_specifications
 from counterspin.inference.conformity import DecisionRule, Specification, judge

@@ -9,8 +9,7 @@ from results import result
 import counterspin as cs
 from certificates import write_lab
 from counterspin import cli
-from counterspin.calibration.diagnosis.causes import Cause
-from counterspin.calibration.findings import judge_result, lack_of_fit, ranked, refusal
+from counterspin.calibration.findings import Cause, judge_result, lack_of_fit, ranked, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
 from counterspin.inference.distributions import chi_square_tail

@@ -13,8 +13,8 @@ from campaigns import PLACE, changed, runs
 from scipy.special import stdtrit
 
 from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result import Result
-from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.description import read_campaign
 from counterspin.cli import main
 from counterspin.errors import CampaignError, ConvergenceError, NotIdentifiableError

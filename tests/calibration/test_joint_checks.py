@@ -7,14 +7,9 @@ import pytest
 from mistaken_campaigns import Mistake, make_records, mistaken
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.diagnosis.attitude_findings import shared_findings
-from counterspin.calibration.joint_checks import unseen_ripple
-from counterspin.calibration.joint_parts import hidden_walk
-from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.result_parts import Coefficient
+from counterspin.calibration.joint import unseen_ripple
+from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.campaign.description import make_campaign
-from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.terms import DEGREE_PER_HOUR
 from counterspin.simulation.simulate import simulate
 
 
@@ -23,28 +18,6 @@ def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> Accel
     return AccelerometerView(
         SimpleNamespace(campaign=campaign), SimpleNamespace(fit=fit), None, "Qx"
     )
-
-
-def walking(share: float, name: str = "Qx") -> AccelerometerView:
-    """A fit of which this share of u^2 of K_II is noise that the records do not show."""
-    unknown = SimpleNamespace(owner="Qx", symbol="K_II", asked=True)
-    fit = SimpleNamespace(
-        model=SimpleNamespace(unknowns=[unknown]),
-        solution=SimpleNamespace(u=np.array([2e-9])),
-        unseen={name: (1e-5, np.array([[share * 4e-18]]))},
-    )
-    return view(fit)
-
-
-def test_noise_that_is_most_of_k_ii_without_showing_is_remarked_on():
-    (remark,) = hidden_walk([walking(0.8)])
-    assert remark.startswith("Qx: 80% of u^2 of K_II")
-    assert "acceleration in [noise]" in remark
-
-
-def test_a_smaller_part_or_another_s_noise_is_not():
-    assert list(hidden_walk([walking(0.3)])) == []
-    assert list(hidden_walk([walking(0.8, name="Qy")])) == []
 
 
 def seen(observable: str, angle: object | None) -> AccelerometerView:
@@ -74,28 +47,6 @@ def test_a_ripple_that_nobody_recorded_is_a_warning():
 )
 def test_a_recorded_angle_or_displacement_need_no_warning(observable, angle):
     assert unseen_ripple(seen(observable, angle)) == []
-
-
-@pytest.mark.parametrize(
-    ("drift", "u", "longest", "words"),
-    [
-        (0.3, 1e-6, 400.0, "is 0.3 deg/h"),
-        (0.1, 1e-6, 400.0, ""),
-        (0.1, 0.04, 400.0, ""),
-        (0.1, 0.06, 400.0, "may reach 0.22 deg/h"),
-        (0.3, 1e-6, 100.0, ""),
-        (0.1, 1e-6, 800.0, "is 0.1 deg/h"),
-    ],
-)
-def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
-    # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
-    unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
-    value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
-    fitted = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
-    findings = shared_findings({unknown: fitted}, longest)
-    assert len(findings) == bool(words)
-    assert all(words in finding.text for finding in findings)
-    assert all(finding.subject == "platform.drift.north" for finding in findings)
 
 
 def test_a_run_that_says_nothing_of_k_ii_is_not_compared():

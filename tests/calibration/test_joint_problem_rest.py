@@ -14,7 +14,7 @@ from scipy.stats import f as fisher
 import counterspin as cs
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.pages.full_report import document
+from counterspin.calibration.pages.document import document
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, RecordError
 from counterspin.inference.joint.found_noise import level_dof

@@ -1,12 +1,16 @@
-"""The joint method's outcome, on observed runs that are changed in memory."""
+"""What a result states of its runs and records."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import pytest
 from campaigns import SMALL, campaign_of, changed
 
 from counterspin.calibration.joint import joint
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
+from counterspin.calibration.outcome import many_outliers
+from counterspin.records.report import RecordReport, rejected_of
 from counterspin.simulation.simulate import simulate
 
 
@@ -23,3 +27,32 @@ def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):
     spoilt = replace(slow, signals={**slow.signals, "Qx": replace(slow.signals["Qx"], error=error)})
     after = joint(JointProblem(campaign, (spoilt, *others))).runs["slow"].counts["outliers"]
     assert after - before == slow.record.count[place]
+
+
+def report(outliers):
+    return RecordReport(
+        path=Path("r.csv"), rows=1000, used=900, repeated=3, differing=1, empty={"t": 1, "a": 2},
+        outliers={"a": outliers, "b": 4}, lone=0, listed=(), gaps=(), gap_count=2, wrapped=False,
+        step=0.1, rate=None, block=8,
+    )  # fmt: skip
+
+
+def test_counts_are_summed_over_the_columns():
+    counts = report(10).counts(6)
+    assert counts == {
+        "rows": 1000,
+        "repeated": 3,
+        "empty": 3,
+        "outliers": 20,
+        "gaps": 2,
+        "block": 8,
+    }
+    assert rejected_of(counts) == 26
+
+
+@pytest.mark.parametrize(
+    ("outliers", "accelerometers", "said"), [(46, 1, 0), (47, 1, 1), (96, 2, 0), (97, 2, 1)]
+)
+def test_more_than_a_twentieth_is_said(outliers, accelerometers, said):
+    found = many_outliers("A.r", report(outliers).counts(), accelerometers)
+    assert [(f.code, f.subject) for f in found] == [("many-outliers", "A.r")] * said

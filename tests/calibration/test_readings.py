@@ -11,7 +11,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.pages.terminal import print_result
+from counterspin.calibration.pages.document import print_result
 from counterspin.calibration.result import Result
 from counterspin.cli import main
 from counterspin.errors import CampaignError, NotIdentifiableError, RecordError

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.schema_1 import upgraded
+from counterspin.calibration.result_file import upgraded
 from counterspin.errors import RecordError
 
 K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}

@@ -11,13 +11,13 @@ import pytest
 from campaigns import SMALL, campaign_of, changed, without, write
 from scipy.special import chdtrc, stdtrit
 
-from counterspin.calibration import joint_parts
 from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.diagnosis import noise
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
-from counterspin.calibration.options import command_words
+from counterspin.calibration.options import TwoStageOptions, command_words
 from counterspin.calibration.result import Result
-from counterspin.calibration.two_stage import TwoStageOptions, two_stage, two_stage_view
+from counterspin.calibration.two_stage import two_stage, two_stage_view
 from counterspin.campaign.description import read_campaign
 from counterspin.cli import main
 from counterspin.errors import NotIdentifiableError
@@ -290,7 +290,7 @@ def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
     known = qx(result_of(tmp_path / "known")).coefficients["K_II"].u
     share = 1.0 - (known / u) ** 2
     for part, count in ((0.9, 1), (1.1, 0)):
-        monkeypatch.setattr(joint_parts, "_HIDDEN_SHARE", part * share)
+        monkeypatch.setattr(noise, "_HIDDEN_SHARE", part * share)
         result = calibrate(folder, method="two-stage")
         remarks = [remark for remark in result.warnings if "of K_II is white noise" in remark]
         assert len(remarks) == count

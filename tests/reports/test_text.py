@@ -10,8 +10,7 @@ import pytest
 from results import accelerometer, bare_result, run
 from rich.console import Console
 
-from counterspin.calibration.pages.sections import sections
-from counterspin.calibration.pages.terminal import print_result, render
+from counterspin.calibration.pages.document import print_result, render, sections
 from counterspin.calibration.result_parts import (
     Coefficient,
     Comparison,

@@ -171,7 +171,7 @@ class Page:
 
 
 def _result(desk: Desk, names: Sequence[str], _: str) -> Page:
-    from counterspin.calibration.pages.full_report import document
+    from counterspin.calibration.pages.document import document
 
     result = desk.result(names[0])
     command = report_command(desk.file(names[0]))

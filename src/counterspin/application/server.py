@@ -333,7 +333,7 @@ def _load(desk: Desk, ended: threading.Event) -> None:
 
     Fonts and templates are had only by drawing and writing something once.
     """
-    pages = "counterspin.calibration.pages.full_report"
+    pages = "counterspin.calibration.pages.document"
     for name in ("polars", "scipy.special", "counterspin.calibration.observed", pages):
         if ended.is_set():
             return

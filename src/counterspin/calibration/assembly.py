@@ -8,13 +8,13 @@ from typing import Final
 
 from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
-from counterspin.calibration.diagnosis.record_counts import many_outliers
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import assumed
 from counterspin.calibration.observed import ObservedRun, removed_of
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
+from counterspin.calibration.outcome import many_outliers
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
 from counterspin.calibration.two_stage import in_two_stages

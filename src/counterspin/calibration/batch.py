@@ -29,7 +29,7 @@ class FailedCampaign(ResultPart):
 class BatchResult(ShownResult):
     """What became of each campaign, by its folder as it was named."""
 
-    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.batch:batch_blocks"
+    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:batch_blocks"
     KIND: ClassVar[str] = "batch"
 
     campaigns: dict[str, Result | FailedCampaign]

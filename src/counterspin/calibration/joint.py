@@ -2,49 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
 
-from counterspin.calibration.diagnosis.attitude_findings import large_tilts, shared_findings
-from counterspin.calibration.diagnosis.credible import (
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.diagnosis.agreement import Kinds, compare_kinds
+from counterspin.calibration.diagnosis.limits import (
     beyond_typical,
     incredible,
     incredible_shared,
+    large_drifts,
+    large_tilts,
 )
-from counterspin.calibration.diagnosis.kinds import Kinds, compare_kinds
-from counterspin.calibration.diagnosis.mountings import other_mountings, unseen_axes
-from counterspin.calibration.diagnosis.pose_findings import too_few_poses
+from counterspin.calibration.diagnosis.noise import hidden_walk, other_noise, residual_findings
 from counterspin.calibration.diagnosis.reading_findings import (
     no_more_than_rounded,
     outliers_of_means,
 )
 from counterspin.calibration.diagnosis.search import causes_of
-from counterspin.calibration.diagnosis.untested import untested
-from counterspin.calibration.findings import not_determined
-from counterspin.calibration.joint_checks import (
-    compare,
-    residual_findings,
-    run_fits,
-    unseen_ripple,
+from counterspin.calibration.diagnosis.statements import other_mountings, unseen_axes, untested
+from counterspin.calibration.findings import (
+    not_determined,
 )
-from counterspin.calibration.joint_parts import (
+from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.model import SQUARES, inputs_of
+from counterspin.calibration.notebook.residuals import residuals_of, traces
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.outcome import (
+    Outcome,
     coefficient,
     confounded,
     confounded_platform,
     correlation,
-    hidden_walk,
     knowledge,
     noise_lines,
-    other_noise,
     residual,
+    run_result,
     whole_correlation,
 )
-from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import SQUARES, inputs_of
-from counterspin.calibration.notebook.residuals import residuals_of
-from counterspin.calibration.notebook.traces import traces
-from counterspin.calibration.outcome import Outcome, run_result
-from counterspin.calibration.posed.triad import triad_result
 from counterspin.calibration.readings import (
     ReadingsAndPoses,
     in_output_units,
@@ -54,14 +52,28 @@ from counterspin.calibration.readings import (
     with_readings,
 )
 from counterspin.calibration.result import described
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Coefficient,
+    Comparison,
+    Finding,
+)
+from counterspin.calibration.triad import triad_result
+from counterspin.calibration.two_stage import two_stage_view, walk_is_stated
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.identifiability import Assessment
+from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.estimation import Estimate, estimate
+from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.physics.terms import TERMS
+from counterspin.inference.poses import TriadPoses
+from counterspin.physics.terms import INPUTS, OWN_TERMS, TERMS, shown_by_readings
 from counterspin.records.mean import RecordMean
+
+#: An input axis that no pose turns below the level by more than asin of this was never down.
+_DOWN: Final = 0.3
 
 
 def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
@@ -120,7 +132,8 @@ def joint(problem: JointProblem) -> Outcome:
         correlation=whole_correlation(estimated, assessment),
         rests_on=rests_on,
         findings=[
-            *shared_findings(shared, longest),
+            *(not_determined(u.name, u.name) for u, c in shared.items() if c.value is None),
+            *large_drifts(shared, longest),
             *large_tilts(campaign, terms, accelerometers),
             *beyond,
             *beyond_typical(rests_on),
@@ -220,3 +233,172 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> li
         for symbol, c in own.items()
         if c.value is None
     ]
+
+
+# Checks
+
+
+def run_fits(
+    views: Sequence[AccelerometerView], run: str
+) -> dict[str, dict[str, float | str | None]]:
+    """Return the tests of one run's residuals, by accelerometer."""
+    fits: dict[str, dict[str, float | str | None]] = {}
+    for view in views:
+        if not view.has_records:
+            continue
+        tests = view.diagnostics
+        test = tests.runs.get(run)
+        if test is not None:
+            fits[view.name] = {
+                "rows": float(test.rows),
+                "chi2": test.chi2,
+                "dof": test.dof,
+                "chi2_p": test.chi2_p if tests.noise_given else None,
+                "sign_p": test.sign_p,
+                "peak_frequency_hz": test.peak_frequency,
+                "peak_p": test.peak_p,
+            }
+    return fits
+
+
+def compare(view: AccelerometerView) -> Comparison | None:
+    """Return the two-stage K_II beside the joint one; None where that method does not apply.
+
+    Of what two stages do not estimate they are given what the joint fit found: else a drift, say,
+    that was asked for and is there would make them disagree.
+    """
+    index = view.k_ii
+    if index is None:
+        return None
+    components = {} if walk_is_stated(view.problem.noise) else view.estimate.components
+    found = _found(view.fit)
+    try:
+        beside, _ = two_stage_view(
+            view.problem,
+            view.accelerometer,
+            TwoStageOptions(),
+            components,
+            found,
+        )
+    except (NotIdentifiableError, RecordError):
+        return None
+    place = beside.places["K_II"]
+    other = coefficient(beside.estimate, beside.assessment, place)
+    if not other.estimated or other.value is None or other.u is None:
+        return None
+    solution, second = view.fit.solution, beside.fit.solution
+    covariance = solution.covariance_noise + solution.covariance_prior
+    theirs = (second.covariance_noise + second.covariance_prior)[place, place]
+    # What the joint fit found moves each estimate by its own sensitivity: that of the joint one is
+    # its regression on it, and the rest of its variance would remain if all of it were known.
+    held = {(other.owner, other.symbol): k for k, other in enumerate(beside.fit.model.considered)}
+    unknowns = view.fit.model.unknowns
+    there = [k for k, o in enumerate(unknowns) if (o.owner, o.symbol) in {*held} & {*found}]
+    here = [held[unknowns[k].owner, unknowns[k].symbol] for k in there]
+    sd = np.sqrt(np.diag(covariance)[there])
+    scaled = covariance[np.ix_(there, there)] / np.outer(sd, sd)
+    regression = np.linalg.lstsq(scaled, covariance[there, index] / sd, rcond=None)[0]
+    own = covariance[index, index] - float(regression @ scaled @ regression)
+    apart = second.sensitivity_considered[place, here] * sd - regression
+    both = float(apart @ scaled @ apart)
+    # A term that only the two-stage method holds counts in its own variance; one that both hold
+    # moves each estimate by its own sensitivity.
+    considered = _considered(view.fit, index)
+    known = {unknowns[k].name for k in there}
+    for name, (effect, sd_of) in _considered(beside.fit, place).items():
+        if name in considered:
+            joint_effect, _ = considered.pop(name)
+            both += ((effect - joint_effect) * sd_of) ** 2
+        elif name not in known:
+            theirs += (effect * sd_of) ** 2
+    both += sum((effect * sd_of) ** 2 for effect, sd_of in considered.values())
+    # Both rest on the same records, and the joint estimate is the better one: variances subtract
+    # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
+    spread = math.sqrt((theirs - own if theirs > own else theirs + own) + both)
+    difference = other.value - float(solution.estimate[index])
+    return Comparison(
+        value=other.value,
+        u=other.u,
+        difference=difference,
+        u_difference=spread,
+        z=difference / spread,
+    )
+
+
+def _found(fit: JointFit) -> dict[tuple[str, str], tuple[float, float]]:
+    """Return value and u of what was asked for, not stated, and determined."""
+    return {
+        (other.owner, other.symbol): (float(value) + other.nominal, float(u))
+        for other, value, u in zip(
+            fit.model.unknowns, fit.solution.estimate, fit.solution.u, strict=True
+        )
+        if other.asked and math.isinf(other.prior[1]) and u < other.limit
+    }
+
+
+def _considered(fit: JointFit, index: int) -> dict[str, tuple[float, float]]:
+    """Return the considered terms: name -> sensitivity of an unknown and standard uncertainty.
+
+    Uncertain inputs and errors of the encoder are left out: they move both methods alike.
+    """
+    solution = fit.solution
+    return {
+        other.name: (float(effect), float(sd))
+        for other, effect, sd in zip(
+            fit.model.considered,
+            solution.sensitivity_considered[index],
+            solution.considered_sd,
+            strict=False,
+        )
+        if other.symbol not in (*encoder.SYMBOLS, *INPUTS)
+        and (other.symbol in OWN_TERMS or not shown_by_readings(other.symbol))
+    }
+
+
+def unseen_ripple(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where a ripple would move K_II and no angle was recorded to show it.
+
+    A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
+    that leaves nothing behind; in velocity or specific force it stands where K_II does. Where the
+    angle is recorded, what its noise hides is in the uncertainty.
+    """
+    index, campaign = view.k_ii, view.campaign
+    if index is None or view.accelerometer.observable == "displacement":
+        return []
+    if campaign.angle is not None or (view.parts and not view.has_records):
+        return []
+    fastest = max(abs(run.rate) for run in campaign.runs)
+    force = campaign.radius.value * fastest**2 / campaign.gravity.value
+    u = float(view.fit.solution.u[index])
+    text = (
+        "Without a recorded angle no ripple of the rate is known, and in this observable a ripple "
+        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, and "
+        "is not included in it. Record the angle, or calibrate with displacement."
+    )
+    return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]
+
+
+def too_few_poses(view: AccelerometerView) -> str:
+    """Return what poses would have to be added; empty where readings or records are there too."""
+    if not view.poses or view.readings or view.has_records:
+        return ""
+    axes: dict[str, list[Array]] = {}
+    for part in view.poses:
+        group = part.readings
+        assert isinstance(group, TriadPoses)
+        there = group.at(view.fit.model, view.fit.solution.estimate)
+        for name, own in zip(group.accelerometers, group.axes, strict=True):
+            axes.setdefault(name, []).append(there.direction @ own[0])
+    count = sum(part.readings.size for part in view.poses)
+    free = sum(math.isinf(unknown.prior[1]) for unknown in view.fit.model.unknowns)
+    said = []
+    if count < free:
+        said.append(f" {count} poses are fewer than the {free} unknowns without a prior.")
+    for way, sign in (("up", -1.0), ("down", 1.0)):
+        never = [name for name, own in axes.items() if np.min(sign * np.concatenate(own)) > -_DOWN]
+        if never:
+            said.append(f" No pose has {' or '.join(never)} pointing {way}.")
+    return (
+        "".join(said) + " Take poses whose directions are spread over the whole sphere, or ask for "
+        "fewer coefficients in model.terms: the others then enter with their typical size."
+    )

@@ -1,28 +1,233 @@
-"""What a method has found, as the result states it; what each run showed."""
+"""What a method has found, as the result states it: coefficients, noise, residuals, runs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import field
+from typing import Final
 
-from counterspin.calibration.diagnosis.causes import Cause
-from counterspin.calibration.diagnosis.record_counts import counts_of, rejected_of
+import numpy as np
+
+from counterspin.calibration.findings import Cause
+from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.notebook.residuals import RunResiduals
 from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.readings import readings_noise, residual_of
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Correlation,
     Finding,
     Knowledge,
+    NoiseLine,
     ParabolaResult,
+    Residual,
     RippleResult,
     RunResult,
     TriadResult,
 )
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.frozen import frozen
-from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.inference.distributions import countable
+from counterspin.inference.identifiability import Assessment, ConfoundedTerms
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint.budget import by_kind, kind_of
+from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
+from counterspin.inference.noise.search import FoundNoise
+from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
+from counterspin.records.report import rejected_of
+
+#: More outliers than this part of a record's samples are worth a warning.
+OUTLIER_SHARE: Final = 0.05
+
+
+def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
+    """Return one unknown as the result shows it: estimated, or its prior, or nothing."""
+    unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
+    unit = unknown.unit
+    if not assessment.determined[unknown.name]:
+        known = math.isfinite(unknown.prior[1])
+        return Coefficient(
+            value=unknown.prior[0] if known else None,
+            u=unknown.prior[1] if known else None,
+            unit=unit,
+            estimated=False,
+        )
+    noise, stated, unstated = by_kind(estimate.fit, index)
+    dof = float(estimate.dof[index])
+    return Coefficient(
+        value=float(solution.estimate[index]) + unknown.nominal,
+        u=math.hypot(noise, stated, unstated),
+        u_noise=noise,
+        u_stated=stated,
+        u_unstated=unstated,
+        dof=countable(dof),
+        unit=unit,
+        estimated=True,
+    )
+
+
+def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
+    """Return what an estimate rests on beside its data, in the order of the fit."""
+    model, solution = estimate.fit.model, estimate.fit.solution
+    rows = []
+    for place, other in enumerate((*model.unknowns, *model.considered)):
+        if other.asked or other.symbol in encoder.SYMBOLS:
+            continue
+        stated = stated_inputs.get(other.name)
+        base = stated.value if stated else 0.0
+        found = u_found = None
+        if place < len(model.unknowns):
+            found = base + other.nominal + float(solution.estimate[place])
+            u_found = float(solution.u[place])
+        rows.append(
+            Knowledge(
+                name=other.name,
+                kind=kind_of(other),
+                unit=other.unit,
+                value=base + other.prior[0],
+                u=other.prior[1],
+                found=found,
+                u_found=u_found,
+            )
+        )
+    return rows
+
+
+def correlation(view: AccelerometerView) -> Correlation | None:
+    """Return the correlations of an accelerometer's own and the platform's coefficients."""
+    own = f"{view.name}."
+    return _correlation(
+        view.estimate,
+        {
+            place: unknown.name.removeprefix(own)
+            for place, unknown in enumerate(view.fit.model.unknowns)
+            if view.assessment.determined.get(unknown.name)
+            and (unknown.owner == view.name or unknown.symbol not in TERMS)
+        },
+    )
+
+
+def whole_correlation(estimate: Estimate, assessment: Assessment) -> Correlation | None:
+    """Return the correlations of everything determined, but for the runs' own rotations."""
+    return _correlation(
+        estimate,
+        {
+            place: unknown.name
+            for place, unknown in enumerate(estimate.fit.model.unknowns)
+            if assessment.determined.get(unknown.name) and unknown.symbol not in ROTATION
+        },
+    )
+
+
+def _correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlation | None:
+    if not terms:
+        return None
+    covariance = estimate.fit.solution.covariance[np.ix_(list(terms), list(terms))]
+    u = np.sqrt(np.diag(covariance))
+    return Correlation(terms=list(terms.values()), matrix=(covariance / np.outer(u, u)).tolist())
+
+
+def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
+    """Return the sets with terms of an accelerometer's own, its name left out."""
+    return [
+        item.of(view.name)
+        for item in view.assessment.confounded
+        if any(name.startswith(f"{view.name}.") for name in item.terms)
+    ]
+
+
+def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
+    """Return the sets of shared terms alone, those of a run's own rotation left out."""
+    return [
+        item
+        for item in assessment.confounded
+        if all(symbol_of(name) in SHARED_TERMS for name in item.terms)
+    ]
+
+
+def residual(view: AccelerometerView) -> Residual:
+    """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
+    if not view.has_records:
+        return residual_of(view.parts)
+    squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
+    for _, prepared, residuals in view.records():
+        squares += float(np.sum(residuals.plain**2 * prepared.series.count))
+        samples += residuals.plain.size
+    return Residual(
+        rms=math.sqrt(squares / samples),
+        unit=OBSERVABLES[view.accelerometer.observable],
+        dof=diagnostics.dof,
+        chi2=diagnostics.chi2 if diagnostics.noise_given else None,
+        lack_of_fit_p=diagnostics.lack_of_fit_p,
+    )
+
+
+def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
+    """Return the noise used, component by component, given or estimated."""
+    of_readings = readings_noise(view.parts)
+    if not view.has_records:
+        return of_readings
+    components = view.estimate.components.get(view.name)
+    noise, observable = view.fit.noise[view.name], view.accelerometer.observable
+    of_records = record_noise(noise, components, observable)
+    own = view.series
+    if any(one.relative != 1.0 for one in own):
+        line = of_records[observable]
+        runs = {one.run: line.value * math.sqrt(one.relative) for one in own}
+        of_records[observable] = line.model_copy(update={"runs": runs})
+    if timing := found_timing(view):
+        of_records["timing"] = NoiseLine(value=timing, unit="s", estimated=True)
+    return from_rest(of_records, view.campaign, noise, observable) | of_readings
+
+
+def found_timing(view: AccelerometerView) -> float:
+    """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
+    stated = view.campaign.noise is not None and view.campaign.noise.timing
+    return 0.0 if stated else max((one.timing for one in view.series), default=0.0)
+
+
+def from_rest(
+    lines: dict[str, NoiseLine], campaign: Campaign, noise: Noise, observable: str
+) -> dict[str, NoiseLine]:
+    """Return lines of noise that say which are from the record at rest, and how well it knows."""
+    said = dict(lines)
+    keys = (observable, "acceleration", "flicker", "bias_walk") if noise.covariance else ()
+    for place, key in enumerate(keys):
+        variance, line = noise.covariance[place][place], lines.get(key)
+        if variance > 0.0 and line is not None and not line.estimated and campaign.noise:
+            u = 0.5 * math.sqrt(variance) / line.value
+            said[key] = line.model_copy(update={"u": u, "record": campaign.noise.rest})
+    return said
+
+
+def record_noise(
+    noise: Noise, components: FoundNoise | None, observable: str
+) -> dict[str, NoiseLine]:
+    """Return noise of records, component by component, given or estimated."""
+    unit = OBSERVABLES[observable]
+    lines = {}
+    labels = (observable, "acceleration", "flicker", "bias_walk")
+    units = (unit, WALK_UNIT, "m/s^2", "m/s^2/s^0.5")
+    for place, (part, label, its_unit) in enumerate(zip(COMPONENTS, labels, units, strict=True)):
+        size = float(getattr(noise, part))
+        estimated = components is not None and part in components.estimated
+        dropped = components is not None and part in components.dropped
+        if size == 0.0 and not dropped:
+            continue
+        u = None
+        if components is not None and estimated and size > 0.0:
+            # From the variance of a variance to that of its root.
+            u = 0.5 * math.sqrt(float(components.covariance[place, place])) / size
+        lines[label] = NoiseLine(value=size, u=u, unit=its_unit, estimated=estimated or dropped)
+    if noise.quantisation > 0.0:
+        lines["quantisation"] = NoiseLine(value=noise.quantisation, unit=unit, estimated=False)
+    return lines
 
 
 @frozen
@@ -57,7 +262,7 @@ def run_result(
     # Where no angle was recorded the joint fit has found the rotation.
     rotation_terms = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
     _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
-    counts = counts_of(report, outliers)
+    counts = report.counts(outliers)
     ripples = [
         RippleResult(
             harmonic=ripple.harmonic,
@@ -85,3 +290,18 @@ def run_result(
         terms=own,
         fit=dict(fit or {}),
     )
+
+
+def many_outliers(
+    subject: str, counts: Mapping[str, int], accelerometers: int = 1
+) -> list[Finding]:
+    """Return a finding where outliers are more than `OUTLIER_SHARE` of a record's samples."""
+    samples = counts["rows"] * accelerometers
+    share = counts["outliers"] / samples
+    if share <= OUTLIER_SHARE:
+        return []
+    text = (
+        f"{subject}: {counts['outliers']} samples of {samples} were left out as "
+        "outliers. Find out why: the remaining samples may be affected too."
+    )
+    return [Finding(code="many-outliers", subject=subject, text=text, size=share)]

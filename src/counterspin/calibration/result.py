@@ -8,7 +8,7 @@ else is SI unless its unit stands beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence, Sized
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from counterspin.calibration.notebook.labelled import Covariance
-from counterspin.calibration.notebook.si_estimate import StatedGravity
+from counterspin.calibration.notebook.forms import Covariance, StatedGravity
+from counterspin.calibration.result_file import faults_of, matrix_faults, upgraded
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -29,25 +29,22 @@ from counterspin.calibration.result_parts import (
     Provenance,
     RunResult,
     State,
-    Trace,
     TriadResult,
 )
-from counterspin.calibration.schema_1 import upgraded
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
 from counterspin.reports.publication import Publication, ShownResult, load_function, on_axes
 
 if TYPE_CHECKING:
-    from counterspin.calibration.notebook.prediction import Prediction
+    from counterspin.calibration.notebook.forms import Prediction
     from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
     from counterspin.reports.blocks import Picture
 
 #: Where its pictures are made, and its whole residuals.
 _PICTURES: Final = "counterspin.calibration.pages.pictures"
-_PACKAGES: Final = "counterspin.calibration.notebook.packages"
+_PACKAGES: Final = "counterspin.calibration.notebook.exports"
 _RESIDUALS: Final = "counterspin.calibration.notebook.residuals"
 
 #: Why a result has no whole residuals: its file holds what the pictures need, and no more.
@@ -55,13 +52,6 @@ _NO_RESIDUALS = (
     "a result file does not contain all residuals; calibrate the campaign "
     "again with the joint method"
 )
-
-#: No coefficient is larger in g-units; its powers would be beyond all numbers.
-_LARGEST_COEFFICIENT: Final = 1e30
-#: No quantile of the normal distribution lies farther out, however many samples there are.
-_FARTHEST_QUANTILE: Final = 30.0
-#: No estimate has fewer degrees of freedom.
-_FEWEST_DOF: Final = 0.1
 
 
 class Result(ShownResult):
@@ -74,8 +64,8 @@ class Result(ShownResult):
     are taken as perfect.
     """
 
-    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.sections:first_screen"
-    REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.full_report:document"
+    BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:first_screen"
+    REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:document"
     REPORT_KIND: ClassVar[str] = "a calibration report"
 
     schema_version: Annotated[int, Field(alias="schema")] = 2
@@ -180,7 +170,7 @@ class Result(ShownResult):
 
     def _ipython_key_completions_(self) -> list[str]:
         """Return the names that ``result["`` may be followed by."""
-        rows = load_function("counterspin.calibration.notebook.tables:rows")(self)
+        rows = load_function("counterspin.calibration.notebook.exports:rows")(self)
         return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in rows]
 
     def predict(
@@ -263,12 +253,12 @@ class Result(ShownResult):
         return covariance
 
     def table(self, library: str = "polars") -> Any:
-        """Return the coefficients as a frame; see `counterspin.calibration.notebook.tables`."""
-        return load_function("counterspin.calibration.notebook.tables:frame")(self, library)
+        """Return the coefficients as a frame; see `counterspin.calibration.notebook.exports`."""
+        return load_function("counterspin.calibration.notebook.exports:frame")(self, library)
 
     def to_latex(self) -> str:
         """Return the coefficients as a LaTeX ``tabular``."""
-        made: str = load_function("counterspin.calibration.notebook.tables:latex_table")(self)
+        made: str = load_function("counterspin.calibration.notebook.exports:latex_table")(self)
         return made
 
     def to_uncertainties(self) -> dict[str, Any]:
@@ -358,7 +348,7 @@ class Result(ShownResult):
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        made: str = load_function("counterspin.calibration.notebook.tables:brief")(self)
+        made: str = load_function("counterspin.calibration.notebook.exports:brief")(self)
         return made
 
     __str__ = __repr__
@@ -386,10 +376,9 @@ class Result(ShownResult):
             if not 0.0 < abs(run.rate) < math.inf:
                 yield f"the rate of {name} is {run.rate} rad/s"
         if self.correlation is not None:
-            yield from _matrix_faults("its correlation matrix", self.correlation)
+            yield from matrix_faults("its correlation matrix", self.correlation)
         for name, accelerometer in self.accelerometers.items():
-            yield from _faults_of(name, accelerometer)
-            yield from _model_faults(name, accelerometer)
+            yield from faults_of(name, accelerometer)
 
 
 read_result = Result.read
@@ -423,54 +412,3 @@ def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str)
         if line.source == "site.gravity" and line.sensitivity is not None:
             return line.sensitivity
     return 0.0
-
-
-def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
-    if not accelerometer.coefficients:
-        yield f"{name} has no coefficients"
-    for symbol, c in {
-        **accelerometer.known,
-        **accelerometer.coefficients,
-        **accelerometer.second_unknown,
-    }.items():
-        if symbol in TERMS and c.unit != TERMS[symbol].unit:
-            yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
-        if not (abs(c.value or 0.0) < _LARGEST_COEFFICIENT > (c.u or 0.0) >= 0.0):
-            yield f"{symbol} of {name} is {c.value} ± {c.u}"
-        if c.dof is not None and not _FEWEST_DOF <= c.dof < math.inf:
-            yield f"{symbol} of {name} has {c.dof} degrees of freedom"
-    for left_out in accelerometer.jackknife:
-        if left_out.dof is not None and not _FEWEST_DOF <= left_out.dof < math.inf:
-            yield f"{name} without {left_out.run} has {left_out.dof} degrees of freedom"
-    if accelerometer.correlation:
-        yield from _matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
-    if accelerometer.what_if is not None and not accelerometer.what_if.is_whole:
-        yield f"the matrices of what_if of {name} are not those of its names"
-    for run, trace in accelerometer.traces.items():
-        quantiles = trace.quantiles.normal if trace.quantiles else []
-        if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):
-            yield f"rows or quantiles in the trace of {name} in {run} are none"
-        if any(len(set(map(len, together))) > 1 for together in _drawn_together(trace)):
-            yield f"lists in the trace of {name} in {run} are of unequal length"
-
-
-def _model_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
-    if accelerometer.observable not in (None, *ORDERS):
-        yield f"the observable of {name} is {accelerometer.observable!r}"
-    residual = accelerometer.residual
-    if min(residual.chi2 or 0.0, residual.dof, residual.rms) < 0.0:
-        yield f"a size of the residuals of {name} is negative"
-
-
-def _matrix_faults(words: str, correlation: Correlation) -> Iterator[str]:
-    size = len(correlation.terms)
-    if [len(row) for row in correlation.matrix] != [size] * size:
-        yield f"{words} is not one of {size} terms"
-
-
-def _drawn_together(trace: Trace) -> Iterator[tuple[Sized, ...]]:
-    yield trace.time, trace.low, trace.high
-    if (spectrum := trace.spectrum) is not None:
-        yield spectrum.frequency, spectrum.power
-    if (quantiles := trace.quantiles) is not None:
-        yield quantiles.normal, quantiles.found

@@ -12,9 +12,14 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from counterspin.arrays import Array
-from counterspin.calibration.notebook.labelled import LabelledMatrix
-from counterspin.calibration.notebook.latex import latex_number, latex_unit
-from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
+from counterspin.calibration.notebook.forms import (
+    LabelledMatrix,
+    SiEstimate,
+    StatedGravity,
+    latex_number,
+    latex_unit,
+    si_estimate,
+)
 from counterspin.campaign.quantity import Quantity
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
@@ -358,7 +363,7 @@ class TriadResult(ResultPart):
         polars.DataFrame or pandas.DataFrame
             The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
         """
-        made = load_function("counterspin.calibration.notebook.tables:frame_of_rows")
+        made = load_function("counterspin.calibration.notebook.exports:frame_of_rows")
         return made((("triad", n, c) for n, c in self.parameters.items()), library)
 
     def __repr__(self) -> str:

@@ -9,20 +9,20 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.diagnosis.credible import incredible
-from counterspin.calibration.joint_parts import (
+from counterspin.calibration.diagnosis.limits import incredible
+from counterspin.calibration.diagnosis.noise import hidden_walk
+from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.model import assumed_of, prior_of
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.outcome import (
+    Outcome,
     coefficient,
     confounded,
     correlation,
     from_rest,
-    hidden_walk,
     record_noise,
+    run_result,
 )
-from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import assumed_of, prior_of
-from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.outcome import Outcome, run_result
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -32,14 +32,16 @@ from counterspin.calibration.result_parts import (
     Residual,
 )
 from counterspin.calibration.two_stage_findings import findings, nothing_known, sums_of_alike
-from counterspin.calibration.two_stage_request import noise_found, request_of
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.noise_at_rest import said_noise
+from counterspin.campaign.settings import StatedNoise
+from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.budget import budget, what_if
-from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.found_noise import uncertain
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
@@ -47,9 +49,10 @@ from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
 from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT
+from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_found_noise
-from counterspin.physics.terms import OWN_TERMS, TERMS
+from counterspin.inference.two_stage.strobes import strobe_angle
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.
 _ESTIMATED: Final = ("K_II", "K_F")
@@ -281,3 +284,89 @@ def _parabola(parabola: Parabola) -> ParabolaResult:
         sigma_from_residuals=parabola.sigma_from_residuals,
         strobes=parabola.strobes.time.size,
     )
+
+
+# What a campaign asks of the method
+
+
+def request_of(
+    problem: JointProblem,
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+    components: FoundNoise | None = None,
+) -> TwoStageRequest:
+    """Return what a campaign asks of the two-stage method for one accelerometer.
+
+    `components` is noise that was found, where the campaign states none. It raises
+    NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
+    wanders.
+    """
+    campaign, model = problem.campaign, problem.model
+    if accelerometer.observable != "displacement":
+        raise NotIdentifiableError(
+            f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
+            f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method"
+        )
+    stated = said_noise(campaign)[accelerometer.name].sizes
+    if stated is not None and stated.wanders:
+        raise NotIdentifiableError(
+            f"{accelerometer.name}: the two-stage method cannot treat a wandering bias "
+            "(noise.flicker, noise.bias_walk); use the joint method"
+        )
+    for run in campaign.runs:
+        strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
+    priors = {
+        other.symbol: other.prior
+        for other in (*model.unknowns, *model.considered)
+        if math.isfinite(other.prior[1])
+        and other.symbol in (OWN_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
+    }
+    noise = problem.noise[accelerometer.name]
+    request = TwoStageRequest(
+        model=options.model,
+        priors=priors,
+        fit_bias=options.fit_bias,
+        nominal_angle=campaign.angle is None,
+        ripple=options.ripple,
+        weighted=options.weighted,
+        sigma=None if options.from_residuals else _sigma(stated),
+        from_residuals=options.from_residuals,
+        random_walk=None if "random_walk" in noise.wanted else noise.random_walk,
+        timing=_number(stated, "timing") or 0.0,
+        u_radius=campaign.radius.u / campaign.radius.value,
+        u_gravity=campaign.gravity.u / campaign.gravity.value,
+        limits={s: campaign.limit_of(s, accelerometer.name) for s in (*OWN_TERMS, *SHARED_TERMS)},
+    )
+    return request if components is None else request.with_noise(components.noise)
+
+
+def _sigma(noise: StatedNoise | None) -> float | None:
+    """Return the displacement noise of a sample, m; None where it is not stated."""
+    white = _number(noise, "displacement")
+    step = _number(noise, "quantisation") or 0.0
+    return None if white is None else math.hypot(white, step / math.sqrt(12.0)) or None
+
+
+def _number(noise: StatedNoise | None, component: str) -> float | None:
+    """Return a component of the stated noise; None where it is not a number."""
+    size = getattr(noise, component, None)
+    return size if isinstance(size, float) else None
+
+
+def walk_is_stated(noises: Mapping[str, Noise]) -> bool:
+    """Return whether the accelerometers' own noise is known, as the joint method has it.
+
+    It is where [noise] states it, zero included; a [noise] that states no noise at all leaves
+    all of it to be found.
+    """
+    return not any("random_walk" in noise.wanted for noise in noises.values())
+
+
+def noise_found(problem: JointProblem) -> Mapping[str, FoundNoise]:
+    """Return each accelerometer's noise where the random walk is not stated; else nothing.
+
+    One sample a revolution tells little of it: it is that of the joint fit, from all samples.
+    """
+    if walk_is_stated(problem.noise):
+        return {}
+    return estimate(problem.series, problem.model, problem.noise).components

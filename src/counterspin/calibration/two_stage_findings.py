@@ -13,7 +13,7 @@ from counterspin.calibration.findings import (
     equivalent_deviations,
     not_determined,
 )
-from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import agreement_of, normal_equivalent

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.notebook.si_estimate import StatedGravity, si_estimate
+from counterspin.calibration.notebook.forms import StatedGravity, si_estimate
 from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.notebook.si_estimate import (
+from counterspin.calibration.notebook.forms import (
     SiEstimate,
     StatedGravity,
     own_estimate,

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from counterspin.calibration.notebook.si_estimate import SiEstimate
+from counterspin.calibration.notebook.forms import SiEstimate
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.certificates import wording

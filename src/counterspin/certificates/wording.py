@@ -8,8 +8,12 @@ from collections.abc import Sequence
 from typing import Final
 
 from counterspin.calibration.pages.accelerometer import rests_on
-from counterspin.calibration.pages.basis import model_blocks
-from counterspin.calibration.pages.motions import lines_of_tests, poses_of, readings_of
+from counterspin.calibration.pages.methods import (
+    lines_of_tests,
+    model_blocks,
+    poses_of,
+    readings_of,
+)
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.lab import CertificateSettings

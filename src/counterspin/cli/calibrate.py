@@ -187,7 +187,7 @@ def calibrate(
             progress=advance,
         )
     # Loaded last, so that reading begins as early as can be.
-    from counterspin.calibration.pages.terminal import print_result
+    from counterspin.calibration.pages.document import print_result
     from counterspin.reports.text import report_console
 
     with saved.written(result):

@@ -139,7 +139,7 @@ class ResultComparison(ShownResult):
         ValueError
             If there is no such library.
         """
-        from counterspin.calibration.notebook.tables import frame_of
+        from counterspin.calibration.notebook.exports import frame_of
 
         columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for coefficient in self.coefficients:

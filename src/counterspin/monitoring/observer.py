@@ -25,7 +25,7 @@ from counterspin.calibration.observed import (
     record_columns,
     temperatures_of,
 )
-from counterspin.calibration.posed.found_poses import FoundPose, columns_of_poses, found_in
+from counterspin.calibration.readings import FoundPose, columns_of_poses, found_in
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import Run

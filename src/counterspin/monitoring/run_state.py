@@ -12,16 +12,13 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
-from counterspin.calibration.diagnosis.pose_findings import pose_findings
-from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
+from counterspin.calibration.diagnosis.reading_findings import pose_findings
 from counterspin.calibration.joint import estimate_campaign
-from counterspin.calibration.joint_parts import coefficient
-from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
-from counterspin.calibration.posed.found_poses import FoundPose
-from counterspin.calibration.readings import ReadingsAndPoses
+from counterspin.calibration.outcome import OUTLIER_SHARE, coefficient
+from counterspin.calibration.readings import FoundPose, ReadingsAndPoses
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign

@@ -14,7 +14,7 @@ from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
-from counterspin.calibration.posed.found_poses import noise_within, poses_of
+from counterspin.calibration.readings import noise_within, poses_of
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.conditions import poses_together
 from counterspin.campaign.description import Campaign

@@ -14,8 +14,8 @@ import numpy as np
 
 from counterspin._version import __version__
 from counterspin.arrays import Array
-from counterspin.calibration.joint_parts import coefficient
 from counterspin.calibration.model import assumed, model_of
+from counterspin.calibration.outcome import coefficient
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from counterspin.frozen import frozen
@@ -59,6 +60,17 @@ class RecordReport:
     found: str = ""  #: How the file is written, where that is not plain.
     outside: int = 0  #: Rows outside the part that is used.
 
+    def counts(self, outliers: int = 0) -> dict[str, int]:
+        """Return how many rows of each kind there are; `outliers`: found after reading."""
+        return {
+            "rows": self.rows,
+            "repeated": self.repeated,
+            "empty": sum(self.empty.values()),
+            "outliers": outliers + sum(self.outliers.values()),
+            "gaps": self.gap_count,
+            "block": self.block,
+        }
+
     def notes(self) -> list[str]:
         """Return one plain sentence for each thing found, for warnings and reports."""
         notes = []
@@ -84,3 +96,8 @@ class RecordReport:
             words = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
             notes.append(f"{words} in the record; the longest takes {longest:.6g} s.")
         return notes
+
+
+def rejected_of(counts: Mapping[str, int]) -> int:
+    """Return how many samples were recorded but not used, of `RecordReport.counts`."""
+    return counts["repeated"] + counts["empty"] + counts["outliers"]

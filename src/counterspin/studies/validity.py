@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.two_stage_request import request_of
+from counterspin.calibration.two_stage import request_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import TIMING

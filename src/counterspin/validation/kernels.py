@@ -257,7 +257,7 @@ def _si_estimate(module: Any, given: Given) -> Found:
 
 
 def _si_covariance(module: Any, given: Given) -> Found:
-    from counterspin.calibration.notebook.si_estimate import StatedGravity, si_estimate
+    from counterspin.calibration.notebook.forms import StatedGravity, si_estimate
     from counterspin.calibration.result_parts import Correlation
 
     if "observations" in given:

@@ -11,12 +11,16 @@ from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_records, mistak
 from results import accelerometer
 
 from counterspin.calibration.diagnosis import search
-from counterspin.calibration.joint_checks import residual_findings
-from counterspin.calibration.joint_parts import noise_lines, residual
-from counterspin.calibration.joint_problem import JointProblem, noise_of, series_of
-from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.diagnosis.noise import residual_findings
+from counterspin.calibration.joint_problem import (
+    AccelerometerView,
+    JointProblem,
+    noise_of,
+    series_of,
+)
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
+from counterspin.calibration.outcome import noise_lines, residual
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes

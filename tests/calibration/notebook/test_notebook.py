@@ -11,7 +11,7 @@ from campaigns import SMALL, changed, write
 from results import result as made_by_hand
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.notebook.latex import (
+from counterspin.calibration.notebook.forms import (
     latex_number,
     latex_symbol,
     latex_text,

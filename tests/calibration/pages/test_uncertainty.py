@@ -4,7 +4,7 @@ import math
 
 from results import coefficient, result
 
-from counterspin.calibration.pages.sections import answer_blocks
+from counterspin.calibration.pages.document import answer_blocks
 from counterspin.calibration.pages.uncertainty import (
     assumption,
     dominance,

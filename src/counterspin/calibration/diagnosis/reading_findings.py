@@ -1,4 +1,4 @@
-"""What speaks against readings: residuals that are no noise, positions off, records of outliers."""
+"""What speaks against readings and poses: residuals that are no noise, and those that stand out."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.diagnosis.record_counts import counts_of, many_outliers
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
     lack_of_fit,
 )
-from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.joint_problem import AccelerometerView
+from counterspin.calibration.outcome import many_outliers
 from counterspin.calibration.readings import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings, Outlying
 from counterspin.inference.joint.alternatives import Alternative
-from counterspin.inference.joint.fit import relax
+from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.inference.linear_readings import Readings
+from counterspin.inference.pose_tests import pose_candidates
+from counterspin.inference.poses import TriadPoses
 from counterspin.inference.reading_tests import (
     APPROACH,
     ASYMMETRY,
@@ -59,6 +61,12 @@ _CAME: Final = {
 
 #: More standard deviations than this say no more: the others have hardly any noise.
 _COUNTABLE: Final = 1000
+
+#: What findings about the poses of a triad are about.
+TRIAD: Final = "triad"
+
+#: So many terms are named that explain residuals of poses as well as the first.
+_MOST_NAMED: Final = 4
 
 
 def readings_fit(view: AccelerometerView) -> list[Finding]:
@@ -342,5 +350,86 @@ def outliers_of_means(name: str, means: Mapping[tuple[str, str], RecordMean]) ->
         finding
         for (owner, reading), mean in means.items()
         if owner == name
-        for finding in many_outliers(f"{name}.{reading}", counts_of(mean.report))
+        for finding in many_outliers(f"{name}.{reading}", mean.report.counts())
     ]
+
+
+# Poses at unknown attitudes
+
+
+def pose_findings(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
+    """Return what speaks against the poses: residuals that are no noise, poses that stand out.
+
+    fit: Which has them.
+    """
+    findings = []
+    for part, followed in zip(posed, _followed_by_poses(fit, posed), strict=True):
+        if part.dof < FEWEST_FREEDOM:
+            findings.append(unjudged(TRIAD, part))
+        elif part.freedom < FEWEST_FREEDOM:
+            findings.append(_few_poses_left(part))
+        residual = residual_of([part])
+        p = residual.lack_of_fit_p
+        if p is not None and p < 0.5 * SIGNIFICANCE / len(posed):
+            said = f"The residuals of the {part.words} do not agree with the stated noise"
+            findings.append(lack_of_fit(TRIAD, [f"{said} (p = {p:.2g})."], residual))
+        findings += [_explained_poses(part, followed)] if followed else []
+        findings += lone_or_many(TRIAD, part)
+    return findings
+
+
+def _followed_by_poses(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Followed | None]:
+    """Return for each group of poses what its residuals follow, beyond chance."""
+    found: list[Followed | None] = [None] * len(posed)
+    fit = relax(fit)
+    judged = [k for k, part in enumerate(posed) if min(part.dof, part.freedom) >= FEWEST_FREEDOM]
+    groups = [group_of(posed[k], posed[k].place_in(fit) or 0) for k in judged]
+    unknown = {(u.owner, u.symbol): u for u in fit.model.unknowns}
+    known = {key for key, u in unknown.items() if math.isfinite(u.prior[1])}
+    columns = [
+        tuple(pose_candidates(group.readings, group.place, fit, unknown, known))
+        for group in groups
+        if isinstance(group.readings, TriadPoses)
+    ]
+    for one in most_followed(fit, groups, columns) if judged else ():
+        if one.p * one.tests < 0.5 * SIGNIFICANCE:
+            found[judged[one.group]] = one
+    return found
+
+
+def _explained_poses(part: FittedReadings, followed: Followed) -> Finding:
+    """Return the finding that the residuals of poses follow something."""
+    first = followed.alternatives[0]
+    size = equivalent_deviations(followed.p)
+    clause = clause_of(first)
+    if first.kind == TERM:
+        clause = clause.replace(first.symbol, first.name, 1)
+        others = [other.name for other in followed.alternatives[1:] if other.kind == TERM]
+        cure = f" So would {' or '.join(others[:_MOST_NAMED])}." if others else ""
+    else:
+        owners = dict.fromkeys(o.owner for o in followed.alternatives if o.kind == first.kind)
+        clause += f", most in {' or '.join(owners)}"
+        cure = (
+            " Was the sensor knocked, or switched off?"
+            if first.kind == STEP
+            else (
+                " Let the sensor warm up before, or ask for K_F.trend in model.terms"
+                f"{', with the time of each pose' if first.symbol == 'order' else ''}."
+            )
+        )
+    return Finding(
+        code="lack-of-fit",
+        subject=TRIAD,
+        text=f"The residuals of the {part.words} {clause} (p = {followed.p:.2g}).{cure}",
+        size=size,
+        contradicts=size > CONTRADICTION_SIGMAS,
+    )
+
+
+def _few_poses_left(part: FittedReadings) -> Finding:
+    left = format_number(part.freedom, 2) if part.freedom >= 0.05 else "no"
+    text = (
+        f"{part.readings.size} poses leave {left} degrees of freedom after the estimation: "
+        "their residuals cannot be tested. Take more of them."
+    )
+    return Finding(code="unjudged-readings", subject=TRIAD, text=text)

@@ -16,16 +16,18 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
-from counterspin.calibration.diagnosis.credible import beyond_typical, incredible
-from counterspin.calibration.diagnosis.mountings import OtherMounting, better, wrong_mounting
-from counterspin.calibration.diagnosis.stated_noise import with_noise_by_run, wrong_noise
+from counterspin.calibration.diagnosis.limits import beyond_typical, incredible
+from counterspin.calibration.diagnosis.noise import (
+    residual_findings,
+    with_noise_by_run,
+    wrong_noise,
+)
+from counterspin.calibration.diagnosis.statements import OtherMounting, better, wrong_mounting
 from counterspin.calibration.diagnosis.words import Described, Explanation
-from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
-from counterspin.calibration.joint_checks import residual_findings
-from counterspin.calibration.joint_parts import coefficient, knowledge, noise_lines, residual
-from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.findings import ACCOUNTABLE, CONTRADICTION_SIGMAS, Cause, from_numbers
+from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
+from counterspin.calibration.outcome import coefficient, knowledge, noise_lines, residual
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, semidefinite_root
-from counterspin.calibration.notebook.prediction import Prediction
+from counterspin.calibration.notebook.forms import Prediction
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting

@@ -1,8 +1,5 @@
 """A calibration's result as a person reads it: blocks for any face.
 
-- `terminal`: a result in the terminal; `sections`: its blocks
-- `full_report`: the whole report for paper and screen
-- `verdict`, `accelerometer`, `triad`, `uncertainty`, `motions`, `kinds`, `conformity`,
-  `basis`, `pictures`, `pose_pictures`: its chapters
-- `batch`: many campaigns in one table
+- `document`: the whole of it, in a terminal, in a notebook, as a report; many campaigns in a table
+- `verdict`, `accelerometer`, `triad`, `uncertainty`, `methods`, `pictures`: its chapters
 """

@@ -6,10 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.diagnosis.record_counts import rejected_of
 from counterspin.calibration.findings import methods_agree
-from counterspin.calibration.pages.kinds import kind_blocks
-from counterspin.calibration.pages.motions import table_of_tests
+from counterspin.calibration.pages.methods import kind_blocks, table_of_tests
 from counterspin.calibration.pages.uncertainty import dominance, named, telling
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -23,6 +21,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.agreement import Jackknife
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.terms import is_term, term, words_of
+from counterspin.records.report import rejected_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,

@@ -1,0 +1,285 @@
+"""Whether estimates are of a size that an instrument has, and that first order holds for.
+
+With the sign of all readings reversed a fit is as good as before; only its K_I says that something
+is wrong, near -1. So each estimate is compared with its largest credible size about what it ideally
+is, three of its standard uncertainties allowed. Drifts and tilts of the platform are held to what a
+theory of first order allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Coefficient,
+    Finding,
+    Knowledge,
+)
+from counterspin.campaign.description import Campaign
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.grades import GRADES
+from counterspin.physics.terms import (
+    ARCSEC,
+    DEGREE_PER_HOUR,
+    OWN_TERMS,
+    PLATFORM_TERMS,
+    TERMS,
+    is_term,
+    term,
+)
+from counterspin.reports.numbers import field_unit, format_estimate, format_number
+
+#: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
+_ALLOWED: Final = 3.0
+
+#: What is unstated may be so many times its typical size.
+_TYPICAL_SIZES: Final = 4.0
+
+#: A scale factor is off by a unit that it is this near to, of its size; 9.8 is not 10.
+_ALIKE: Final = 0.01
+
+_GRAVITY: Final = 9.80665  #: m/s^2
+
+#: Powers of ten that a unit may be off by.
+_POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
+
+#: The first of these that a symbol begins with says what is likely.
+_LIKELY: Final = {
+    "K_F.temperature": "the unit of the temperatures, or their assignment to positions",
+    "K_I.temperature": "the unit of the temperatures, or their assignment to positions",
+    "K_II.temperature": "the unit of the temperatures, or their assignment to positions",
+    "K_F.trend": "the times of the runs and their unit",
+    "K_F": "an offset of all readings, such as the `zero` of an output, or that of the attitudes",
+    "delta_": "the attitudes: their zero, their sense, or the axes",
+    "K_": "the rates, the radius, or whether the output is linear at the largest force",
+    "platform.tilt": "the attitudes, or the input axes",
+    "platform.": "the unit of a record, or the stated noise",
+    "centrifuge.radius": "the radius and its unit",
+    "centrifuge.": "the radius, the rates and their units",
+    "fixture.": "the attitudes and axes of this mounting",
+    "head.zero": "the zero of the dividing head, and the sense in which its angle is counted",
+    "encoder.": "the angle: its unit, and its counts per revolution",
+}
+
+
+#: Symbol of a term and its accelerometer, empty of others' -> the largest credible size.
+LimitOf = Callable[[str, str], float]
+
+#: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
+_FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
+
+
+def widest_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- as campaigns answer
+    """Return the largest credible size at any grade, for a result that does not say its own."""
+    return max(term(symbol).sizes(grade).limit for grade in GRADES)
+
+
+def incredible(
+    limit_of: LimitOf, name: str, coefficients: Mapping[str, Coefficient]
+) -> Iterator[Finding]:
+    """Yield a finding if coefficients of an accelerometer are beyond what is credible.
+
+    A wrong scale factor makes the others wrong by as much: they stand below it.
+
+    coefficients: Symbol -> estimate, in g-units.
+    """
+    found = {
+        symbol: finding
+        for symbol, c in coefficients.items()
+        if symbol in OWN_TERMS
+        and (finding := _finding(limit_of, name, symbol, f"{name}.{symbol}", c)) is not None
+    }
+    scale = found.pop("K_I", None)
+    if scale is None:
+        yield from found.values()
+    else:
+        yield scale.model_copy(update={"explains": list(found.values())})
+
+
+def incredible_shared(
+    limit_of: LimitOf, coefficients: Iterable[tuple[str, str, Coefficient]]
+) -> Iterator[Finding]:
+    """Yield the findings on what platform, machine and runs have; deviations from nominal, SI.
+
+    coefficients: Symbol, whole name and estimate; radii of mountings as deviations from the
+        centrifuge's.
+    """
+    for symbol, name, c in coefficients:
+        if is_term(symbol):
+            finding = _finding(limit_of, "", symbol, name, c)
+            if finding is not None:
+                yield finding
+
+
+def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
+    """Yield a finding for each thing unstated that comes out far from nothing."""
+    for row in rests_on:
+        if row.kind != "unstated" or row.found is None or row.u_found is None:
+            continue
+        times = abs(row.found - row.value) / row.u
+        if times <= _TYPICAL_SIZES:
+            continue
+        unit, factor = field_unit(row.unit)
+        found = format_estimate(row.found * factor, row.u_found * factor, unit)
+        size = f"{format_number(row.u * factor, 2)} {unit}"
+        text = (
+            f"{row.name}, which is not stated, is estimated as {found}: {format_number(times, 2)} "
+            f"times the typical size, {size}. State what is known of it in [model.priors], or "
+            "look for a mistake that has the same effect."
+        )
+        yield Finding(code="beyond-typical", subject=row.name, text=text, size=times)
+
+
+def _finding(
+    limit_of: LimitOf, owner: str, symbol: str, subject: str, c: Coefficient
+) -> Finding | None:
+    """Return the finding on one estimate; None if it is credible or there is none."""
+    if not c.estimated or c.value is None or c.u is None:
+        return None
+    row, limit = term(symbol), limit_of(symbol, owner)
+    beyond = abs(c.value - row.nominal) - limit
+    if beyond <= _ALLOWED * c.u:
+        return None
+    about = f" about {row.nominal:g}" if row.nominal else ""
+    likely = _of_scale(c.value, limit) if symbol == "K_I" else _likely(symbol)
+    grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
+    text = (
+        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: beyond "
+        f"{format_number(limit)} {c.unit}{about}. The records cannot show why. Check "
+        f"{likely}. If the value is real,{grade} raise {symbol} in [model.limits]."
+    )
+    return Finding(
+        code="incredible",
+        subject=subject,
+        text=text,
+        size=beyond / c.u if c.u > 0.0 else None,
+        contradicts=True,
+    )
+
+
+def _likely(symbol: str) -> str:
+    return next(words for start, words in _LIKELY.items() if symbol.startswith(start))
+
+
+def _of_scale(value: float, limit: float) -> str:
+    """Return what makes a scale factor what it is: a sign, a unit, a column."""
+    factors = dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
+    factors |= {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
+    # The true one may be as far from 1 as instruments of its grade are.
+    alike = max(_ALIKE, 0.1 * limit)
+    near = [factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= alike]
+    causes = []
+    if value < -limit or (value < 0.0 and near):
+        causes.append("the sign of the output, the sense of the input axis and of the attitudes")
+    if 1.0 not in near and near:
+        causes.append(", or ".join(factors[factor] for factor in near))
+    elif not near and abs(value) <= limit:
+        causes.append("whether column or accelerometer are mixed up")
+    return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"
+
+
+# The platform's attitude
+
+
+def large_drifts(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
+    """Return the findings on drifts of the platform; `longest` run in s."""
+    findings = []
+    for unknown, c in coefficients.items():
+        if unknown.symbol in TERMS:
+            continue
+        if unknown.symbol.startswith("platform.drift") and c.value is not None:
+            findings += _large_drift(unknown.symbol, c, longest)
+    return findings
+
+
+def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[Finding]:
+    """Return a finding where a drift is, or with its uncertainty may be, too large."""
+    rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
+    limit = _FIRST_ORDER_LIMIT / longest**2
+    if rate + 2.0 * u <= limit:
+        return []
+    is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
+    text = (
+        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the first-order model of "
+        f"the platform's attitude holds only up to about {limit:.2g} deg/h."
+    )
+    return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
+
+
+def large_tilts(
+    campaign: Campaign,
+    runs: Mapping[str, Mapping[str, Coefficient]],
+    accelerometers: Mapping[str, AccelerometerResult],
+) -> list[Finding]:
+    """Return a finding where a tilt is, or with its uncertainty may be, too large.
+
+    With the tilt psi the platform senses f - psi x f + psi x (psi x f)/2 + ... The last of these
+    is not in the columns, nor is what the second moves of a_I^2. Along the input axis they look
+    like a scale factor, (psi_I^2 - psi^2)/2 and 2 K_II (psi x g)_I/g, and like a bias,
+    psi_I psi_up/2.
+    """
+    worst: dict[str, Finding] = {}
+    for run in campaign.runs:
+        size = _largest_tilt(campaign, runs.get(run.name, {}))
+        if not size.any():
+            continue
+        for name, accelerometer in accelerometers.items():
+            along = campaign.accelerometers[name].mounting.turned(run.attitude).input_axis
+            k_ii = accelerometer.coefficients.get("K_II")
+            square = abs(k_ii.value or 0.0) if k_ii is not None else 0.0
+            for symbol, shift in _second_order(size, np.abs(along), square).items():
+                c = accelerometer.coefficients.get(symbol)
+                if c is None or not c.estimated or not c.u or shift <= c.u:
+                    continue
+                finding = _large_tilt(run.name, size, f"{name}.{symbol}", shift, c)
+                before = worst.get(finding.subject)
+                if before is None or (before.size or 0.0) < (finding.size or 0.0):
+                    worst[finding.subject] = finding
+    return list(worst.values())
+
+
+def _largest_tilt(campaign: Campaign, estimated: Mapping[str, Coefficient]) -> Array:
+    """Return how large the tilt about each axis may be, |value| + 2 u, rad, shape (3,)."""
+    size = np.zeros(3)
+    for symbol, row in PLATFORM_TERMS.items():
+        if row.effect.kind != "tilt":
+            continue
+        known = estimated.get(symbol)
+        if symbol in campaign.model.considered:
+            prior = campaign.model.priors[symbol]
+            size[row.effect.axis] = abs(prior.value) + 2.0 * prior.u
+        elif known is not None and known.value is not None:
+            size[row.effect.axis] = abs(known.value) + 2.0 * (known.u or 0.0)
+    return size
+
+
+def _second_order(size: Array, along: Array, square: float) -> dict[str, float]:
+    """Return by coefficient what the second order moves it by, for sizes along all axes."""
+    own = float(size @ along)
+    across = float(size[0] * along[1] + size[1] * along[0])  # of (psi x g)/g
+    return {
+        "K_I": 0.5 * max(float(size @ size) - own**2, 0.0) + 2.0 * square * across,
+        "K_F": 0.5 * own * float(size[2]),
+    }
+
+
+def _large_tilt(
+    run: str, size: Array, subject: str, shift: float, coefficient: Coefficient
+) -> Finding:
+    assert coefficient.u
+    ratio = shift / coefficient.u
+    tilt = float(np.linalg.norm(size)) / ARCSEC
+    unit, factor = field_unit(coefficient.unit)
+    text = (
+        f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
+        f"moves {subject} by up to {format_number(shift * factor, 2)} {unit}, "
+        f"{format_number(ratio, 2)} of its u. "
+        f"The first-order model holds up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
+    )
+    return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

@@ -1,0 +1,181 @@
+"""Whether residuals are the noise: as stated or as found, in all runs or in some of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+from counterspin.calibration.diagnosis.reading_findings import pose_findings, readings_fit
+from counterspin.calibration.findings import equivalent_deviations, lack_of_fit
+from counterspin.calibration.joint_problem import AccelerometerView
+from counterspin.calibration.outcome import found_timing, residual
+from counterspin.calibration.result_parts import Finding
+from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, FALSE_ALARMS, SIGNIFICANCE
+from counterspin.inference.joint.agreement import slow_parts
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import relax, solve_joint
+from counterspin.inference.joint.uneven_noise import noise_by_run
+from counterspin.reports.numbers import format_number
+
+#: Noise of a run that is so many times the stated one, or less by as much, is another one.
+_OTHER_NOISE: Final = 1.1
+
+#: Runs that a finding names.
+_MOST_NAMED: Final = 3
+
+#: Share of u^2 above which noise that the records do not show is mentioned.
+_HIDDEN_SHARE: Final = 0.5
+
+
+def with_noise_by_run(
+    views: Sequence[AccelerometerView], now: Estimate
+) -> tuple[Estimate, list[Finding]]:
+    """Weigh each run with its own noise where the stated one is that of some runs only.
+
+    What a noisy run does by chance is no jump of its record. Its noise is taken from third
+    differences, in which nothing else shows.
+    """
+    stated = [v.name for v in views if v.has_records and not v.problem.noise[v.name].wanted]
+    sizes = {name: noise_by_run(now.fit, name) for name in stated}
+    sizes = {name: runs for name, runs in sizes.items() if _other(runs)}
+    if not sizes:
+        return now, []
+    weighed = [
+        replace(part, series=part.series.louder(sizes.get(part.accelerometer, {})))
+        for part in now.fit.prepared
+    ]
+    others = now.fit.observations[len(weighed) :]
+    fit = solve_joint((*weighed, *others), now.fit.model, now.fit.noise)
+    return replace(now, fit=fit), [_finding(name, runs) for name, runs in sizes.items()]
+
+
+def _other(runs: Mapping[str, float]) -> list[str]:
+    """Return the runs whose noise is another one than stated, the furthest off first."""
+    off = [run for run, size in runs.items() if not 1.0 / _OTHER_NOISE < size < _OTHER_NOISE]
+    return sorted(off, key=lambda run: -abs(math.log(runs[run])))
+
+
+def _finding(name: str, runs: Mapping[str, float]) -> Finding:
+    off = _other(runs)
+    times = [f"{format_number(runs[run], 2)} times" for run in off[:_MOST_NAMED]]
+    times[0] += " the stated one"
+    own = ", ".join(f"{size} in {run}" for size, run in zip(times, off, strict=False))
+    rest = ", and as stated in the others" if len(off) < len(runs) else ""
+    text = (
+        f"The noise of {name} is {own}{rest}: rows beside each other differ by as much. Find out "
+        "why, or leave it out of [noise]: each run is then weighted with its own."
+    )
+    size = max(max(one, 1.0 / one) for one in runs.values())
+    return Finding(code="wrong-noise", subject=name, text=text, size=size)
+
+
+def wrong_noise(view: AccelerometerView) -> Iterator[Finding]:
+    """Yield that the noise is stated wrongly, where nothing else is wrong with it.
+
+    Residuals of another size than the noise, alike in every run and independent of each other.
+    """
+    tests, name, fits = view.diagnostics, view.name, len(view.campaign.accelerometers)
+    p = tests.lack_of_fit_p
+    if CHI_SQUARE_SIGNIFICANCE / fits < p < 1.0 - CHI_SQUARE_SIGNIFICANCE / fits:
+        return
+    ratio, least = tests.chi2 / tests.dof, SIGNIFICANCE / (3.0 * len(tests.runs))
+    for run in tests.runs.values():
+        off = (run.chi2 / ratio - run.dof) / math.sqrt(2.0 * run.dof)
+        if min(run.sign_p, run.peak_p, math.erfc(abs(off) / math.sqrt(2.0))) < least:
+            return
+    times = math.sqrt(ratio)
+    text = (
+        f"Noise {format_number(times, 4)} times as large as stated would fit: the residuals have "
+        f"this size in every run and are independent of each other. Check the stated noise, "
+        "or have it estimated."
+    )
+    yield Finding(code="wrong-noise", subject=name, text=text, size=max(times, 1.0 / times))
+
+
+def residual_findings(view: AccelerometerView) -> list[Finding]:
+    """Return what the tests of an accelerometer's residuals found: one finding for all records."""
+    findings = [*readings_fit(view), *pose_findings(view.fit, view.poses)]
+    if not view.has_records:
+        return findings
+    tests = view.diagnostics
+    if tests.findings:
+        findings.insert(0, lack_of_fit(view.name, tests.findings, residual(view)))
+    return [*findings, *_noise_that_differs(view)]
+
+
+def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where one run shows more of the noise that was found than the others."""
+    components = view.estimate.components.get(view.name)
+    if components is None or "random_walk" not in components.estimated:
+        return []
+    # What nobody asks for need not be apart.
+    parts = slow_parts(relax(view.estimate.core or view.fit), view.name)
+    worst = min(parts, key=lambda part: part.p, default=None)
+    tests = len(parts) * len(view.campaign.accelerometers)
+    if worst is None or worst.p * tests >= FALSE_ALARMS:
+        return []
+    text = (
+        "The estimated noise of the accelerometer differs between runs: "
+        f"that of {worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as "
+        f"the others' "
+        f"(p = {worst.p:.2g}). A slow error of this record, or of one that it is compared with, "
+        f"may have been taken for noise and may shift the coefficients by more than u. "
+        "Inspect the records."
+    )
+    return [
+        Finding(
+            code="noise-differs",
+            subject=f"{worst.run}.{view.name}",
+            text=text,
+            size=equivalent_deviations(worst.p),
+        )
+    ]
+
+
+# Remarks
+
+
+def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
+    """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
+    for view in views:
+        if thinned := {one.run: one.every for one in view.series if one.every > 1}:
+            which = ", ".join(f"every {every}th of {run}" for run, every in thinned.items())
+            yield (
+                f"{view.name}: rows beside each other have nearly the same error, as a filter of "
+                f"the recorder or coarse steps make it. Only independent rows are used: {which}."
+            )
+        sizes = {one.run: math.sqrt(one.relative) for one in view.series}
+        quiet, loud = (choose(sizes, key=sizes.__getitem__, default="") for choose in (min, max))
+        if sizes and sizes[loud] > sizes[quiet]:
+            ratio = sizes[loud] / sizes[quiet]
+            yield (
+                f"{view.name}: the noise of {loud} is {ratio:.2g} times that of {quiet}. Each run "
+                "is weighted with its own. Find out why, and whether more than noise differs."
+            )
+        if timing := found_timing(view):
+            yield (
+                f"{view.name}: the noise follows the slope of the signal, as time stamps that "
+                f"scatter by {timing * 1e6:.2g} us make it, and rows are weighted accordingly. "
+                "If that is what they do, state it as timing in [noise]."
+            )
+
+
+def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
+    """Yield a remark where most of u^2 of K_II is noise that the records do not show.
+
+    u holds it, so nothing speaks against the result.
+    """
+    for view in views:
+        index, name = view.k_ii, view.name
+        if index is None or name not in view.fit.unseen:
+            continue
+        variance = float(view.fit.unseen[name][1][index, index])
+        share = variance / float(view.fit.solution.u[index]) ** 2
+        if share > _HIDDEN_SHARE:
+            yield (
+                f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the "
+                f"records neither show nor exclude. If it is known, even as zero, state "
+                "it as acceleration in [noise]; otherwise record longer runs."
+            )

@@ -1,0 +1,206 @@
+"""The coefficients of a result for other programs: frames, LaTeX tables, uncertainties, GTC.
+
+The packages are no requirements; each function says so where its own is missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.notebook.forms import (
+    latex_number,
+    latex_symbol,
+    latex_text,
+    latex_unit,
+)
+from counterspin.errors import CounterspinError
+from counterspin.reports.blocks import escape_controls
+from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
+from counterspin.reports.publication import LINES
+
+if TYPE_CHECKING:
+    from counterspin.calibration.result import Result
+    from counterspin.calibration.result_parts import Coefficient
+
+
+#: Characters of a finding that a line of text shows.
+_LINE_CHARACTERS: Final = 100
+
+
+def rows(result: Result) -> Iterator[tuple[str, str, Coefficient]]:
+    """Yield owner, symbol and coefficient of all: accelerometers', the platform's, the runs'."""
+    for name, accelerometer in result.accelerometers.items():
+        for symbol, c in accelerometer.coefficients.items():
+            yield name, symbol, c
+    for symbol, c in result.platform.items():
+        yield "", symbol, c
+    for name, run in result.runs.items():
+        for symbol, c in run.terms.items():
+            yield name, symbol, c
+
+
+def frame(result: Result, library: str = "polars") -> Any:
+    """Return the coefficients as a frame, in the units of the field."""
+    return frame_of_rows(rows(result), library)
+
+
+def frame_of_rows(every: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
+    """Return owners, symbols and coefficients as a frame, in the units of the field."""
+    columns: dict[str, list[Any]] = {
+        name: []
+        for name in (
+            *("owner", "term", "value", "u", "unit"),
+            *("low", "high", "u_unstated", "dof", "estimated"),
+        )
+    }
+    for owner, symbol, c in every:
+        unit, factor = field_unit(c.unit)
+        known = c.estimated and c.value is not None and c.u is not None
+        low, high = c.interval() if known else (None, None)
+        numbers = (c.value, c.u, low, high, c.u_unstated)
+        value, u, low, high, typical = (
+            None if number is None else number * factor for number in numbers
+        )
+        row = (owner, symbol, value, u, unit, low, high, typical, c.dof, c.estimated)
+        for column, cell in zip(columns.values(), row, strict=True):
+            column.append(cell)
+    return frame_of(columns, ("value", "u", "low", "high", "u_unstated", "dof"), library)
+
+
+def frame_of(columns: Mapping[str, list[Any]], numeric: Sequence[str], library: str) -> Any:
+    """Return columns as a frame of a library; `numeric` hold numbers, even if all are None."""
+    if library == "pandas":
+        return import_module("pandas").DataFrame(columns)
+    if library != "polars":
+        raise ValueError(f"library: {library!r} is not polars or pandas")
+    import polars as pl
+
+    return pl.DataFrame(columns, schema_overrides=dict.fromkeys(numeric, pl.Float64))
+
+
+def latex_table(result: Result) -> str:
+    r"""Return the coefficients as a LaTeX ``tabular``: owner, symbol, value(u), unit."""
+    lines = [r"\begin{tabular}{llrl}", r"& & value & unit \\", r"\hline"]
+    for owner, symbol, c in rows(result):
+        unit, factor = field_unit(c.unit)
+        if c.value is None or c.u is None or not c.estimated:
+            number = NOT_DETERMINED
+        else:
+            number = f"${latex_number(format_compact(c.value * factor, c.u * factor))}$"
+        cells = (latex_text(owner), f"${latex_symbol(symbol)}$", number, f"${latex_unit(unit)}$")
+        lines.append(rf"{' & '.join(cells)} \\")
+    return "\n".join([*lines, r"\end{tabular}", ""])
+
+
+def brief(result: Result) -> str:
+    """Return title, state, coefficients and the gravest finding as text of at most 20 lines."""
+    head = (
+        f"{result.title or 'Calibration'}: {result.method} method, {result.state or 'not judged'}"
+    )
+    named = [
+        (f"{owner}.{symbol}" if owner else symbol, str(c)) for owner, symbol, c in rows(result)
+    ]
+    width = max((len(name) for name, _ in named), default=0)
+    lines = [f"{name.ljust(width)}  {text}" for name, text in named]
+    findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
+    remarks = [
+        escape_controls(shortened)
+        for text in findings[:1]
+        if (shortened := text[:_LINE_CHARACTERS])
+    ]
+    if more := len(findings) - 1:
+        remarks += [f"... {more} more findings"] if more > 0 else []
+    room = LINES - 1 - len(remarks)
+    if len(lines) > room:
+        lines[room - 1 :] = [f"... {len(lines) - room + 1} more coefficients: .table() has all"]
+    return "\n".join([escape_controls(head), *map(escape_controls, lines), *remarks])
+
+
+def _package(name: str, distribution: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise CounterspinError(
+            f"{distribution} is not installed: `pip install {distribution}`"
+        ) from error
+
+
+def to_uncertainties(result: Result) -> dict[str, Any]:
+    """Return the determined coefficients as ``uncertainties`` variables, by name (``Qx.K_II``)."""
+    package = _package("uncertainties", "uncertainties")
+    covariance = result.stated_covariance()
+    values = [result.coefficient(name).value for name in covariance.terms]
+    numbers = package.correlated_values(values, covariance.matrix, tags=covariance.terms)
+    return dict(zip(covariance.terms, numbers, strict=True))
+
+
+def to_gtc(result: Result) -> dict[str, Any]:
+    """Return the determined coefficients as GTC's uncertain numbers, by name (``Qx.K_II``).
+
+    GTC gives numbers that are correlated and have finite degrees of freedom one number of these
+    together. So each coefficient is a sum of independent parts that the coefficients share, and
+    each part of two: one of an ensemble with one degree of freedom, one with infinitely many. Their
+    sizes are such that the Welch-Satterthwaite formula, by which GTC computes, returns each
+    coefficient's own degrees of freedom. Where correlations leave no such sizes, GTC returns fewer
+    than the coefficient has, never more; it knows no fewer than 1. Degrees of freedom of what is
+    computed from several coefficients follow from the same parts, and are an approximation.
+    """
+    package = _package("GTC", "GTC")
+    covariance = result.stated_covariance()
+    found = [result.coefficient(name) for name in covariance.terms]
+    u = np.sqrt(np.diag(covariance.matrix))
+    dof = np.array([math.inf if c.dof is None else max(1.0, c.dof) for c in found])
+    root = _root(covariance.matrix / np.outer(u, u), dof)
+    finite = _finite_parts(root, dof)
+    few = np.flatnonzero(finite)
+    of_few = package.multiple_ureal([0.0] * few.size, np.sqrt(finite[few]).tolist(), 1.0)
+    numbers = {}
+    for name, c, row in zip(covariance.terms, found, u[:, None] * root, strict=True):
+        number = package.constant(c.value)
+        for place, part in zip(few, of_few, strict=True):
+            number += float(row[place]) * part
+        numbers[name] = number
+    for place in np.flatnonzero(finite < 1.0):
+        part = package.ureal(0.0, math.sqrt(1.0 - finite[place]))
+        for name, size in zip(covariance.terms, u * root[:, place], strict=True):
+            numbers[name] += float(size) * part
+    return {name: package.result(number, label=name) for name, number in numbers.items()}
+
+
+def _root(correlation: Array, dof: Array) -> Array:
+    """Return independent parts, a row of L for each coefficient: L L^T is the correlation.
+
+    Each part belongs to one coefficient, and those with fewer degrees of freedom have it too: these
+    get them by a part that the others lack.
+    """
+    order = np.argsort(-dof)
+    values, vectors = np.linalg.eigh(correlation[np.ix_(order, order)])
+    half = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = np.empty_like(half)
+    _, upper = np.linalg.qr(half.T)
+    root[order] = upper.T
+    # Rounding, and what an eigenvalue below zero had added.
+    rows: Array = root / np.linalg.norm(root, axis=1)[:, None]
+    return rows
+
+
+def _finite_parts(root: Array, dof: Array) -> Array:
+    """Return which share of each part's variance has one degree of freedom, from 0 to 1.
+
+    A coefficient of which the share s has one degree of freedom, and the rest infinitely many, has
+    1/s^2 by the Welch-Satterthwaite formula; s is linear in the shares of the parts.
+    """
+    from scipy.optimize import linprog
+
+    wanted = 1.0 / np.sqrt(dof)
+    of_parts = root**2
+    weight = 1.0 / np.maximum(wanted, 1e-6)
+    solved = linprog(weight @ of_parts, A_ub=-of_parts, b_ub=-wanted, bounds=(0.0, 1.0))
+    shares: Array = np.where(solved.x > 1e-12, np.minimum(solved.x, 1.0), 0.0)
+    return shares

@@ -1,0 +1,400 @@
+"""The whole of a result, the answer first: in a terminal, in a notebook, as a report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from rich.console import Console
+
+from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages.accelerometer import (
+    accelerometer_blocks,
+    budget_blocks,
+    coefficient_table,
+    count_blocks,
+    in_field_units,
+    note_blocks,
+)
+from counterspin.calibration.pages.methods import model_blocks, origin_blocks
+from counterspin.calibration.pages.pictures import (
+    budget_bars,
+    correlation_map,
+    jackknife_plot,
+    residual_plots,
+    ripple_plot,
+)
+from counterspin.calibration.pages.triad import pose_pictures, triad_blocks, triad_line
+from counterspin.calibration.pages.uncertainty import (
+    assumption,
+    dominance,
+    knowledge_blocks,
+    largest_part,
+)
+from counterspin.calibration.pages.verdict import (
+    conformity_blocks,
+    misfit_blocks,
+    verdict_blocks,
+    verdict_tables,
+)
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, RunResult, State
+from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.reports.blocks import Block, Column, Heading, Lines, Paragraph, Picture, Table
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    field_unit,
+    format_compact,
+    format_count,
+    format_estimate,
+    format_interval,
+    format_number,
+)
+from counterspin.reports.text import Report, report_console
+from counterspin.reports.typography import typeset_block
+
+if TYPE_CHECKING:
+    from counterspin.calibration.batch import BatchResult
+
+#: From so many degrees of freedom on an interval is that of a normal distribution within 0.2 %.
+_MANY_DOF: Final = 1e3
+
+#: Titles of what a fit is judged by; other keys are their own.
+_TESTS: Final = {
+    "chi2": "chi-square",
+    "chi2_p": "its p",
+    "sign_p": "p of signs",
+    "peak_frequency_hz": "peak, Hz",
+    "peak_p": "its p",
+}
+
+_COLUMNS = (
+    Column("Campaign"),
+    Column("Accelerometer"),
+    Column("K_II", align="right"),
+    Column("Unit"),
+    Column("State"),
+)
+
+
+def sections(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
+    """Return a result as blocks, the answer first.
+
+    budget: Whether the uncertainty budgets are written.
+    details: Whether strong correlations, run counts, input files and their checksums are written.
+    """
+    result = judge_result(result)
+    blocks: list[Block] = [
+        *answer_blocks(result),
+        *verdict_blocks(result),
+        *conformity_blocks(result),
+    ]
+    for name, accelerometer in result.accelerometers.items():
+        blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
+        if budget:
+            blocks += budget_blocks(name, accelerometer)
+    blocks += triad_blocks(result, details=details)
+    blocks += platform_blocks(result)
+    if budget:
+        blocks += knowledge_blocks(result)
+    blocks += run_blocks(result.runs, details=details)
+    if details:
+        blocks += _details(result)
+    return blocks
+
+
+def first_screen(result: Result) -> list[Block]:
+    """Return what a cell of a notebook shows: the answer, whether it is good, the coefficients."""
+    result = judge_result(result)
+    blocks: list[Block] = [*answer_blocks(result), *verdict_blocks(result)]
+    for name, accelerometer in result.accelerometers.items():
+        blocks += [Heading(name, 3), coefficient_table(accelerometer.coefficients)]
+    return blocks
+
+
+# The answer
+
+
+def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
+    """Yield title, K_II of each accelerometer, warnings about the whole and conventions.
+
+    Where the records contradict the result, that is said before any number.
+
+    in_g: Whether K_II is given in g/g^2 beside ug/g^2.
+    """
+    yield Heading(result.title or "Calibration", 1)
+    yield from misfit_blocks(result)
+    for name, accelerometer in result.accelerometers.items():
+        if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
+            state = accelerometer.state
+            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
+            if sentence := dominance(accelerometer) or largest_part(accelerometer):
+                yield Paragraph(sentence)
+    yield from triad_line(result)
+    if sentence := assumption(result):
+        yield Paragraph(sentence)
+    for warning in result.warnings:
+        yield Paragraph(f"Warning: {warning}", "warning")
+    known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
+    if line := "; ".join(known):
+        yield Paragraph(f"{line[:1].upper()}{line[1:]}.", "quiet")
+    gravity = format_number(result.inputs.gravity, 9)
+    yield Paragraph(
+        f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
+        f"(k = 1). Coefficients are in units of the site's own gravity, g = {gravity} m/s^2, and "
+        f"of an error model that is not divided by K_I, unlike that of IEEE Std 1293, "
+        "whose K2 is K_II/K_I.",
+        "quiet",
+    )
+
+
+def _answer_line(
+    name: str, coefficient: Coefficient, *, in_g: bool, state: State | None
+) -> Paragraph:
+    """Return K_II in one line; one that is contradicted has neither interval nor colour."""
+    value, u, unit = in_field_units(coefficient)
+    if not coefficient.estimated or value is None or u is None:
+        prior = (
+            f"; known beforehand: {format_estimate(value, u, unit)}" if value is not None else ""
+        )
+        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", "warning")
+    text = f"{name} = {format_estimate(value, u, unit)}"
+    if in_g:
+        text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
+    if state == "contradicted":
+        return Paragraph(text)
+    if u > 0.0:
+        half = expanded_uncertainty(u, coefficient.dof)
+        interval = format_interval(value, u, half, unit if in_g else "")
+        few = coefficient.dof is not None and coefficient.dof < _MANY_DOF
+        dof = f", {format_count(coefficient.dof or 0.0)} dof" if few else ""
+        text += f"   (95 %: {interval}{dof})"
+    return Paragraph(text, "reserved" if state == "reservations" else "answer")
+
+
+# Platform and runs
+
+
+def platform_blocks(result: Result) -> Iterator[Block]:
+    """Yield a table of the platform's terms, those of single runs among them, if there are any."""
+    terms = dict(result.platform)
+    for name, run in result.runs.items():
+        terms |= {f"{symbol} ({name})": coefficient for symbol, coefficient in run.terms.items()}
+    if terms:
+        yield Heading("Platform" if result.runs else "Machine")
+        table = coefficient_table(terms)
+        yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet)
+
+
+def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
+    """Yield what the runs showed: rotation, samples, fits; with `details`, counts of each kind."""
+    if not runs:
+        return
+    yield Heading("Runs")
+    yield Table(
+        columns=(
+            Column("Run", wraps=True),
+            Column("Rate, rad/s"),
+            Column("Drift, ppm/h"),
+            Column("Ripple, ppm of rate"),
+            Column("Used", "right"),
+            Column("Rejected", "right"),
+        ),
+        rows=tuple(
+            (
+                name,
+                format_compact(run.rate, run.u_rate),
+                format_compact(
+                    run.drift * field_unit("1/s")[1],
+                    None if run.u_drift is None else run.u_drift * field_unit("1/s")[1],
+                ),
+                _ripples(run),
+                str(run.samples),
+                str(run.rejected),
+            )
+            for name, run in runs.items()
+        ),
+    )
+    yield Paragraph("Digits in brackets: standard uncertainty of the last digits.", "quiet")
+    yield from _parabolas(runs)
+    yield from _fits(runs)
+    for name, run in runs.items():
+        yield from note_blocks(name, run)
+    if details:
+        yield from _counts(runs)
+
+
+def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
+    for name, run in runs.items():
+        yield from count_blocks(name, run)
+        if run.angle_rms is not None:
+            unit, factor = field_unit("rad")
+            rms = format_number(run.angle_rms * factor)
+            yield Paragraph(f"{name}: recorded angle less its model, rms {rms} {unit}.")
+
+
+def _ripples(run: RunResult) -> str:
+    if not run.ripples:
+        return "-"
+    # parts per million of the rate, whichever way it turns
+    scale = 1e6 / abs(run.rate)
+    return Lines(
+        *(
+            f"{one.harmonic}: {format_compact(one.amplitude * scale, one.u_amplitude * scale)}"
+            for one in run.ripples
+        )
+    )
+
+
+def _parabolas(runs: dict[str, RunResult]) -> Iterator[Block]:
+    rows = [
+        (
+            name,
+            accelerometer,
+            str(fitted.strobes),
+            format_compact(fitted.b2, fitted.u_b2),
+            f"{format_number(fitted.sigma)} {'fitted' if fitted.sigma_from_residuals else 'given'}",
+        )
+        for name, run in runs.items()
+        for accelerometer, fitted in run.parabolas.items()
+    ]
+    if rows:
+        yield Table(
+            columns=(
+                Column("First stage", wraps=True),
+                Column("", wraps=True),
+                Column("Strobes", "right"),
+                Column("b2, m/s^2"),
+                Column("sigma, m"),
+            ),
+            rows=tuple(rows),
+        )
+
+
+def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
+    """Write whatever each run's fit is judged by, a column for each key."""
+    fits = [
+        (name, accelerometer, fit)
+        for name, run in runs.items()
+        for accelerometer, fit in run.fit.items()
+    ]
+    keys = tuple(dict.fromkeys(key for _, _, fit in fits for key in fit))
+    titles = [_TESTS.get(key, key.replace("_", " ")) for key in keys]
+    if keys:
+        yield Table(
+            columns=(
+                Column("Fit", wraps=True),
+                Column("", wraps=True),
+                *(Column(title, "right", wraps=True) for title in titles),
+            ),
+            rows=tuple(
+                (name, accelerometer, *(_measure(key, fit.get(key)) for key in keys))
+                for name, accelerometer, fit in fits
+            ),
+        )
+
+
+def _measure(key: str, value: float | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or "-"
+    if key.endswith("_p"):
+        return f"{value:.3f}" if value >= 0.0005 else "< 0.001"
+    return format_count(value)
+
+
+def _details(result: Result) -> Iterator[Block]:
+    yield Heading("Details")
+    inputs = result.inputs
+    latitude = format_number(math.degrees(inputs.latitude), 8)
+    radius = f"Radius {inputs.radius:.10g} m, latitude" if inputs.radius else "Latitude"
+    yield Paragraph(f"{radius} {latitude} deg.")
+    for file, checksum in result.provenance.shown:
+        yield Paragraph(f"{file} {checksum}", "quiet")
+    yield Paragraph(f"counterspin {result.provenance.version}", "quiet")
+
+
+def document(result: Result) -> list[Block]:
+    """Return the full report of a result."""
+    result = judge_result(result)
+    blocks = (
+        *answer_blocks(result, in_g=True),
+        Heading("Is it good?"),
+        *verdict_tables(result),
+        *conformity_blocks(result),
+        *_chapters(result),
+        *triad_blocks(result, details=True),
+        *pose_pictures(result),
+        *platform_blocks(result),
+        *knowledge_blocks(result),
+        *run_blocks(result.runs, details=True),
+        *_drawn(ripple_plot(result.runs)),
+        *model_blocks(result),
+    )
+    # Names of files and checksums are left as they are.
+    heading, inputs, *origin = origin_blocks(result)
+    return [*map(typeset_block, (*blocks, heading, inputs)), *origin]
+
+
+def _chapters(result: Result) -> Iterator[Block]:
+    for name, accelerometer in result.accelerometers.items():
+        yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
+        yield from _drawn(jackknife_plot(name, accelerometer), correlation_map(name, accelerometer))
+        yield from _budget(name, accelerometer)
+        plots = list(residual_plots(name, accelerometer, result.runs))
+        if plots:
+            yield Heading(f"Residuals of {name}", 3)
+            yield from plots
+
+
+def _budget(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
+    yield from _drawn(budget_bars(name, accelerometer))
+    yield from budget_blocks(name, accelerometer)
+
+
+def _drawn(*pictures: Picture | None) -> Iterator[Picture]:
+    yield from (picture for picture in pictures if picture is not None)
+
+
+def print_result(
+    result: Result, console: Console | None = None, *, budget: bool = False, details: bool = False
+) -> None:
+    """Print a result, to standard output if to no other console; otherwise as `render`."""
+    console = console or report_console()
+    console.print(render(result, budget=budget, details=details))
+
+
+def render(result: Result, *, budget: bool = False, details: bool = False) -> Report:
+    """Return a result as a rich renderable.
+
+    budget: Whether to show the uncertainty budgets.
+    details: Whether to show correlations, counts, input files and their checksums.
+    """
+    return Report(sections(result, budget=budget, details=details))
+
+
+def batch_blocks(batch: BatchResult) -> list[Block]:
+    """Return the summary of a batch, failures below it."""
+    rows = tuple(
+        row
+        for folder, outcome in batch.campaigns.items()
+        if isinstance(outcome, Result)
+        for row in _rows(folder, outcome)
+    )
+    blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
+    blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
+    blocks += [
+        Paragraph(f"{folder}: the records contradict the result; it must not be used.", "warning")
+        for folder in batch.contradicted
+    ]
+    failed = len(batch.failed)
+    calibrated = len(batch.campaigns) - failed
+    blocks.append(Paragraph(f"{calibrated} campaigns calibrated, {failed} failed.", "quiet"))
+    return blocks
+
+
+def _rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:
+    for name, accelerometer in result.accelerometers.items():
+        coefficient = accelerometer.coefficients.get("K_II")
+        value, u, unit = (None, None, "") if coefficient is None else in_field_units(coefficient)
+        yield folder, name, format_estimate(value, u), unit, accelerometer.state or ""

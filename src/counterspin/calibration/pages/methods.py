@@ -1,0 +1,347 @@
+"""How a result came about: its tests, how far they agree, the equations, and how to repeat it."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+from counterspin.calibration.findings import level_of_kinds
+from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Coefficient,
+    KindOfTest,
+    PoseResult,
+    ReadingResult,
+)
+from counterspin.campaign.documents import DESCRIPTION_NAME
+from counterspin.physics.effects import Product
+from counterspin.physics.terms import (
+    MOTION_TERMS,
+    PLATFORM_TERMS,
+    SHARED_TERMS,
+    TERMS,
+    Term,
+    shown_by_readings,
+)
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact, format_number
+
+_OBSERVED: Final = {
+    "displacement": "S(t) = S₀ + V₀ t + ∬ (g a_ind − a_h) dt dt",
+    "velocity": "V(t) = V₀ + ∫ (g a_ind − a_h) dt",
+    "specific_force": "f(t) = g a_ind",
+}
+
+#: What each kind of test is called; the standard that describes it.
+_TESTS: Final = {
+    "static": "multi-position, at rest (IEEE Std 1293)",
+    "arm": "arm centrifuge (IEEE Std 836)",
+    "counter-rotating": "double turntable",
+}
+
+#: The specific force of each motion, along the axes of its frame.
+_FORCES: Final = {
+    "static": "At rest, along east, north and up: f = (0, 0, g)",
+    "arm": "On the arm, outward, forward and up: f = (−R (w² + 2 w Ω sin L), 0, "
+    "g + 2 R w Ω cos L sin θ)",
+    "counter-rotating": "On the double turntable, east, north and up: f = (−R (w² + 2 w Ω sin L) "
+    "cos θ, −R (w² + 2 w Ω sin L) sin θ, g + 2 R w Ω cos L sin θ)",
+}
+
+
+def model_blocks(result: Result) -> Iterator[Block]:
+    """Yield the equations of the fit with the terms that it had."""
+    yield Heading("Model")
+    yield Paragraph(
+        "Indication of an accelerometer in g, with the specific force a along its "
+        "input, pendulous and output axes I, P and O:"
+    )
+    for name, accelerometer in result.accelerometers.items():
+        # A term without a value was not in the fit.
+        known = {**accelerometer.known, **accelerometer.coefficients}
+        symbols = {symbol for symbol, c in known.items() if c.value is not None}
+        used = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
+        yield Paragraph(f"{name}: a_ind = {_sum(used)}", "equation")
+    platform = dict.fromkeys(
+        [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
+    )
+    if turns := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
+        yield Paragraph(
+            "The small attitude error ψ of the platform turns the sensed force to f − ψ × f; it is "
+            "ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Taken into account: "
+            f"{_list(turns)}."
+        )
+    if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
+        yield Paragraph(
+            "Errors of the path, which displace the platform from the position given by radius "
+            "and recorded angle: "
+            f"{_list(paths)}."
+        )
+    yield from reading_blocks(result)
+    if result.runs or not (readings_of(result) or poses_of(result)):
+        yield from _recorded(result)
+    yield Paragraph(_method(result))
+
+
+def _recorded(result: Result) -> Iterator[Block]:
+    """Yield what records of a double turntable were taken to be."""
+    observables = {
+        accelerometer.observable or "displacement"
+        for accelerometer in result.accelerometers.values()
+    }
+    yield Paragraph(
+        "The recorded signal, where a_h is the harmful acceleration (gravity, Coriolis and "
+        "centrifugal) that the system subtracts; fitted along the motion of the spindle:"
+    )
+    for observable in sorted(observables):
+        yield Paragraph(_OBSERVED[observable], "equation")
+    yield Paragraph(
+        "θ(t) = θ₀ + ω (t + C t²/2) + ripple by harmonics of the revolution", "equation"
+    )
+
+
+def _method(result: Result) -> str:
+    if result.model == "as-printed":
+        return (
+            "The observation model is the paper's as printed, which returns half the true "
+            "K_II; it is for comparison only."
+        )
+    if result.method == "two-stage":
+        return (
+            "Two stages, as in the paper: a parabola through one sample a revolution where the "
+            "reference displacement is zero, then its curvature against the rate."
+        )
+    readings = ["all readings of all test methods"] if readings_of(result) else []
+    poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
+    if readings or poses:
+        records = ["all samples of the records"] if result.runs else []
+        every = " and ".join([*records, *readings, *poses])
+        return (
+            f"{every[:1].upper()}{every[1:]} in one weighted least-squares fit, with prior "
+            f"knowledge as further observations; quantities that are held and not estimated "
+            f"contribute "
+            "to u by their sensitivity."
+        )
+    return (
+        "All samples of all runs and accelerometers in one weighted least-squares fit, with "
+        "prior knowledge as further observations; quantities that are held and not estimated "
+        "contribute to "
+        "u by their sensitivity. Each run has a start offset and a start velocity of its own."
+    )
+
+
+def _sum(terms: Iterable[Term[Product]]) -> str:
+    parts = []
+    for term in terms:
+        product = term.effect.text.replace("*", " ")
+        sign = "−" if term.effect.sign < 0.0 else "+"
+        parts.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
+    return " ".join(parts).removeprefix("+ ")
+
+
+def _list(words: Iterable[str]) -> str:
+    return ", ".join(words)
+
+
+def origin_blocks(result: Result) -> Iterator[Block]:
+    """Yield what the result was made from and how to make it again."""
+    yield Heading("Inputs and reproduction")
+    inputs = result.inputs
+    latitude = format_number(math.degrees(inputs.latitude), 8)
+    radius = f", radius {inputs.radius:.10g} m" if inputs.radius else ""
+    yield Paragraph(
+        f"Gravity {format_number(inputs.gravity, 9)} m/s^2, latitude {latitude} deg{radius}."
+    )
+    yield Table(
+        columns=(Column("File"), Column("SHA-256")),
+        rows=tuple(
+            (file, checksum.removeprefix("sha256:")) for file, checksum in result.provenance.shown
+        ),
+    )
+    made = f"Made by counterspin {result.provenance.version}."
+    if result.provenance.in_memory:
+        those = "; ".join(f"{name} ({how})" for name, how in result.provenance.in_memory.items())
+        yield Paragraph(
+            f"{made} Not from files: {those}. Therefore no command line gives the same "
+            "result; `Campaign.write` writes a folder from which one does."
+        )
+        return
+    yield Paragraph(f"{made} In the folder that holds these files, the same result comes from")
+    options = list(result.provenance.options)
+    asked = command_words(result.method, TwoStageOptions())
+    # Once the two-stage method was the default, and did not have to be asked for.
+    options = [*(word for word in asked if word not in options), *options]
+    options += acceptance_words(result.accepted_misfit)
+    description = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
+    where = "." if description == DESCRIPTION_NAME else description
+    yield Paragraph(shlex.join(("counterspin", "calibrate", where, *options)), "command")
+
+
+def readings_of(result: Result) -> dict[str, list[ReadingResult]]:
+    """Return the readings of all accelerometers by motion."""
+    by_motion: dict[str, list[ReadingResult]] = {}
+    for accelerometer in result.accelerometers.values():
+        for reading in accelerometer.readings:
+            by_motion.setdefault(reading.motion, []).append(reading)
+    return by_motion
+
+
+def poses_of(result: Result) -> list[PoseResult]:
+    """Return the poses of unknown attitude."""
+    return [] if result.triad is None else result.triad.poses
+
+
+def lines_of_tests(result: Result) -> Iterator[str]:
+    """Yield a sentence for each kind of test that a campaign with readings or poses had."""
+    for motion, readings in readings_of(result).items():
+        count = _counted(len(readings), "reading")
+        if motion == "static":
+            where = _counted(len(_positions(readings)), "position")
+            yield f"Readings at rest in {where}, {count} (multi-position test, IEEE Std 1293)."
+            continue
+        rates = sorted({abs(reading.rate) for reading in readings})
+        range_ = f"{_counted(len(rates), 'rate')}, {_range(rates)} rad/s"
+        senses = "both senses" if len({r.rate > 0.0 for r in readings}) > 1 else "one sense"
+        mountings = list(dict.fromkeys(r.mounting for r in readings if r.mounting))
+        named = ", ".join(mountings)
+        places = f", {_counted(len(mountings), 'mounting')} ({named})" if mountings else ""
+        carried = (
+            "Readings on the arm of a centrifuge (IEEE Std 836)"
+            if motion == "arm"
+            else "Readings on a double turntable"
+        )
+        yield (
+            f"{carried} at {range_}, {senses}{places}: {count}, each the mean over whole "
+            "revolutions."
+        )
+    if poses := poses_of(result):
+        yield f"At rest in {_counted(len(poses), 'pose')} of unknown attitude."
+    if result.runs:
+        runs = _counted(len(result.runs), "record")
+        yield f"Records of a double turntable centrifuge at the stated rates: {runs}."
+
+
+def table_of_tests(readings: Sequence[ReadingResult]) -> Table:
+    """Return positions, rates and readings of an accelerometer by kind of test and mounting."""
+    groups: dict[tuple[str, str], list[ReadingResult]] = {}
+    for reading in readings:
+        groups.setdefault((reading.motion, reading.mounting), []).append(reading)
+    return Table(
+        columns=(
+            Column("Test", wraps=True),
+            Column("Mounting"),
+            Column("Positions", "right"),
+            Column("Rates, rad/s", "right"),
+            Column("Indication, g", "right"),
+            Column("Readings", "right"),
+        ),
+        rows=tuple(
+            (
+                _TESTS[motion],
+                mounting,
+                str(len(_positions(own))),
+                _range(sorted({r.rate for r in own})) if motion != "static" else "",
+                _range(sorted(r.value for r in own)),
+                str(len(own)),
+            )
+            for (motion, mounting), own in groups.items()
+        ),
+    ).without_empty_columns()
+
+
+def reading_blocks(result: Result) -> Iterator[Block]:
+    """Yield what a reading was taken to be, and which forces act where it was taken."""
+    if poses_of(result):
+        yield Paragraph(
+            "In a pose whose attitude is unknown, |f| = g; the direction of f is estimated with "
+            "the coefficients."
+        )
+    motions = readings_of(result)
+    if not motions:
+        return
+    yield Paragraph(
+        "A reading is the indication at rest, or its mean over whole revolutions. The "
+        "specific force, with the radius R, the rate w, the Earth's rate Ω and the latitude L:"
+    )
+    for motion in motions:
+        yield Paragraph(_FORCES[motion], "equation")
+    machine = [s for s in result.platform if s not in SHARED_TERMS and shown_by_readings(s)]
+    if machine:
+        yield Paragraph(f"Estimated with the coefficients, of the machine: {', '.join(machine)}.")
+
+
+def _positions(readings: Sequence[ReadingResult]) -> set[tuple[float, ...]]:
+    # Directions are known to rounding only; 0.0 and -0.0 are one.
+    return {tuple(round(c, 6) + 0.0 for c in (*r.input_axis, *r.pendulous_axis)) for r in readings}
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = (format_number(value, 4) for value in (values[0], values[-1]))
+    return low if low == high else f"{low} to {high}"
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def kind_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
+    """Yield each coefficient by all tests and by each kind alone, and whether the kinds agree."""
+    kinds = accelerometer.kinds
+    if not kinds:
+        return
+    symbols = [
+        symbol
+        for symbol, c in accelerometer.coefficients.items()
+        if c.estimated or any(_has(kind, symbol) for kind in kinds)
+    ]
+    yield Table(
+        columns=(
+            Column("Coefficient"),
+            Column("Unit"),
+            Column("All tests", "right"),
+            *(Column(f"{kind.kind} alone ({kind.count})", "right", wraps=True) for kind in kinds),
+        ),
+        rows=tuple(
+            (
+                symbol,
+                field_unit(accelerometer.coefficients[symbol].unit)[0],
+                _cell(accelerometer.coefficients[symbol]),
+                *(_cell(kind.coefficients.get(symbol)) for kind in kinds),
+            )
+            for symbol in symbols
+            if symbol in accelerometer.coefficients
+        ),
+    )
+    level = level_of_kinds(kinds)
+    words = "; ".join(_words(kind, level) for kind in kinds)
+    yield Paragraph("Each test method against the others: " + words + ".")
+
+
+def _has(kind: KindOfTest, symbol: str) -> bool:
+    return symbol in kind.coefficients and kind.coefficients[symbol].estimated
+
+
+def _cell(coefficient: Coefficient | None) -> str:
+    if coefficient is None or not coefficient.estimated or coefficient.value is None:
+        return NOT_DETERMINED
+    _, factor = field_unit(coefficient.unit)
+    return format_compact(coefficient.value * factor, (coefficient.u or 0.0) * factor)
+
+
+def _words(kind: KindOfTest, level: float) -> str:
+    if kind.p is None:
+        return f"{kind.kind}: not predicted by the others"
+    verdict = "agrees" if kind.p >= level else "does not agree"
+    text = (
+        f"{kind.kind}: {verdict} (chi-square/dof {format_number(kind.chi2 / kind.dof, 3)}, "
+        f"p = {format_number(kind.p, 2)}"
+    )
+    moved = {symbol: abs(shift.z) for symbol, shift in kind.without.items()}
+    if moved and math.isfinite(size := max(moved.values())):
+        symbol = max(moved, key=lambda name: moved[name])
+        text += f"; without it {symbol} moves most, by {format_number(size, 2)} of the shift's u"
+    return text + ")"

@@ -1,0 +1,137 @@
+"""What is asked of a result's file: earlier schemas brought up to date, numbers that can be.
+
+In results of schema 1 what was not stated was no part of u. Such a result took as perfect what its
+model left out; so it says that it assumed it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sized
+from typing import Any, Final
+
+from counterspin.calibration.result_parts import AccelerometerResult, Correlation, Trace
+from counterspin.physics.observation import ORDERS
+from counterspin.physics.terms import TERMS
+
+_LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
+
+#: What was considered, inputs among it, was not adjusted by the data.
+_KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "encoder": "noise"}
+
+#: No coefficient is larger in g-units; its powers would be beyond all numbers.
+_LARGEST_COEFFICIENT: Final = 1e30
+#: No quantile of the normal distribution lies farther out, however many samples there are.
+_FARTHEST_QUANTILE: Final = 30.0
+#: No estimate has fewer degrees of freedom.
+_FEWEST_DOF: Final = 0.1
+
+
+def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document of a result of schema 1 as one of schema 2, with what it assumed.
+
+    document: As it was read; what is not as schema 1 has it is left for the checks to find.
+    """
+    new = _of_coefficients(dict(document))
+    assumed: dict[str, None] = {}
+    accelerometers = new.get("accelerometers")
+    for own in accelerometers.values() if isinstance(accelerometers, dict) else ():
+        if isinstance(own, dict):
+            left_out = own.pop("left_out", None)
+            assumed |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
+            if isinstance(own.get("budget"), dict):
+                own["budget"] = {s: _lines(lines) for s, lines in own["budget"].items()}
+    return {**new, "schema": 2, "assumed": list(assumed)}
+
+
+def _of_coefficients(value: Any) -> Any:
+    """Return a document with the parts of every coefficient's u under their new names."""
+    if isinstance(value, list):
+        return [_of_coefficients(item) for item in value] if _nested(value) else value
+    if not isinstance(value, dict):
+        return value
+    own = {key: _of_coefficients(item) for key, item in value.items()}
+    if "u_prior" in own or "u_considered" in own or "u_typical" in own:
+        own.pop("u_typical", None)
+        parts = [own.pop("u_prior", None), own.pop("u_considered", None)]
+        sizes = [part for part in parts if isinstance(part, int | float)]
+        own["u_stated"] = math.hypot(*sizes) if sizes else None
+        own["u_unstated"] = 0.0 if sizes else None
+    return own
+
+
+def _nested(values: list[Any]) -> bool:
+    # Rows of numbers, which are most of a document, have nothing to rename.
+    return bool(values) and isinstance(values[0], dict)
+
+
+def _lines(lines: Any) -> Any:
+    if not isinstance(lines, list):
+        return lines
+    return [_line(line) if isinstance(line, dict) else line for line in lines]
+
+
+def _line(line: dict[str, Any]) -> dict[str, Any]:
+    source = line.get("source")
+    match = _LINE.fullmatch(source) if isinstance(source, str) else None
+    if match is None:
+        return {**line, "kind": "noise"}
+    return {**line, "source": match["name"], "kind": _KINDS[match["kind"]]}
+
+
+# Numbers that would be applied or shown wrongly
+
+
+def faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
+    """Yield what no calibration can have found of an accelerometer."""
+    if not accelerometer.coefficients:
+        yield f"{name} has no coefficients"
+    for symbol, c in {
+        **accelerometer.known,
+        **accelerometer.coefficients,
+        **accelerometer.second_unknown,
+    }.items():
+        if symbol in TERMS and c.unit != TERMS[symbol].unit:
+            yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
+        if not (abs(c.value or 0.0) < _LARGEST_COEFFICIENT > (c.u or 0.0) >= 0.0):
+            yield f"{symbol} of {name} is {c.value} ± {c.u}"
+        if c.dof is not None and not _FEWEST_DOF <= c.dof < math.inf:
+            yield f"{symbol} of {name} has {c.dof} degrees of freedom"
+    for left_out in accelerometer.jackknife:
+        if left_out.dof is not None and not _FEWEST_DOF <= left_out.dof < math.inf:
+            yield f"{name} without {left_out.run} has {left_out.dof} degrees of freedom"
+    if accelerometer.correlation:
+        yield from matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
+    if accelerometer.what_if is not None and not accelerometer.what_if.is_whole:
+        yield f"the matrices of what_if of {name} are not those of its names"
+    for run, trace in accelerometer.traces.items():
+        yield from _trace_faults(f"{name} in {run}", trace)
+    if accelerometer.observable not in (None, *ORDERS):
+        yield f"the observable of {name} is {accelerometer.observable!r}"
+    residual = accelerometer.residual
+    if min(residual.chi2 or 0.0, residual.dof, residual.rms) < 0.0:
+        yield f"a size of the residuals of {name} is negative"
+
+
+def matrix_faults(words: str, correlation: Correlation) -> Iterator[str]:
+    """Yield that a matrix is not as large as its terms are many."""
+    size = len(correlation.terms)
+    if [len(row) for row in correlation.matrix] != [size] * size:
+        yield f"{words} is not one of {size} terms"
+
+
+def _trace_faults(words: str, trace: Trace) -> Iterator[str]:
+    quantiles = trace.quantiles.normal if trace.quantiles else []
+    if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):
+        yield f"rows or quantiles in the trace of {words} are none"
+    if any(len(set(map(len, together))) > 1 for together in _drawn_together(trace)):
+        yield f"lists in the trace of {words} are of unequal length"
+
+
+def _drawn_together(trace: Trace) -> Iterator[tuple[Sized, ...]]:
+    yield trace.time, trace.low, trace.high
+    if (spectrum := trace.spectrum) is not None:
+        yield spectrum.frequency, spectrum.power
+    if (quantiles := trace.quantiles) is not None:
+        yield quantiles.normal, quantiles.found

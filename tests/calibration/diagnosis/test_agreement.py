@@ -1,0 +1,97 @@
+"""Kinds of test in one fit: surer together than alone, and a disagreement is named."""
+
+import pytest
+from mixed_campaign import KINDS, MixedCampaign, arm_with
+from reading_campaigns import TRUTH
+
+from counterspin.calibration.pages.document import document
+from counterspin.calibration.result import Result
+from counterspin.cli import main
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    return MixedCampaign(tmp_path_factory.mktemp("mixed"))
+
+
+@pytest.fixture(scope="module")
+def together(mixed):
+    return mixed.calibrated()
+
+
+def test_together_the_tests_are_surer_than_each(mixed, together):
+    a = together.accelerometers["A"]
+    assert together.state == "good"
+    for symbol, truth in TRUTH.items():
+        c = a.coefficients[symbol]
+        assert abs(c.value - truth) < 4.0 * c.u
+    for kind in ("double turntable", "arm"):
+        alone = mixed.calibrated([kind]).accelerometers["A"].coefficients["K_II"]
+        assert alone.estimated
+        assert a.coefficients["K_II"].u < 0.9 * alone.u
+    assert not mixed.calibrated(["at rest"]).accelerometers["A"].coefficients["K_II"].estimated
+
+
+def test_each_kind_alone_is_what_a_campaign_of_it_says(mixed, together):
+    """The records' kind to the digit; readings are linearised at the joint estimate."""
+    kinds = together.accelerometers["A"].kinds
+    assert [(k.kind, k.count) for k in kinds] == list(zip(KINDS, (3, 12, 24), strict=True))
+    for kind in kinds:
+        alone = mixed.calibrated([kind.kind]).accelerometers["A"].coefficients
+        for symbol, c in kind.coefficients.items():
+            assert c.estimated == alone[symbol].estimated, (kind.kind, symbol)
+            # At rest alone, K_PP and K_OO are considered, which moves u of K_F.
+            if c.estimated and (kind.kind, symbol) != ("at rest", "K_F"):
+                assert c.value == pytest.approx(alone[symbol].value, rel=1e-6, abs=1e-9)
+                assert c.u == pytest.approx(alone[symbol].u, rel=1e-4)
+
+
+def test_leaving_a_kind_out_is_what_a_campaign_without_it_says(mixed, together):
+    a = together.accelerometers["A"]
+    rest = next(k for k in a.kinds if k.kind == "at rest")
+    without = mixed.calibrated(["double turntable", "arm"]).accelerometers["A"].coefficients
+    for symbol, shift in rest.without.items():
+        whole, other = a.coefficients[symbol], without[symbol]
+        assert shift.shift == pytest.approx(other.value - whole.value, abs=1e-3 * whole.u)
+        # Considered is the radius alone, and it moves both alike.
+        noise = [c.u_noise**2 + c.u_stated**2 for c in (other, whole)]
+        assert shift.u**2 == pytest.approx(noise[0] - noise[1], rel=2e-2)
+
+
+def test_tests_that_agree_make_no_finding(mixed):
+    """All tests share a level of 1 %: in 10 campaigns at most 1 (p = 0.004)."""
+    found = 0
+    for seed in range(2, 12):
+        mixed.draw(seed)
+        found += any(f.code == "kinds-disagree" for f in mixed.calibrated().findings)
+    assert found <= 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "moved"), [("at rest", "K_F"), ("arm", "K_II")], ids=["at rest", "on the arm"]
+)
+def test_the_kind_that_disagrees_is_named(tmp_path, capsys, monkeypatch, kind, moved):
+    mixed = MixedCampaign(tmp_path, u_arm=1e-5)
+    if kind == "at rest":
+        mixed.at_rest = mixed.at_rest + 1e-4  # a bias of the bench that the others do not have
+    else:
+        mixed.on_arm = mixed.on_arm + arm_with({"K_II": 20e-6}) - arm_with({})
+    result = mixed.calibrated()
+    # One cause, one finding: each kind by itself fits its own model.
+    codes = [f.code for f in result.findings]
+    assert codes.count("kinds-disagree") == 1
+    assert not {"outlying-reading", "lack-of-fit"} & set(codes)
+    (finding,) = [f for f in result.findings if f.code == "kinds-disagree"]
+    assert f"do not agree: {kind} against" in finding.text
+    assert finding.contradicts
+    assert result.state == "contradicted"
+    odd = next(k for k in result.accelerometers["A"].kinds if k.kind == kind)
+    assert odd.p < 1e-6
+    again = Result.model_validate_json(result.to_json())
+    assert again.accelerometers["A"].kinds == result.accelerometers["A"].kinds
+    monkeypatch.setenv("COLUMNS", "120")  # or the heads of columns are wrapped
+    assert main(["calibrate", str(tmp_path / "all")]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"{kind}: does not agree" in out
+    assert "at rest alone (12)" in out
+    assert any("does not agree" in str(block) for block in document(result))

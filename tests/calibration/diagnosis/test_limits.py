@@ -1,0 +1,239 @@
+"""Estimates that no instrument has, and drifts and tilts beyond first order."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaigns import SMALL, changed, write
+from reading_campaigns import simulated, tumble
+from reading_descriptions import ACCELEROMETER, at_rest, place
+
+from counterspin import validation
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.diagnosis.limits import incredible, large_drifts
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.campaign.description import read_campaign
+from counterspin.histories.history import history
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.terms import DEGREE_PER_HOUR
+from counterspin.simulation.simulate import simulate
+
+SIGMA = 2e-6
+TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
+SIGN = "the sign of the output, the sense of the input axis and of the attitudes"
+
+ARCMIN = math.radians(1.0 / 60.0)
+
+#: Nothing stated as exact; the same noise each time.
+QUIET = changed(
+    SMALL,
+    ('"1.002 g/g"\ndisp', '"1.002 ± 1e-4 g/g"\ndisp'),
+    ('"0.999 g/g"\ndisp', '"0.999 ± 1e-4 g/g"\ndisp'),
+    ('displacement = "0.01 m"', 'displacement = "0.0002 m"'),
+    ("[truth.spindle]", '[truth.platform]\ntilt = { north = "TILT" }\n\n[truth.spindle]'),
+)
+
+
+def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
+    """Calibrate a tumble whose indications were changed, or whose positions are turned, deg."""
+    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
+    step = 360 / len(values)
+    runs = "".join(
+        at_rest(
+            f"tumble {i}",
+            f"{i * step + turned!r} deg about north",
+            f"{float(1.25 * change(value))!r} ± {1.25 * SIGMA!r} mA",
+        )
+        for i, value in enumerate(values)
+    )
+    model = f"[model]\nassume = 'all'\nterms = {list(terms)}\n{more}".replace("'", '"')
+    head = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER + accelerometer
+    (folder / "campaign.toml").write_text(head + "\n" + model + runs, encoding="utf-8")
+    return calibrate(folder)
+
+
+def only(result):
+    (finding,) = [f for f in result.findings if f.code == "incredible"]
+    return finding
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda g: -g, SIGN),
+        (lambda g: 10.0 * g, "a unit off by a power of ten, 1e1."),
+        (lambda g: 1e-3 * g, "a unit off by a power of ten, 1e-3."),
+        (lambda g: -1e3 * g, f"{SIGN}, and a unit off by a power of ten, 1e3."),
+        (lambda g: 9.80665 * g, "a unit, m/s^2 against g."),
+        (lambda g: g / 9.80665, "a unit, m/s^2 against g."),
+        (lambda g: 0.03 * g, "whether column or accelerometer are mixed up."),
+        (lambda g: 1.3 * g, "the sensitivity and its unit, or the range of the readout."),
+    ],
+)
+def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
+    result = tumbled(tmp_path, change)
+    assert result.state == "contradicted"
+    finding = only(result)
+    assert finding.subject == "A.K_I"
+    assert finding.contradicts
+    assert words in finding.text
+    assert result.findings[0] == finding
+
+
+def test_where_a_grade_leaves_several_causes_all_are_named(tmp_path):
+    result = tumbled(tmp_path, lambda g: 9.9 * g, accelerometer='grade = "consumer"')
+    assert (
+        "Check a unit, m/s^2 against g, or a unit off by a power of ten, 1e1." in only(result).text
+    )
+
+
+def test_the_size_says_by_how_many_standard_uncertainties(tmp_path):
+    result = tumbled(tmp_path, lambda g: 1.3 * g)
+    c = result.accelerometers["A"].coefficients["K_I"]
+    assert only(result).size == pytest.approx((c.value - 1.0 - 0.1) / c.u, rel=1e-9)
+
+
+def test_an_offset_and_an_attitude(tmp_path):
+    offset = tumbled(tmp_path, lambda g: g + 0.3)
+    assert only(offset).subject == "A.K_F"
+    assert "K_F = 0.302 g is not credible: beyond 0.1 g." in only(offset).text
+    turned = tumbled(tmp_path, lambda g: g, turned=1.0)
+    assert only(turned).subject == "A.delta_O"
+    assert "the attitudes: their zero" in only(turned).text
+    head = tumbled(tmp_path, lambda g: g, turned=1.0, terms=("K_F", "K_I", "head.zero"))
+    assert only(head).subject == "head.zero"
+    assert "the zero of the dividing head" in only(head).text
+    assert head.state == "contradicted"
+
+
+def test_what_is_wrong_with_the_scale_factor_accounts_for_the_rest(tmp_path):
+    finding = only(tumbled(tmp_path, lambda g: 100.0 * g))
+    assert finding.subject == "A.K_I"
+    assert [f.subject for f in finding.explains] == ["A.K_F"]
+
+
+def test_what_is_credible_is_the_campaigns_to_say(tmp_path):
+    for more in (
+        {"more": 'limits = { K_I = "0.5 g/g" }\n'},
+        {"accelerometer": 'grade = "consumer"'},
+    ):
+        assert tumbled(tmp_path, lambda g: 1.3 * g, **more).state == "good"
+    assert tumbled(tmp_path, lambda g: 1.08 * g).state == "good"
+    narrow = tumbled(tmp_path, lambda g: g, more='limits = { K_F = "1e-3 g" }\n')
+    assert only(narrow).subject == "A.K_F"
+
+
+def estimate(value, u, *, estimated=True, unit="g/g^2"):
+    return Coefficient(value=value, u=u, unit=unit, estimated=estimated)
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "estimated", "told"),
+    [
+        (5e-4, 1e-6, True, True),
+        (-5e-4, 1e-6, True, True),
+        (1.29e-4, 1e-5, True, False),  # within three u of the size
+        (1.31e-4, 1e-5, True, True),
+        (5e-4, 1e-6, False, False),  # a prior is no estimate
+        (None, None, False, False),
+    ],
+)
+def test_three_standard_uncertainties_beyond(tmp_path, value, u, estimated, told):
+    campaign = read_campaign(write(tmp_path, SMALL))
+    found = incredible(campaign.limit_of, "Qx", {"K_II": estimate(value, u, estimated=estimated)})
+    assert [finding.subject for finding in found] == ["Qx.K_II"] * told
+
+
+@pytest.mark.parametrize("method", ["joint", "two-stage"])
+def test_both_methods_say_it(tmp_path, method):
+    larger = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "4e-4 g/g^2"'))
+    result = calibrate(simulate(read_campaign(write(tmp_path, larger))), method=method)
+    assert only(result).subject == "Qx.K_II"
+    assert "the rates, the radius" in only(result).text
+
+
+def test_no_history_has_such_a_value(tmp_path):
+    known = {"accelerometer": 'serial_number = "A1"\n', "more": "[campaign]\ndate = 2026-01-05\n"}
+    (good := tmp_path / "good").mkdir()
+    (wrong := tmp_path / "wrong").mkdir()
+    results = [tumbled(good, float, **known), tumbled(wrong, lambda g: -g, **known)]
+    found = history(results, term="K_I")
+    (instrument,) = found.instruments
+    assert [round(point.value, 4) for point in instrument.points] == [1.0005]
+    (left_out,) = found.left_out
+    assert "K_I = -1.0005 g/g is not credible" in left_out.reason
+
+
+def test_a_mounting_on_another_arm_is_as_credible_as_its_stated_radius():
+    """2.3995 m, stated as 2.4 m ± 1 mm, beside a double turntable of 2.5 m."""
+    result = calibrate(Path(validation.__file__).parent / "data" / "fits" / "mixed")
+    assert result.platform["centrifuge.radius.out"].value == pytest.approx(2.3995, abs=1e-4)
+    assert [finding.code for finding in result.findings] == ["gravity-latitude"]
+
+
+def calibrated(folder, tilt, prior, key="held"):
+    model = {"held": "hold", "estimated": "terms"}[key]
+    listed = '["platform.tilt.north"]'
+    if key == "estimated":
+        listed = '["K_F", "K_I", "K_II", "K_III", "platform.tilt.north"]'
+    text = changed(
+        QUIET,
+        ("TILT", tilt),
+        (
+            '[model]\nassume = "all"\n',
+            f'[model]\nassume = "all"\n{model} = {listed}\n'
+            f'priors = {{ "platform.tilt.north" = "{prior}" }}\n',
+        ),
+    )
+    simulate(write(folder, text, "plan.toml"), folder / "records", overwrite=True)
+    return calibrate(folder / "records")
+
+
+def large(result):
+    return {f.subject: f for f in result.findings if f.code == "large-tilt"}
+
+
+@pytest.mark.parametrize("key", ["held", "estimated"])
+def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
+    level = calibrated(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
+    tilted = calibrated(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)
+    assert large(level) == {}
+    found = large(tilted)
+    assert set(found) == {"Qx.K_I"}
+    one, other = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
+    # -psi^2/2 and, of K_II a_I^2 with a_I less psi, -2 K_II psi
+    expected = -0.5 * (20 * ARCMIN) ** 2 - 2.0 * 2.7e-5 * 20 * ARCMIN
+    assert other.value - one.value == pytest.approx(expected, abs=0.3 * other.u)
+    assert found["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
+    assert found["Qx.K_I"].size > 1.0
+    assert tilted.state == "reservations"
+    assert "may reach 1.2e+03 arcsec (value and 2 u)" in found["Qx.K_I"].text
+
+
+def test_a_tilt_along_the_input_axis_leaves_its_scale_factor(tmp_path):
+    found = large(calibrated(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
+    # About north: Qy's input axis, along which the platform turns.
+    assert "Qy.K_I" not in found
+
+
+@pytest.mark.parametrize(
+    ("drift", "u", "longest", "words"),
+    [
+        (0.3, 1e-6, 400.0, "is 0.3 deg/h"),
+        (0.1, 1e-6, 400.0, ""),
+        (0.1, 0.04, 400.0, ""),
+        (0.1, 0.06, 400.0, "may reach 0.22 deg/h"),
+        (0.3, 1e-6, 100.0, ""),
+        (0.1, 1e-6, 800.0, "is 0.1 deg/h"),
+    ],
+)
+def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
+    # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
+    unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
+    value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
+    fitted = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
+    findings = large_drifts({unknown: fitted}, longest)
+    assert len(findings) == bool(words)
+    assert all(words in finding.text for finding in findings)
+    assert all(finding.subject == "platform.drift.north" for finding in findings)

@@ -1,0 +1,320 @@
+"""The full report says all that a result holds, in the order in which one reads."""
+
+import math
+import shlex
+
+import pytest
+from results import coefficient, result, trace
+
+from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages.accelerometer import accelerometer_blocks
+from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.pictures import (
+    budget_bars,
+    correlation_map,
+    jackknife_plot,
+    residual_plots,
+    ripple_plot,
+)
+from counterspin.reports.blocks import (
+    Bars,
+    Heading,
+    HeatMap,
+    Paragraph,
+    Picture,
+    Plot,
+    Table,
+    without_pictures,
+)
+
+#: Residuals eight times as large as the stated noise.
+MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
+
+
+def texts(blocks):
+    return [block.text for block in blocks if isinstance(block, Heading | Paragraph)]
+
+
+def test_the_answer_comes_first_in_both_units():
+    first = document(result())[:2]
+    assert first[0] == Heading("By hand", 1)
+    assert first[1].style == "answer"
+    # Student's t for 50 degrees of freedom: 2.0086.
+    assert first[1].text == (
+        "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
+        "   (95 %: 26.9980 to 27.0020 µg/g², 50 dof)"
+    )
+
+
+@pytest.mark.parametrize(("dof", "shown"), [(999.0, True), (1000.0, False), (9.7e8, False)])
+def test_so_many_degrees_of_freedom_that_nothing_changes_are_not_shown(dof, shown):
+    found = result()
+    coefficients = found.accelerometers["Qx"].coefficients
+    coefficients["K_II"] = coefficients["K_II"].model_copy(update={"dof": dof})
+    assert (" dof)" in document(found)[1].text) is shown
+
+
+def test_chapters_in_order():
+    headings = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 2]
+    wanted = ["Is it good?", "Accelerometer Qx", "Platform", "Runs", "Model"]
+    assert [h for h in headings if h in wanted] == wanted
+    assert headings[-1] == "Inputs and reproduction"
+
+
+def checked(blocks):
+    """Return the sentence that says whether a result is good, and the table below it."""
+    place = blocks.index(Heading("Is it good?"))
+    sentence, table = blocks[place + 1 : place + 3]
+    assert isinstance(table, Table)
+    assert [column.title for column in table.columns] == ["Check", "Outcome"]
+    return sentence, table.rows
+
+
+def test_a_good_result_says_what_was_checked():
+    sentence, rows = checked(document(result()))
+    assert sentence == Paragraph("Qx is good: no check found a fault.")
+    assert rows == (
+        ("Fit", "The residuals look like the stated noise (p = 0.5)."),
+        ("Each run left out", "No run drives the result."),
+        ("Another method", "The two-stage method agrees."),
+    )
+
+
+def test_warnings_stand_once_and_before_everything_else():
+    blocks = document(result(warnings=["Qx: something is odd"]))
+    sentence, rows = checked(blocks)
+    assert sentence == Paragraph("Qx can be used with reservations: 1 finding.", "warning")
+    assert rows[0] == ("Warning", "something is odd")
+    assert "something is odd" not in " ".join(texts(blocks))
+
+
+def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
+    lost = {"code": "strobes-lost", "subject": "Qx", "text": "3 strobes were left out."}
+    drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
+    blocks = document(result(findings=[lost], jackknife=drives))
+    sentence, rows = checked(blocks)
+    assert sentence.style == "warning"
+    assert sentence.text.endswith("reservations: 2 findings, the most serious first.")
+    assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
+    for words in ("3 strobes were", "Without slow K_II moves"):
+        assert sum(words in row[1] for row in rows) == 1
+
+
+def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour():
+    blocks = document(result(residual=MISFIT))
+    assert blocks[0] == Heading("By hand", 1)
+    assert blocks[1].style == "warning"
+    assert blocks[1].text.startswith("The records contradict this result (Qx): The residuals are 8")
+    assert blocks[2] == Paragraph(
+        "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
+    )
+    assert not [b for b in blocks if getattr(b, "style", "") == "answer"]
+    assert not [text for text in texts(blocks) if "95 %: " in text]
+
+
+def test_the_colour_of_the_answer_follows_the_state():
+    drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
+    for made, style in ((result(), "answer"), (result(jackknife=drives), "reserved")):
+        (line,) = (b for b in document(made) if getattr(b, "text", "").startswith("K_II of Qx ="))
+        assert line.style == style
+
+
+def test_an_accepted_misfit_is_printed_with_its_reason_and_done_again_with_it():
+    accepted = judge_result(result(residual=MISFIT), "the arm's play is known")
+    written = texts(document(accepted))
+    assert "The misfit was accepted: the arm's play is known" in written[2]
+    command = """counterspin calibrate . '--accept-misfit=the arm'"'"'s play is known'"""
+    assert command in written
+
+
+def test_every_picture_of_a_full_result_is_there():
+    pictures = [b for b in document(result()) if isinstance(b, Picture)]
+    assert sum(isinstance(p, HeatMap) for p in pictures) == 1
+    assert sum(isinstance(p, Bars) for p in pictures) == 1
+    titles = [p.title for p in pictures if isinstance(p, Plot)]
+    assert titles == [
+        "K_II of Qx with each run left out",
+        "Residuals of Qx, slow",
+        "Residuals of Qx, fast",
+        "Mean residual of Qx over the revolution",
+        "Spectrum of the whitened residuals of Qx",
+        "Whitened residuals of Qx less those of a normal distribution",
+        "Ripple of the rate by harmonic; bars: 95 %",
+    ]
+
+
+def test_a_result_without_series_has_no_empty_pictures():
+    bare = result(traces={}, budget={}, jackknife=[], correlation=None)
+    for run in bare.runs.values():
+        run.ripples.clear()
+    assert not [b for b in document(bare) if isinstance(b, Picture)]
+
+
+def test_the_model_is_written_from_the_terms_that_were_used():
+    kept = result().accelerometers["Qx"].coefficients
+    more = kept | {
+        "K_OQ": coefficient(0.0, 1e-9, "g/g^2"),
+        "delta_P": coefficient(0.0, 1e-6, "rad"),
+    }
+    written = texts(document(result(coefficients=more)))
+    assert "Qx: a_ind = K_F + K_I a_I + K_II a_I² + K_OQ a_I |a_I| − delta_P a_O" in written
+    assert any("platform.drift.north" in text for text in written)
+    assert "counterspin calibrate ." in written
+
+
+def test_an_old_two_stage_result_is_made_again_by_its_own_method():
+    old = result().model_copy(update={"method": "two-stage"})
+    assert "counterspin calibrate . --method=two-stage" in texts(document(old))
+    stated = old.provenance.model_copy(update={"options": ["--method=two-stage", "--sigma=given"]})
+    written = texts(document(old.model_copy(update={"provenance": stated})))
+    assert "counterspin calibrate . --method=two-stage --sigma=given" in written
+
+
+def test_the_command_of_a_report_is_quoted_for_a_shell():
+    options = ["--method=two-stage", "--sigma=a b; rm -r ~ $(x) `y` 'z'"]
+    found = result()
+    found = found.model_copy(
+        update={"provenance": found.provenance.model_copy(update={"options": options})}
+    )
+    (command,) = (b.text for b in document(found) if getattr(b, "style", "") == "command")
+    assert shlex.split(command) == ["counterspin", "calibrate", ".", *options]
+
+
+def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
+    residual = {"rms": 0.01, "unit": "m", "dof": 21659.98}
+    written = " ".join(texts(document(result(residual=residual))))
+    assert "with 21660 degrees of freedom" in written
+    assert "Gravity 9.8 m/s², latitude" in written
+
+
+def test_words_alone_have_no_empty_chapters():
+    picture = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
+    one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
+    assert without_pictures([one, deep, picture, two, said]) == [two, said]
+    assert without_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
+    assert without_pictures([one, said, picture, picture, two]) == [one, said, two]
+
+
+def test_the_identifier_is_the_result_s_own():
+    assert result().identifier == result().identifier
+    assert result().identifier != result(serial_number="Q-105").identifier
+
+
+# Pictures
+
+
+def test_residuals_keep_outliers_and_are_in_millimetres():
+    first = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
+    assert first.zoom
+    band, outliers = first.series
+    assert band.low == (-10.0, -20.0, -15.0)
+    assert band.high == (10.0, 30.0, 20.0)
+    assert outliers.stands_out
+    assert (outliers.x, outliers.y) == ((1.2,), (400.0,))
+    assert first.y_label == "residual, mm"
+
+
+def test_many_runs_share_several_plots():
+    traces = {f"run{i}": trace() for i in range(8)}
+    plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"], {}))
+    assert len(plots) == 8 + 2 * 3
+    labels = [s.label for p in plots if "over the revolution" in p.title for s in p.series]
+    assert labels == list(traces)
+
+
+def test_a_part_of_the_revolution_without_samples_is_a_gap():
+    fold = list(residual_plots("Qx", result().accelerometers["Qx"], result().runs))[2]
+    assert fold.series[0].x == (90.0, 270.0)
+    assert fold.series[0].y == (1.0, None)
+
+
+def test_a_run_has_its_colour_in_every_picture():
+    found = result(traces={"fast": trace(rows=3, rms=0.01), "slow": trace(rows=900, rms=0.02)})
+    colours = {"fast": set(), "slow": set()}
+    pictures = [*residual_plots("Qx", found.accelerometers["Qx"], found.runs)]
+    for plot in [*pictures, ripple_plot(found.runs)]:
+        for series in plot.series:
+            run = series.label or plot.title.rpartition(", ")[2]
+            run = plot.title.rpartition(", ")[2] if run.startswith("samples") else run
+            if run in colours and series.colour != "muted":
+                colours[run].add(series.colour)
+    assert colours == {"slow": {0}, "fast": {1}}
+
+
+def test_residuals_are_drawn_with_their_rms_and_say_what_they_are():
+    found = result(traces={"slow": trace(rows=3, rms=0.01)})
+    found.runs["slow"].counts["block"] = 7
+    first = next(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
+    band, upper, lower, _ = first.series
+    assert band.label == "means of 7 samples, smallest to largest"
+    assert (upper.label, upper.y, lower.y) == ("± 2 rms", (20.0, 20.0), (-20.0, -20.0))
+
+
+def test_spectrum_has_the_band_of_white_noise():
+    spectrum = {"frequency": [0.1, 1.0], "power": [0.9, 1.1], "lines": [1, 100]}
+    found = result(traces={"slow": trace(spectrum=spectrum)})
+    plots = list(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
+    (plot,) = (plot for plot in plots if plot.title.startswith("Spectrum"))
+    band, _ = plot.series
+    # One line is exponential; a mean of a hundred nearly normal, with standard deviation 0.1.
+    assert band.low[0] == pytest.approx(-math.log(0.975), rel=1e-12)
+    assert band.high[0] == pytest.approx(-math.log(0.025), rel=1e-12)
+    assert (band.low[1], band.high[1]) == pytest.approx((0.8136, 1.2053), abs=2e-4)
+
+
+def test_quantiles_are_drawn_less_the_normal_ones_with_a_band():
+    found = result(traces={"slow": trace(rows=400)})
+    *_, plot = residual_plots("Qx", found.accelerometers["Qx"], found.runs)
+    band, series = plot.series
+    assert series.y == pytest.approx((0.2, 0.1, 0.3))
+    # The median of n normal samples has the standard deviation sqrt(pi/2/n).
+    assert band.high[1] == pytest.approx(1.96 * math.sqrt(math.pi / 2 / 400), rel=1e-12)
+    assert band.low == pytest.approx([-height for height in band.high])
+
+
+def test_the_jackknife_shows_what_each_shift_may_be():
+    plot = jackknife_plot("Qx", result().accelerometers["Qx"])
+    band, points = plot.series
+    assert band.low == pytest.approx((26.999, 26.999))
+    assert points.y == pytest.approx((27.001,))
+    # shift 1e-9 at z = 0.5: its standard uncertainty is 2e-9, or 0.002 ug/g^2.
+    assert points.high == pytest.approx((27.003,))
+    assert plot.x_names == ("slow",)
+
+
+def test_budget_and_correlation():
+    found = result().accelerometers["Qx"]
+    bars = budget_bars("Qx", found)
+    assert bars.stacked
+    assert bars.values == pytest.approx((64.0, 36.0))
+    assert bars.labels == ("noise of Qx", "scale factor, K_I (stated)")
+    assert bars.colours[0] != bars.colours[1]
+    assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
+    assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("correlation", "rows"),
+    [
+        (0.8999, []),
+        (-0.93, [("bias, K_F", "second-order coefficient, K_II", "-0.9300")]),
+        (1.0 - 1e-7, [("bias, K_F", "second-order coefficient, K_II", "1 - 1e-7")]),
+    ],
+)
+def test_estimates_that_move_together_are_named_in_words(correlation, rows):
+    matrix = [[1.0, correlation], [correlation, 1.0]]
+    kept = result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
+    blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, details=True))
+    told = [block for block in blocks if isinstance(block, Paragraph)][-1].text
+    tables = [block for block in blocks if isinstance(block, Table)]
+    assert told.startswith("Estimates that move together")
+    assert told.endswith("no correlation is beyond 0.9.") == (not rows)
+    found = [table.rows for table in tables if table.columns[0].title == "Estimate"]
+    assert found == ([tuple(rows)] if rows else [])
+
+
+def test_ripple_is_relative_to_the_rate_whichever_way_it_turns():
+    (series,) = ripple_plot(result().runs).series
+    assert series.label == "slow"
+    assert series.y == pytest.approx((1.0,))
+    assert series.low == pytest.approx((1.0 - 0.196,))

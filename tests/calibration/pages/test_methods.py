@@ -1,0 +1,106 @@
+"""How a result came about: its tests, and how far they agree."""
+
+import pytest
+from results import accelerometer, bare_result, coefficient, run
+
+from counterspin.calibration.pages.methods import (
+    kind_blocks,
+    lines_of_tests,
+    reading_blocks,
+    table_of_tests,
+)
+from counterspin.calibration.result_parts import ReadingResult
+from counterspin.reports.blocks import Paragraph
+
+
+def reading(motion, rate=0.0, value=1.0, mounting="", axis=(0.0, 0.0, 1.0)):
+    return ReadingResult(
+        name="r",
+        motion=motion,
+        mounting=mounting,
+        input_axis=axis,
+        pendulous_axis=(1.0, 0.0, 0.0),
+        rate=rate,
+        value=value,
+        u=1e-6,
+        residual=0.0,
+        z=0.0,
+    )
+
+
+TUMBLE = [reading("static", value=v, axis=(0.0, 0.0, v)) for v in (1.0, -1.0, 1.0)]
+ARM = [
+    reading("arm", rate, side * rate**2 / 9.8, name, (-float(side), 0.0, 0.0))
+    for name, side in (("in", 1), ("out", -1))
+    for rate in (7.0, 14.0)
+]
+
+
+def result(readings, runs=()):
+    return bare_result(
+        accelerometers={"A": accelerometer(readings=readings)},
+        runs=dict.fromkeys(runs, run()),
+        platform={
+            "centrifuge.radius.in": coefficient(2.5, 1e-5, "m"),
+            "centrifuge.stretch": coefficient(4e-9, 1e-9, "s^2/m"),
+        },
+    )
+
+
+def test_each_kind_of_test_is_a_sentence():
+    lines = list(lines_of_tests(result(TUMBLE + ARM, ("slow", "fast"))))
+    assert lines == [
+        "Readings at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
+        "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one "
+        "sense, 2 mountings (in, out): 4 readings, each the mean over whole revolutions.",
+        "Records of a double turntable centrifuge at the stated rates: 2 records.",
+    ]
+
+
+def test_both_senses_and_a_single_rate():
+    (line,) = lines_of_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
+    assert line.startswith("Readings on a double turntable at 1 rate, 6 rad/s, both senses: 2")
+
+
+def test_the_table_has_a_row_for_each_mounting():
+    rows = table_of_tests(TUMBLE + ARM).rows
+    assert rows[0][1:] == ("", "2", "", "-1 to 1", "3")
+    assert rows[1][1:] == ("in", "1", "7 to 14", "5 to 20", "2")
+    assert rows[2][1:] == ("out", "1", "7 to 14", "-20 to -5", "2")
+
+
+def test_the_forces_are_those_of_the_motions_alone():
+    text = [block.text for block in reading_blocks(result(ARM))]
+    assert any(line.startswith("On the arm") for line in text)
+    assert not any("At rest" in line or "double turntable" in line for line in text)
+    assert text[-1].endswith("of the machine: centrifuge.radius.in.")
+    assert list(reading_blocks(result([]))) == []
+
+
+def test_a_table_has_no_column_in_which_nothing_stands():
+    titles = [column.title for column in table_of_tests(TUMBLE).columns]
+    assert titles == ["Test", "Positions", "Indication, g", "Readings"]
+    titles = [column.title for column in table_of_tests(TUMBLE + ARM).columns]
+    assert titles[1:4] == ["Mounting", "Positions", "Rates, rad/s"]
+
+
+def kinds(p):
+    """Two kinds, each with one shift, so that four tests share the significance of 0.01."""
+    kind = {
+        "count": 1,
+        "coefficients": {"K_F": coefficient(0.005, 1e-6, "g")},
+        "without": {"K_F": {"shift": 1e-7, "u": 1e-6, "z": 0.1}},
+        "chi2": 9.0,
+        "dof": 2,
+        "p": p,
+    }
+    return accelerometer(
+        coefficients={"K_F": coefficient(0.005, 1e-6, "g")},
+        kinds=[{"kind": "at rest", **kind}, {"kind": "arm", **kind}],
+    )
+
+
+@pytest.mark.parametrize(("p", "verdict"), [(0.0013, "agrees"), (0.0012, "does not agree")])
+def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
+    (words,) = [b.text for b in kind_blocks(kinds(p)) if isinstance(b, Paragraph)]
+    assert words.startswith(f"Each test method against the others: at rest: {verdict} (chi")

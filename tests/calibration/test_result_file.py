@@ -1,0 +1,141 @@
+"""Results of schema 1 as those of schema 2: what became of each part of their uncertainty."""
+
+import copy
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_file import upgraded
+from counterspin.errors import RecordError
+
+FROZEN = Path(__file__).parents[1] / "frozen"
+FILES = [FROZEN / "schema-1-joint.json", FROZEN / "schema-1-two-stage.json"]
+REPEAT = FROZEN / "repeat" / "result.json"
+
+#: What a line of a budget was called -> the kind that it is.
+KINDS = {" (prior)": "stated", " (considered)": "held", " (input)": "held", " (encoder)": "noise"}
+
+
+def document_of(path):
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def pairs_of(old, new):
+    """Yield each coefficient with parts of u as it was and as it is, wherever it stands."""
+    if isinstance(old, dict):
+        if "u_prior" in old:
+            yield old, new
+        for key in set(old) & set(new):
+            yield from pairs_of(old[key], new[key])
+
+
+@pytest.mark.parametrize("path", [*FILES, REPEAT], ids=lambda path: path.stem)
+def test_the_parts_of_u_have_their_new_names(path):
+    old = document_of(path)
+    new = upgraded(copy.deepcopy(old))
+    pairs = list(pairs_of(old, new))
+    assert len(pairs) >= 2
+    for before, after in pairs:
+        assert not {"u_prior", "u_considered", "u_typical"} & set(after)
+        assert [after[key] for key in ("value", "u", "u_noise")] == [
+            before[key] for key in ("value", "u", "u_noise")
+        ]
+        if before["u_prior"] is None:
+            assert (after["u_stated"], after["u_unstated"]) == (None, None)
+        else:
+            stated = math.hypot(before["u_prior"], before["u_considered"])
+            assert (after["u_stated"], after["u_unstated"]) == (stated, 0.0)
+            whole = math.hypot(after["u_noise"], stated)
+            assert after["u"] == pytest.approx(whole, rel=1e-9)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_line_of_a_budget_says_its_kind(path):
+    old = document_of(path)
+    new = upgraded(copy.deepcopy(old))
+    seen = set()
+    for name, own in old["accelerometers"].items():
+        for symbol, lines in own.get("budget", {}).items():
+            upgraded_lines = new["accelerometers"][name]["budget"][symbol]
+            for line, now in zip(lines, upgraded_lines, strict=True):
+                ending = next((e for e in KINDS if line["source"].endswith(e)), "")
+                assert now["source"] == line["source"].removesuffix(ending)
+                assert now["kind"] == KINDS.get(ending, "noise")
+                seen.add(now["kind"])
+                assert {**now, "source": 0, "kind": 0} == {**line, "source": 0, "kind": 0}
+    assert seen == ({"noise", "stated", "held"} if "joint" in path.stem else set())
+
+
+def test_inputs_and_rotations_were_not_adjusted_by_the_data():
+    document = document_of(FILES[0])
+    lines = document["accelerometers"]["Qx"]["budget"]["K_II"]
+    lines[0]["source"], lines[1]["source"] = "centrifuge.radius (input)", "run1.angle (encoder)"
+    new = upgraded(document)["accelerometers"]["Qx"]["budget"]["K_II"]
+    found = [(line["source"], line["kind"]) for line in new[:2]]
+    assert found == [("centrifuge.radius", "held"), ("run1.angle", "noise")]
+
+
+def test_what_was_left_out_is_assumed():
+    left_out = document_of(REPEAT)["accelerometers"]["A"]["left_out"]
+    assert Result.read(REPEAT).assumed == list(left_out)
+    assert {"K_PP", "head.zero", "site.latitude"} <= set(left_out)
+    # Of two accelerometers what either left out, named once.
+    both = document_of(FILES[0])["accelerometers"].values()
+    assumed = Result.read(FILES[0]).assumed
+    assert set(assumed) == {symbol for own in both for symbol in own["left_out"]}
+    assert len(assumed) == len(set(assumed))
+
+
+@pytest.mark.parametrize("path", [*FILES, REPEAT], ids=lambda path: path.stem)
+def test_it_is_written_as_one_of_schema_2(path, tmp_path):
+    result = Result.read(path)
+    assert (result.schema_version, result.assumes_all) == (2, True)
+    result.write(tmp_path / "again.json")
+    again = Result.read(tmp_path / "again.json")
+    assert again == result
+    assert not again.assumes_all
+
+
+DAMAGE = [
+    ("accelerometers", [], "accelerometers: Input should be a valid dictionary"),
+    ("accelerometers", {"Qx": 3}, "accelerometers: Qx: Input should be"),
+    ("runs", None, "runs: Input should be a valid dictionary"),
+    ("platform", {"platform.drift.north": {"u_prior": "much"}}, "platform: platform.drift.north: "),
+    ("platform", [{"u_prior": 1.0}], "platform: Input should be a valid dictionary"),
+]
+OF_QX = [
+    ("budget", [], "budget: Input should be a valid dictionary"),
+    ("budget", {"K_II": 3}, "budget: K_II: Input should be a valid list"),
+    ("budget", {"K_II": [3]}, "budget: K_II: 0: Input should be"),
+    ("budget", {"K_II": [{"source": 3}]}, "budget: K_II: 0: source: Input should be a valid str"),
+    ("budget", {"K_II": [{"u": 1.0}]}, "budget: K_II: 0: source: Field required"),
+    ("coefficients", {"K_II": {"u_considered": []}}, "coefficients: K_II: "),
+    ("coefficients", 3, "coefficients: Input should be a valid dictionary"),
+]
+
+
+@pytest.mark.parametrize(
+    ("owner", "key", "value", "words"),
+    [*(("", *case) for case in DAMAGE), *(("Qx", *case) for case in OF_QX)],
+)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_damaged_one_is_told(path, owner, key, value, words, tmp_path):
+    document = document_of(path)
+    place = document["accelerometers"][owner] if owner else document
+    place[key] = value
+    spoilt = tmp_path / "r.json"
+    spoilt.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(RecordError) as caught:
+        Result.read(spoilt)
+    assert f"{spoilt}: not a result file: " in str(caught.value)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [None, "", 3, [], {}])
+def test_a_left_out_part_that_is_none_is_no_matter(value):
+    document = document_of(REPEAT)
+    document["accelerometers"]["A"]["left_out"] = value
+    assert upgraded(document)["assumed"] == []
