@@ -17,8 +17,7 @@ from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import COMPONENTS
-from counterspin.inference.noise.rest import RestNoise
-from counterspin.inference.noise.stretches import RestSignal, at_rest
+from counterspin.inference.noise.rest import RestNoise, RestSignal, at_rest
 from counterspin.input import FileIdentity
 from counterspin.physics import observation
 from counterspin.records.memory import MemoryTable

@@ -18,12 +18,10 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, RecordError
 from counterspin.exports.guessing import STANDARD_GRAVITY, FileGuess, converts, guess_file
 from counterspin.exports.looking import FileColumn, Look, look
-from counterspin.inference.noise.allan import allan_points
 from counterspin.inference.noise.even import sample_spectrum
 from counterspin.inference.noise.model import COMPONENTS
-from counterspin.inference.noise.rest import Band
-from counterspin.inference.noise.spectrum import Line, spectrum
-from counterspin.inference.noise.stretches import RestRecord, RestSignal, at_rest
+from counterspin.inference.noise.rest import Band, RestRecord, RestSignal, at_rest
+from counterspin.inference.noise.spectrum import Line, allan_points, spectrum
 from counterspin.monitoring.result import (
     AllanValue,
     NoiseLineFound,

@@ -158,8 +158,8 @@ def _effective_dof(module: Any, given: Given) -> Found:
 
 
 def _variance(module: Any, given: Given) -> Found:
+    from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import WANTED, Noise
-    from counterspin.inference.noise.reduced import RecordData
 
     y = np.array(given["y"], np.float64)
     record = RecordData(np.arange(y.size, dtype=np.float64), 0, np.ones((y.size, 1)), y)
@@ -201,8 +201,8 @@ def _judge(module: Any, given: Given) -> Found:
 
 
 def _random_walk(module: Any, given: Given) -> Found:
+    from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import WANTED, Noise
-    from counterspin.inference.noise.reduced import RecordData
 
     stated = document(given["file"])
     time, velocity = (np.array(stated[key], np.float64) for key in ("time", "velocity"))

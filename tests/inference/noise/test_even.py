@@ -7,7 +7,7 @@ import pytest
 
 from counterspin.inference.noise import even
 from counterspin.inference.noise.even import EvenData, SampleKind
-from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
+from counterspin.inference.noise.likelihood import RestrictedLikelihood
 from counterspin.inference.noise.wander import flicker_autocovariance
 
 STEP = 0.5

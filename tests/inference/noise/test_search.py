@@ -7,6 +7,7 @@ import pytest
 from scipy.special import ndtri, stdtrit
 
 from counterspin.errors import NotIdentifiableError
+from counterspin.inference.noise.likelihood import RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import (
     WANTED,
     Differences,
@@ -14,8 +15,6 @@ from counterspin.inference.noise.model import (
     information_lost,
     make_whitener,
 )
-from counterspin.inference.noise.reduced import RecordData
-from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
 from counterspin.inference.noise.search import KEEPING_GAIN, _step, effective_dof, find_noise
 from counterspin.physics.simulation import bias_wander
 

@@ -14,8 +14,8 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared, condense
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.likelihood import RecordData
 from counterspin.inference.noise.model import COMPONENTS, Noise, information_lost
-from counterspin.inference.noise.reduced import RecordData
 from counterspin.inference.noise.search import FoundNoise, effective_dof, find_noise
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
 

@@ -3,9 +3,10 @@
 - `model`, `riccati`: models of a record's noise, whitening with them, and what more noise takes
   from what a record says
 - `wander`: flicker and random walk of the bias
-- `reduced`, `even`: a record reduced to what the likelihood needs; an even one at rest, transformed
-- `search`, `restricted_likelihood`: the noise's size, estimated from the records
-- `stretches`, `rest`: a record at rest, cleaned; its noise, each component with an interval
-- `allan`, `spectrum`: its Allan deviation; its spectrum and the lines in it
+- `likelihood`: records reduced to what the restricted likelihood of their noise needs, and it;
+  `even`: of an even record at rest, by its cosine transform
+- `search`: the noise's size, estimated from the records
+- `rest`: a record at rest, cleaned; its noise, each component with an interval
+- `spectrum`: its spectrum, the lines in it, and its Allan deviation
 - `unseen_noise`: what noise that the records do not show may add to the uncertainty
 """

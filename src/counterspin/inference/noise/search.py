@@ -28,9 +28,8 @@ from numpy.typing import ArrayLike
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.noise.likelihood import WHITE, RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import COMPONENTS, Noise
-from counterspin.inference.noise.reduced import RecordData
-from counterspin.inference.noise.restricted_likelihood import WHITE, RestrictedLikelihood
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
 from counterspin.inference.noise.wander import Variances
 

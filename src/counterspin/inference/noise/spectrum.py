@@ -1,9 +1,16 @@
-"""The spectrum of a record at rest, with intervals, and the lines in it.
+"""What a record at rest shows before any model: its spectrum, its lines, its Allan deviation.
 
-Welch's method (IEEE Trans. Audio Electroacoust. 15 (1967) 70) with Hann windows that overlap by
-half, neighbouring frequencies joined so that there are a few a decade. A line is a maximum of the
-windowed transform of the whole record that stands above what its neighbourhood's median lets expect
-of noise; its wave is fitted by least squares.
+- The spectrum is Welch's (IEEE Trans. Audio Electroacoust. 15 (1967) 70), with Hann windows that
+  overlap by half, neighbouring frequencies joined so that there are a few a decade.
+- A line is a maximum of the windowed transform of the whole record that stands above what its
+  neighbourhood's median lets expect of noise; its wave is fitted by least squares.
+- The Allan deviation is the overlapping one (W. J. Riley and D. A. Howe, Handbook of Frequency
+  Stability Analysis, NIST SP 1065 (2008), section 5.2.4; IEEE Std 952, annex C, uses it for
+  inertial sensors). Its second differences of velocity are stationary under every noise here. So
+  its equivalent degrees of freedom, 2 E^2/Var, which C. A. Greenhall and W. J. Riley (Uncertainty
+  of stability variances based on finite differences, 35th PTTI (2003) 267) tabulate for one power
+  law at a time, are computed from the autocovariance of the noise that was found, all its parts
+  together.
 """
 
 from __future__ import annotations
@@ -15,6 +22,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.noise.even import SampleKind, sample_spectrum
+from counterspin.inference.noise.wander import Variances
 
 #: Values of the spectrum, a decade.
 _A_DECADE: Final = 12.0
@@ -51,6 +60,12 @@ _FEWEST: Final = 256
 
 #: Lines slower than so many of a record's periods are its wander.
 _FEWEST_PERIODS: Final = 8
+
+#: Averaging times an octave, and the part of a record that the longest is, at most.
+_AN_OCTAVE: Final = 2
+_LONGEST_PART: Final = 1.0 / 3.0
+
+_LOW, _HIGH = 0.025, 0.975
 
 
 @frozen
@@ -186,3 +201,69 @@ def _background(power: Array) -> Array:
         half = max(2, min(near // 4, _NEIGHBOURS))
         median[near] = np.median(power[max(0, near - half) : near + half + 1])
     return np.asarray(np.maximum(median, 1e-300) / math.log(2.0))
+
+
+@frozen
+class AllanPoint:
+    """One averaging time."""
+
+    tau: float  #: s.
+    deviation: float  #: m/s^2.
+    #: Ends of its 95 % interval, by chi-square.
+    low: float
+    high: float
+    dof: float  #: Equivalent degrees of freedom.
+    expected: float  #: Of the noise that was found, m/s^2.
+
+
+def allan_deviation(velocity: Array, step: float, count: int) -> float:
+    """Return the overlapping Allan deviation over `count` steps; NaN where there is no pair.
+
+    velocity: Integral of the specific force at even times, m/s, shape (n,).
+    step: s.
+    """
+    second = velocity[2 * count :] - 2.0 * velocity[count:-count] + velocity[: -2 * count]
+    return math.sqrt(float(np.mean(second**2)) / 2.0) / (count * step) if second.size else math.nan
+
+
+def allan_points(
+    velocity: Array, step: float, kind: SampleKind, variances: Variances
+) -> list[AllanPoint]:
+    """Return the deviation at averaging times up to a third of a record.
+
+    variances: Of the noise found.
+    """
+    from scipy.stats import chi2
+
+    n = velocity.size - 1
+    longest = max(1, math.floor(_LONGEST_PART * n))
+    counts = 2.0 ** (np.arange(_AN_OCTAVE * math.log2(longest) + 1e-9) / _AN_OCTAVE)
+    points = []
+    for count in np.unique(np.round(counts).astype(int)).tolist():
+        deviation = allan_deviation(velocity, step, count)
+        expected, dof = moments(n, step, kind, variances, count)
+        low, high = (deviation * math.sqrt(dof / chi2.ppf(part, dof)) for part in (_HIGH, _LOW))
+        points.append(AllanPoint(count * step, deviation, low, high, dof, expected))
+    return points
+
+
+def moments(
+    samples: int, step: float, kind: SampleKind, variances: Variances, count: int
+) -> tuple[float, float]:
+    """Return the Allan deviation that a noise lets expect, and its equivalent degrees of freedom.
+
+    samples: Of the specific force.
+    count: Steps in the averaging time.
+    """
+    from scipy.fft import dct, next_fast_len
+
+    grid = next_fast_len(2 * samples, real=True)
+    angle = math.pi * (np.arange(grid) + 0.5) / grid
+    density = np.asarray(variances) @ sample_spectrum(angle, step, kind)
+    shown = 4.0 * step**2 * np.sin(count * angle / 2.0) ** 4 / np.sin(angle / 2.0) ** 2
+    covariance = dct(density * shown, type=2) / (2.0 * grid)
+    terms = samples + 1 - 2 * count
+    lag = np.arange(1, terms)
+    squared = (covariance[1:terms] / covariance[0]) ** 2
+    dof = terms / (1.0 + 2.0 * float(((1.0 - lag / terms) * squared).sum()))
+    return math.sqrt(float(covariance[0]) / 2.0) / (count * step), dof

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
+from counterspin.inference.noise.likelihood import WHITE, RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import Noise, make_whitener
-from counterspin.inference.noise.reduced import RecordData
-from counterspin.inference.noise.restricted_likelihood import WHITE, RestrictedLikelihood
 
 
 def likelihood(unknowns, width, noise=1e-6):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from counterspin.inference.noise.allan import allan_deviation, allan_points, moments
 from counterspin.inference.noise.even import SampleKind
+from counterspin.inference.noise.spectrum import allan_deviation, allan_points, moments
 
 WHITE, FLICKER, WALK = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 

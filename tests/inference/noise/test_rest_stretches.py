@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.inference.noise.stretches import MOST_SAMPLES, analyse, stretches_of
+from counterspin.inference.noise.rest import MOST_SAMPLES, analyse, stretches_of
 
 STEP = 0.01
 
