@@ -28,7 +28,7 @@ from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
 from counterspin.physics import gravity, motion, terms
-from counterspin.planning import design, faults, feasibility, plan_file
+from counterspin.planning import design, faults, limits, plan_file
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
@@ -90,7 +90,7 @@ ROWS = {
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
         ("by heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
-        ("gain of a limit relaxed by {} %", 100.0 * feasibility.RELAXATION),
+        ("gain of a limit relaxed by {} %", 100.0 * limits.RELAXATION),
         ("u would grow by {}. If", math.hypot(1.0, faults._TOLERABLE_PART_OF_U) - 1.0),
     ],
     "study": [

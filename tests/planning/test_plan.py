@@ -17,8 +17,8 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.planning.design import Design
-from counterspin.planning.figures import FIGURES, plan_plots, save_figures
 from counterspin.planning.forecast import forecast, planned_series
+from counterspin.planning.limits import FIGURES, plan_plots, save_figures
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.result import Curve, Curves, PlanResult
@@ -611,7 +611,7 @@ def test_order_keeps_attitudes_together_and_takes_the_senses_in_turn(starter):
         (ATTITUDES, 'attitudes = ["level", "90 deg about east"]'),
     )
     search = Search(read_plan(file))
-    design = search.in_order(search.smallest().design)
+    design = search.in_order(search.smallest().choice)
     attitudes = [kind.attitude for kind in design.types]
     assert attitudes == sorted(attitudes, key=attitudes.index)
     for attitude in set(attitudes):

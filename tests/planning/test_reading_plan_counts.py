@@ -36,7 +36,7 @@ def test_no_choice_is_better(criterion, considered):
     every = np.array([n for n in itertools.product(range(8), repeat=6) if sum(n) == 7])
     best = float(possible.value(criterion, every).min())
     chosen = best_counts(possible, criterion, 7, math.inf)
-    assert chosen.counts.sum() == 7
+    assert chosen.choice.sum() == 7
     assert chosen.value == pytest.approx(best, abs=1e-9)
     assert chosen.bound <= best + 1e-9
 
@@ -66,7 +66,7 @@ def test_one_more_is_an_update(criterion, considered, monkeypatch):
 def test_time_is_kept_and_the_least_is_least():
     possible, criterion = possibilities(time=2.0), CRITERIA["one"]
     chosen = best_counts(possible, criterion, math.inf, 15.0)
-    assert chosen.counts.sum() == 7
+    assert chosen.choice.sum() == 7
     u = math.exp(chosen.value)
     target = Criterion((2,), (u,))
 
@@ -77,8 +77,8 @@ def test_time_is_kept_and_the_least_is_least():
         return least_counts(possible, target, *limits, u_of)
 
     least, floor = least_of(possible, target, math.inf, 60.0)
-    assert least.counts.sum() == 7
+    assert least.choice.sum() == 7
     assert floor * 60.0 <= 14.0 + 1e-9
     by_number, _ = least_of(possibilities(), target, 30, math.inf)
-    assert by_number.counts.sum() == 7
+    assert by_number.choice.sum() == 7
     assert least_of(possibilities(), Criterion((2,), (1e-3,)), 30, math.inf) is None

@@ -9,9 +9,9 @@ from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO, make_setup, u_by_j
 
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
-from counterspin.planning.design import Design, Predictor, RunType
+from counterspin.planning.design import Design, RunType
 from counterspin.planning.information_table import functions, integration, prefix_factors
-from counterspin.planning.run_information import RunInformation
+from counterspin.planning.run_information import Predictor, RunInformation
 
 INPUTS = ("centrifuge.radius", "site.gravity", "records.timing_offset")
 RATES, TURNS = (1.0, 7.0), (5.0, 33.0)

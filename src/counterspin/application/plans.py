@@ -228,14 +228,14 @@ def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
     optimum = search.best(limits)
     if optimum is None:
         raise CounterspinError("No plan within these limits reaches the target.")
-    u = dict(zip(search.predictor.names, search.predictor.u(optimum.design), strict=True))
+    u = dict(zip(search.predictor.names, search.predictor.u(optimum.choice), strict=True))
     return {
         "u": [_line(term, float(u[term])) for term in search.plan.goal.sizes],
-        "time": limits.time(optimum.design),
+        "time": limits.time(optimum.choice),
         "runs": [
             {"rate": float(rate) * kind.sense, "attitude": kind.attitude, "seconds": float(length)}
             for kind, rate, length in zip(
-                optimum.design.types, optimum.design.rate, optimum.design.duration, strict=True
+                optimum.choice.types, optimum.choice.rate, optimum.choice.duration, strict=True
             )
         ],
     }

@@ -55,7 +55,7 @@ def plan(
         Folder for figures: uncertainty against total time and highest rate, and its sources.
     """
     from counterspin.campaign.kinds import exact
-    from counterspin.planning.figures import FIGURE, FIGURES, save_figures
+    from counterspin.planning.limits import FIGURE, FIGURES, save_figures
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example

@@ -1,18 +1,16 @@
-"""Designs of a campaign: runs, what they may be, what they cost, and how good they are."""
+"""Designs of a campaign: runs, what they may be, what they cost, and what is to be small."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from counterspin.arrays import Array, triangle_of
-from counterspin.campaign.conditions import UNKNOWN_WARMING
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.least_squares import REGULARISATION
-from counterspin.planning.run_information import RunInformation
 
 #: Rates count as different if one is this many times the other; settings always do.
 _DIFFERENT_RATE_RATIO: Final = 1.25
@@ -22,9 +20,6 @@ _ROUNDING: Final = 1e-4
 
 #: Part by which a plan may be beyond a limit that it touches.
 _TOUCHING: Final = 1e-6
-
-#: Relative step of the derivatives of a run's information, by central differences.
-_RELATIVE_STEP: Final = 1e-5
 
 
 class RunType(NamedTuple):
@@ -228,153 +223,69 @@ def order_of(types: Sequence[RunType]) -> list[int]:
     return order
 
 
-def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array]:
-    """Return when runs begin and how warm they are then, as `conditions_of` takes it, (..., n).
+def brought_within(design: Design, limits: Limits) -> Design | None:
+    """Return a design that is within the limits as it is, or the like of it that is; or None.
 
-    duration: s, shape (..., n).
+    Its longest runs are kept, each at the nearest rate that there is, with the lengths scaled into
+    the time. None: there is no such design, or it has types of run that are not available.
     """
-    order = order_of(types)
-    start, warmth = np.empty_like(duration), np.zeros(len(order))
-    start[..., order] = np.cumsum(duration[..., order], axis=-1) - duration[..., order]
-    if len(order) > 1:
-        warmth[order] = UNKNOWN_WARMING * np.linspace(-0.5, 0.5, len(order))
-    return start, warmth
+    if limits.hold(design):
+        return design
+    if not set(design.types) <= set(limits.types):
+        return None
+    kept = np.sort(np.argsort(-design.duration, kind="stable")[: limits.runs])
+    rate = limits.nearest(design.rate[kept])
+    types = tuple(design.types[index] for index in kept)
+    duration = design.duration[kept]
+    fitted = fitted_into(Design(types, rate, duration * rate / (2.0 * math.pi)), limits)
+    return fitted if fitted is not None and limits.hold(fitted) else None
 
 
-class Predictor:
-    """Uncertainties that designs would have, by the same solve as a calibration's."""
+def fitted_into(design: Design, limits: Limits) -> Design | None:
+    """Return the design with its lengths scaled into the time there is; None if none fits."""
+    spread = _at_different_rates(design, limits)
+    if spread is None:
+        return None
+    design = spread
+    fixed = float(np.sum(limits.overhead(design.rate)))
+    changes = limits.time(design) - float(np.sum(design.duration)) - fixed
+    left = limits.total_time - fixed - changes
+    fewest = limits.revolutions * 2.0 * math.pi / design.rate
+    spare = left - float(fewest.sum())
+    if spare < -1e-9 * limits.total_time:
+        return None
+    beyond = np.clip(design.duration, fewest, limits.longest_run) - fewest
+    wanted = float(beyond.sum())
+    scale = max(0.0, spare) / wanted if wanted > 0.0 else 0.0
+    duration = np.minimum(fewest + scale * beyond, np.maximum(limits.longest_run, fewest))
+    return replace(design, revolutions=duration * design.rate / (2.0 * math.pi))
 
-    def __init__(self, information: RunInformation) -> None:
-        self.information = information
-        setup = information.setup
-        shared = [setup.model.unknowns[i] for i in setup.shared]
-        self.names = tuple(unknown.name for unknown in shared)
-        sd = np.array([u.prior[1] for u in shared])
-        limits = np.array([u.limit for u in shared])
-        #: An unknown of which nothing is known is held as loosely as in the solution.
-        self.prior = np.diag(1.0 / np.where(np.isfinite(sd), sd, REGULARISATION * limits))
-        sizes = setup.considered_sizes
-        self.common = sizes[list(setup.considered)]
-        self.own = {name: sizes[list(setup.own(name)[1])] for name in setup.attitudes}
 
-    @property
-    def p(self) -> int:
-        """How many unknowns all runs share."""
-        return len(self.names)
+def _at_different_rates(design: Design, limits: Limits) -> Design | None:
+    """Return the design with its slowest runs moved to rates of their own, if there are too few.
 
-    def covariance(
-        self,
-        types: Sequence[RunType],
-        rate: Array,
-        revolutions: Array,
-        *,
-        whole_samples: bool = False,
-    ) -> Array:
-        """Return the covariance of the shared unknowns for each of many designs.
+    None if the limits do not allow it.
+    """
+    if len(limits.runs_apart(design.rate)) >= limits.fewest_rates:
+        return design
+    fastest = max(
+        float(design.rate.max()),
+        min(limits.rate[1], limits.rate[0] * limits.apart ** (limits.fewest_rates - 1)),
+    )
+    rates = limits.different_rates(fastest)
+    if len(rates) < limits.fewest_rates or limits.fewest_rates > limits.runs:
+        return None
+    while len(design.types) < limits.fewest_rates:
+        design = design.joined(Design(design.types[:1], design.rate[:1], design.revolutions[:1]))
+    rate = design.rate.copy()
+    order = np.argsort(-rate, kind="stable")
+    rate[order[0]] = rates[0]
+    rate[order[len(order) - len(rates) + 1 :]] = rates[1:]
+    return Design(design.types, rate, design.duration * rate / (2.0 * math.pi))
 
-        rate, revolutions: Shape (..., n).
-        Returns: shape (..., p, p).
-        """
-        blocks = self.information.blocks(
-            types,
-            rate,
-            revolutions,
-            whole_samples=whole_samples,
-            conditions=_conditions(types, 2.0 * math.pi * revolutions / rate),
-        )
-        return self._covariance(types, blocks)[0]
 
-    def u(self, design: Design) -> Array:
-        """Return the standard uncertainties of the shared unknowns, shape (p,).
-
-        For the samples that records of these lengths have, while `covariance` is smooth in the
-        lengths.
-        """
-        runs = (design.types, design.rate, design.revolutions)
-        covariance = self.covariance(*runs, whole_samples=True)
-        return np.asarray(np.sqrt(np.diag(covariance)))
-
-    def value(self, criterion: Criterion, design: Design) -> float:
-        """Return a criterion of a design, see `Criterion.value`."""
-        covariance = self.covariance(design.types, design.rate, design.revolutions)
-        return float(criterion.value(covariance))
-
-    def _covariance(self, types: Sequence[RunType], blocks: Array) -> tuple[Array, Array, Array]:
-        """Return covariance, its part without considered terms, and their spread (..., p, k)."""
-        p = self.p
-        lead = blocks.shape[:-3]
-        rows = blocks[..., :p].reshape(*lead, -1, p)
-        prior = np.broadcast_to(self.prior, (*lead, p, p))
-        triangle = triangle_of(np.concatenate([rows, prior], axis=-2))
-        root = np.linalg.inv(triangle)
-        inner = np.asarray(root @ np.swapaxes(root, -1, -2), dtype=np.float64)
-        if blocks.shape[-1] == p:
-            return inner, inner, np.zeros((*lead, p, 0))
-        moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._sized(types, blocks)
-        q = self.common.size
-        common = moments[..., :q].sum(axis=-3)
-        own = np.moveaxis(moments[..., q:], -3, -2)
-        own = own.reshape(*lead, p, own.shape[-2] * own.shape[-1])
-        columns = np.concatenate([common, own], axis=-1)
-        spread: Array = -inner @ columns
-        whole: Array = inner + spread @ np.swapaxes(spread, -1, -2)
-        return whole, inner, spread
-
-    def _sized(self, types: Sequence[RunType], blocks: Array) -> Array:
-        """Return the considered columns of blocks, each times its standard uncertainty."""
-        q = self.common.size
-        columns = blocks[..., self.p :].copy()
-        columns[..., :q] *= self.common
-        for index, run_type in enumerate(types):
-            own = self.own[run_type.attitude]
-            columns[..., index, :, q : q + own.size] *= own
-        return columns
-
-    def sensitivities(self, design: Design, criterion: Criterion) -> tuple[float, Array, Array]:
-        """Return a criterion and its derivatives by log rate and log revolutions of each run.
-
-        The information of one run enters the covariance as P dM P, so that once P is known the
-        derivatives need no other solution, only blocks a step aside.
-        """
-        up, down = 1.0 + _RELATIVE_STEP, 1.0 - _RELATIVE_STEP
-        rate = np.array([[1.0], [up], [down], [1.0], [1.0]]) * design.rate
-        turns = np.array([[1.0], [1.0], [1.0], [up], [down]]) * design.revolutions
-        # When a run begins depends on those before it: so little that no derivative has it.
-        when = _conditions(design.types, design.duration)
-        blocks = self.information.blocks(design.types, rate, turns, conditions=when)
-        covariance, inner, spread = self._covariance(design.types, blocks[0])
-        value = float(criterion.value(covariance))
-        c = criterion.directions(covariance)
-        share = self._share(design.types, blocks, inner, spread, c)
-        return (
-            value,
-            (share[1] - share[2]) / (2.0 * _RELATIVE_STEP),
-            (share[3] - share[4]) / (2.0 * _RELATIVE_STEP),
-        )
-
-    def _share(
-        self, types: Sequence[RunType], blocks: Array, inner: Array, spread: Array, c: Array
-    ) -> Array:
-        """Return for each run a quantity whose difference quotient is the criterion's derivative.
-
-        With v = P c, s = spread' c and B the considered moments, d(c' S c) is
-        -v' dM v - 2 s' (dB' v) - 2 s' B' dP c; shape (..., runs).
-        """
-        p = self.p
-        v = inner @ c
-        seen = blocks[..., :p] @ v
-        share = -np.sum(seen**2, axis=(-2, -1))
-        if spread.shape[-1] == 0:
-            return np.asarray(share)
-        s = spread.T @ c
-        # d(spread' c) = -(dB)' v + B' P dM P c, and B' P is -spread'.
-        towards = spread @ s
-        share -= 2.0 * np.sum(seen * (blocks[..., :p] @ towards), axis=(-2, -1))
-        columns = self._sized(types, blocks)
-        q, n = self.common.size, len(types)
-        width = columns.shape[-1] - q
-        weights = np.zeros((n, q + width, c.shape[1]))
-        weights[:, :q] = s[:q]
-        weights[:, q:] = s[q:].reshape(n, width, c.shape[1])
-        share -= 2.0 * np.sum(seen * (columns @ weights), axis=(-2, -1))
-        return np.asarray(share)
+def both_senses(limits: Limits) -> Limits:
+    """Return the limits with both senses of the spin allowed in every attitude."""
+    attitudes = dict.fromkeys(run_type.attitude for run_type in limits.types)
+    types = tuple(RunType(attitude, sense) for attitude in attitudes for sense in (1, -1))
+    return replace(limits, types=types)

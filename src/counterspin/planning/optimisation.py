@@ -9,9 +9,9 @@ says how far from any better plan the result can be.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
@@ -19,10 +19,16 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
-from counterspin.frozen import frozen
-from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
-from counterspin.planning.polishing import brought_within, fitted_into, polish, shortest_plan
-from counterspin.planning.possibilities import RelaxedOptimum, relax
+from counterspin.planning.design import (
+    Criterion,
+    Design,
+    Limits,
+    RunType,
+    brought_within,
+    fitted_into,
+)
+from counterspin.planning.possibilities import Optimum, relax
+from counterspin.planning.run_information import Predictor
 
 #: Smallest relative gain of u (or of time) for which a plan is changed.
 _GAIN: Final = 2e-5
@@ -35,20 +41,6 @@ _WEIGHT_OF_A_RUN: Final = 0.02
 _EQUAL_RUNS: Final = 1e-3
 
 
-@frozen(eq=False)
-class Optimum:
-    """A plan and how good it is."""
-
-    design: Design  #: The runs, longest last within each type.
-    value: float  #: Its criterion, a logarithm.
-    bound: float  #: What no plan within the limits can be below.
-
-    @property
-    def efficiency(self) -> float:
-        """Smallest u that may be possible over the u of the plan; at most 1."""
-        return math.exp(min(0.0, self.bound - self.value))
-
-
 def optimise(
     predictor: Predictor,
     limits: Limits,
@@ -56,7 +48,7 @@ def optimise(
     *,
     relaxing: Predictor | None = None,
     start: Design | None = None,
-) -> Optimum:
+) -> Optimum[Design]:
     """Find the plan with the smallest criterion.
 
     relaxing: A predictor in which considered terms are estimated; None: there are none.
@@ -67,14 +59,14 @@ def optimise(
             f"{limits.shortest:.6g} s with spin-up and settling"
         )
     choices = [
-        (relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
+        (*relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
     ]
-    choices.sort(key=lambda choice: choice[0].bound)
+    choices.sort(key=lambda choice: choice[1].bound)
     best: tuple[float, Design] | None = None
-    for relaxed, allowed in choices:
+    for support, relaxed, allowed in choices:
         if best is not None and relaxed.bound > best[0] - _GAIN:
             break  # nor can those that follow be better
-        starts = list(_whole(relaxed, allowed))
+        starts = list(_whole(support, relaxed, allowed))
         if start is not None and (near := brought_within(start, allowed)) is not None:
             starts = [near, *starts[:1]]
         if not starts:
@@ -85,7 +77,7 @@ def optimise(
             best = exchanged
     assert best is not None  # the choices hold one attitude alone, into which a run fits
     value, design = _in_order(predictor, criterion, *best)
-    return Optimum(design, value, min(choices[0][0].bound, value))
+    return Optimum(design, value, min(choices[0][1].bound, value))
 
 
 def _subsets(limits: Limits) -> Iterator[Limits]:
@@ -110,22 +102,24 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
             )
 
 
-def _whole(relaxed: RelaxedOptimum, limits: Limits) -> Iterator[Design]:
-    """Yield starts: whole runs in place of the relaxation's weights."""
+def _whole(found: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[Design]:
+    """Yield starts: whole runs in place of the relaxation's weights.
+
+    found: The runs that the relaxation uses.
+    """
     groups: dict[tuple[RunType, float], list[int]] = {}
-    found = relaxed.support
     for index, (run_type, w) in enumerate(zip(found.types, found.rate, strict=True)):
         near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
         groups.setdefault((run_type, near), []).append(index)
-    weight = np.array([relaxed.weight[index].sum() for index in groups.values()])
+    weight = np.array([relaxed.choice[index].sum() for index in groups.values()])
     run_types = [run_type for run_type, _ in groups]
-    rate = np.array([found.rate[i[np.argmax(relaxed.weight[i])]] for i in groups.values()])
+    rate = np.array([found.rate[i[np.argmax(relaxed.choice[i])]] for i in groups.values()])
     turns = np.array(
-        [np.average(found.revolutions[i], weights=relaxed.weight[i]) for i in groups.values()]
+        [np.average(found.revolutions[i], weights=relaxed.choice[i]) for i in groups.values()]
     )
     total = float(weight.sum())
     totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
-    totals |= {limits.runs} if relaxed.price_run > 0.0 else set()
+    totals |= {limits.runs} if relaxed.price > 0.0 else set()
     shares = [_share(weight, count) for count in sorted(totals, reverse=True)]
     # A group that gets parts of a run may be what tells terms apart: then it needs a whole one.
     shares += [_at_least_one(weight, share) for share in shares]
@@ -282,7 +276,7 @@ def least_time(
     criterion: Criterion,
     *,
     relaxing: Predictor | None = None,
-) -> Optimum | None:
+) -> Optimum[Design] | None:
     """Find the shortest plan in which u of each unknown of interest is at most its scale.
 
     Returns: none if no plan within the limits reaches the targets. The criterion's value and bound
@@ -295,7 +289,7 @@ def least_time(
         covariance = predictor.covariance(design.types, design.rate, design.revolutions)
         return max(float(single.value(covariance)) for single in singles)
 
-    design = optimise(predictor, limits, targets, relaxing=relaxing).design
+    design = optimise(predictor, limits, targets, relaxing=relaxing).choice
     if misses(design) > 0.0 and len(singles) > 1:
         # The mean hides the worst: give it more weight until all are below their targets.
         for _ in range(8):
@@ -317,7 +311,7 @@ def least_time(
             targets,
             relaxing=relaxing,
         )
-        shorter = shortest_plan(predictor, limits, singles, tried.design)
+        shorter = shortest_plan(predictor, limits, singles, tried.choice)
         if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _GAIN):
             best = shorter
         time = 0.5 * (time + limits.time(best))
@@ -330,6 +324,131 @@ def _relaxed_time(predictor: Predictor, limits: Limits, criterion: Criterion) ->
     low, high = math.log(limits.shortest), math.log(limits.total_time)
     for _ in range(10):
         middle = 0.5 * (low + high)
-        bound = relax(predictor, replace(limits, total_time=math.exp(middle)), criterion).bound
-        low, high = (middle, high) if bound > 0.0 else (low, middle)
+        _, relaxed = relax(predictor, replace(limits, total_time=math.exp(middle)), criterion)
+        low, high = (middle, high) if relaxed.bound > 0.0 else (low, middle)
     return math.exp(low)
+
+
+def polish(
+    predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
+) -> tuple[float, Design]:
+    """Improve rates and lengths, the types of run being given."""
+    variables = _Variables(limits, design)
+
+    def objective(x: Array) -> tuple[float, Array]:
+        value, by_rate, by_turns = predictor.sensitivities(variables.design(x), criterion)
+        return value, variables.gradient(by_rate, by_turns)
+
+    x = variables.solve(objective, [variables.time_left])
+    improved = _shortened_to_fit(variables.design(x), limits)
+    candidates = [improved]
+    if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
+        candidates.append(design)
+    valued = [(predictor.value(criterion, candidate), candidate) for candidate in candidates]
+    return min(valued, key=lambda pair: pair[0])
+
+
+class _Variables:
+    """Log rates (if free) and log revolutions as one vector, with bounds and time."""
+
+    def __init__(self, limits: Limits, design: Design) -> None:
+        self.limits = limits
+        self.start = design
+        self.n = len(design.types)
+        self.free = not limits.settings and limits.rate[1] > limits.rate[0] * (1.0 + 1e-9)
+        self.apart = limits.runs_apart(design.rate) if limits.fewest_rates > 1 else []
+
+    def design(self, x: Array) -> Design:
+        rate = np.exp(x[: self.n]) if self.free else self.start.rate
+        return Design(self.start.types, np.asarray(rate), np.asarray(np.exp(x[-self.n :])))
+
+    def gradient(self, by_rate: Array, by_turns: Array) -> Array:
+        return np.concatenate([by_rate, by_turns]) if self.free else by_turns
+
+    def time(self, x: Array) -> tuple[float, Array]:
+        """Return log(time / total time) and its gradient."""
+        design = self.design(x)
+        time = self.limits.time(design)
+        of_rate = (-design.duration + self.limits.spin_up * design.rate) / time
+        gradient = self.gradient(of_rate, design.duration / time)
+        return math.log(time / self.limits.total_time), gradient
+
+    def time_left(self, x: Array) -> tuple[Array, Array]:
+        value, gradient = self.time(x)
+        return np.array([-value]), -gradient[None]
+
+    def solve(
+        self,
+        objective: Callable[[Array], tuple[float, Array]],
+        constraints: Sequence[Callable[[Array], tuple[Array, Array]]],
+    ) -> Array:
+        """Minimise by SLSQP; constraints give values, to be positive, and their Jacobian."""
+        from scipy.optimize import minimize
+
+        limits, start = self.limits, self.start
+        most = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
+        turns = (math.log(limits.revolutions), math.log(max(most, limits.revolutions)))
+        rate = (math.log(limits.rate[0]), math.log(limits.rate[1]))
+        bounds = [rate] * self.n * self.free + [turns] * self.n
+        x = np.concatenate([np.log(start.rate)] * self.free + [np.log(start.revolutions)])
+        low, high = np.array(bounds).T
+        every = [*constraints, self.length_left]
+        every += [self.rates_apart] if self.free and len(self.apart) > 1 else []
+
+        def values(x: Array) -> Array:
+            return np.concatenate([constraint(x)[0] for constraint in every])
+
+        def slopes(x: Array) -> Array:
+            return np.vstack([constraint(x)[1] for constraint in every])
+
+        minimum = minimize(
+            objective,
+            np.clip(x, low, high),
+            jac=True,
+            method="SLSQP",
+            bounds=bounds,
+            constraints={"type": "ineq", "fun": values, "jac": slopes},
+            options={"maxiter": 100, "ftol": 1e-8},
+        )
+        return np.asarray(np.clip(minimum.x, low, high))
+
+    def length_left(self, x: Array) -> tuple[Array, Array]:
+        """Return how far each record is below the longest allowed, as logarithms."""
+        duration = self.design(x).duration
+        eye = np.eye(self.n)
+        return (
+            np.log(self.limits.longest_run / duration),
+            np.hstack([eye, -eye]) if self.free else -eye,
+        )
+
+    def rates_apart(self, x: Array) -> tuple[Array, Array]:
+        """Return by how much rates that must differ do so more than they must, as logarithms."""
+        slopes = np.zeros((len(self.apart) - 1, x.size))
+        for row, (faster, slower) in enumerate(pairwise(self.apart)):
+            slopes[row, [faster, slower]] = 1.0, -1.0
+        return slopes @ x - math.log(self.limits.apart), slopes
+
+
+def _shortened_to_fit(design: Design, limits: Limits) -> Design:
+    """Return the design, shortened where rounding has put it over the time there is."""
+    if limits.time(design) <= limits.total_time:
+        return design
+    return fitted_into(design, limits) or design
+
+
+def shortest_plan(
+    predictor: Predictor, limits: Limits, singles: Sequence[Criterion], design: Design
+) -> Design:
+    """Return the shortest plan of the same types of run that still meets every target."""
+    variables = _Variables(limits, design)
+
+    def below(x: Array) -> tuple[Array, Array]:
+        plan = variables.design(x)
+        values, slopes = [], []
+        for single in singles:
+            value, by_rate, by_turns = predictor.sensitivities(plan, single)
+            values.append(-value)
+            slopes.append(-variables.gradient(by_rate, by_turns))
+        return np.array(values), np.array(slopes)
+
+    return variables.design(variables.solve(variables.time, [below]))

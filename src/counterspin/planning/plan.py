@@ -17,14 +17,13 @@ from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.faults import Requirement, requirements_of
-from counterspin.planning.feasibility import limits_of, require_determined, unreachable
-from counterspin.planning.figures import curves_of
 from counterspin.planning.forecast import Forecast, forecast
+from counterspin.planning.limits import curves_of, limits_of
 from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
 from counterspin.planning.reading_plan import ReadingSearch
 from counterspin.planning.recorded import from_records, lacks, with_pose_noise
 from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
-from counterspin.planning.search import Search
+from counterspin.planning.search import Search, require_determined, unreachable
 from counterspin.planning.stations import read_reading_plan
 from counterspin.toml_text import write_document
 from counterspin.workers import one_blas_thread
@@ -138,7 +137,7 @@ def plan(
     optimum = search.best()
     if optimum is None:
         raise unreachable(search)
-    design, prediction = _written(search, search.in_order(optimum.design))
+    design, prediction = _written(search, search.in_order(optimum.choice))
     campaign = prediction.campaign
     total = search.limits.time(design)
     first = next(iter(described.goal.sizes))
@@ -154,7 +153,7 @@ def plan(
         update={
             "goal": described.goal.met(optimum.efficiency if search.bounded else None),
             "others": _others(search, design, prediction, total),
-            "limits": limits_of(search, optimum.design),
+            "limits": limits_of(search, optimum.choice),
             "requirements": requirements,
             "requirements_for": words,
             "curves": curves_of(described, design, progress) if curves else None,
@@ -325,7 +324,7 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
     half = replace(search.limits, total_time=0.5 * total)
     shorter = None
     if search.plan.goal.kind == "minimise" and half.possible:
-        start = search.smallest(half).design
+        start = search.smallest(half).choice
         shorter = search.rounded(search.in_order(start), half)
     others = []
     for words, other in (

@@ -32,7 +32,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
 from counterspin.physics.terms import CONDITION_TERMS, term
-from counterspin.planning.design import Criterion, Limits, RunType
+from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 from counterspin.planning.result import GoalResult
 
@@ -53,31 +53,6 @@ _RECORDS: Final[Mapping[str, Any]] = {
 }
 
 
-@frozen
-class Goal:
-    """What a plan is for."""
-
-    #: ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
-    kind: Literal["minimise", "target"]
-    #: Unknown (such as ``Qx.K_II``) -> the size of u that counts as 1, or the target.
-    sizes: Mapping[str, float]
-    criterion: Literal["sum", "determinant"]  #: ``sum`` or ``determinant``.
-
-    def criterion_of(self, names: Sequence[str]) -> Criterion:
-        """Return what is to be small, among unknowns of these names."""
-        places = tuple(names.index(name) for name in self.sizes)
-        return Criterion(places, tuple(self.sizes.values()), self.criterion)
-
-    def met(self, efficiency: float | None) -> GoalResult:
-        """Return what a result says of it; the efficiency as of `GoalResult`."""
-        return GoalResult(
-            kind=self.kind,
-            criterion=self.criterion,
-            sizes=dict(self.sizes),
-            efficiency=efficiency,
-        )
-
-
 @frozen(eq=False)
 class Plan:
     """A plan's description, checked and resolved."""
@@ -89,7 +64,7 @@ class Plan:
     attitudes: Mapping[str, Any]  #: Name -> attitude as it is written in a campaign.
     limits: Limits  #: What the machine and the laboratory allow.
     sampling_rate: float  #: Hz.
-    goal: Goal  #: What it is for.
+    goal: GoalResult  #: What it is for.
 
 
 def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
@@ -399,14 +374,16 @@ def _rates(
     return (available[0], available[-1]), available
 
 
-def resolve_goal(settings: GoalSettings, campaign: Campaign, problems: Problems) -> Goal | None:
+def resolve_goal(
+    settings: GoalSettings, campaign: Campaign, problems: Problems
+) -> GoalResult | None:
     """Return what a plan is for, or None with what is wrong with it noted."""
     if settings.minimise is not None and settings.target is not None:
         problems.add(("goal",), "has both minimise and target; keep one")
         return None
     if settings.target is not None and settings.criterion != "sum":
         problems.add(("goal", "criterion"), "has no meaning with target; leave it out")
-    key = "target" if settings.target is not None else "minimise"
+    key: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
     wanted = settings.target if settings.target is not None else settings.minimise
     if wanted is None:
         wanted = ["K_II"]
@@ -437,7 +414,7 @@ def resolve_goal(settings: GoalSettings, campaign: Campaign, problems: Problems)
         )
     if len(problems.lines) > before:
         return None
-    return Goal("target" if key == "target" else "minimise", sizes, settings.criterion)
+    return GoalResult(kind=key, criterion=settings.criterion, sizes=sizes)
 
 
 def _size(

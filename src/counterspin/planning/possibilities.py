@@ -26,14 +26,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
-from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
+from counterspin.planning.design import Criterion, Design, Limits, RunType
+from counterspin.planning.run_information import Predictor
 
 #: Rates and lengths on the first grid, where any rate may be set.
 _GRID_RATES: Final = 9
@@ -42,34 +43,45 @@ _GRID_LENGTHS: Final = 12
 _REFINEMENTS: Final = 4
 
 
+Chosen = TypeVar("Chosen")
+
+
 @frozen(eq=False)
-class RelaxedOptimum:
-    """The relaxed optimum."""
+class Optimum(Generic[Chosen]):
+    """What is best to choose of possible observations, and how good it is."""
 
-    support: Design  #: Its runs.
-    weight: Array  #: How many of each, not whole numbers, shape (n,).
+    #: Runs, longest last within each type; or how often each observation is made, shape (n,), in
+    #: whole numbers or, relaxed, in numbers that need not be whole.
+    choice: Chosen
     value: float  #: Its criterion (a logarithm, see `Criterion.value`).
-    bound: float  #: What no plan can be below, over all runs of the grid.
-    price_run: float  #: What the criterion gains for each further run.
+    bound: float  #: What no choice within the limits can be below.
+    price: float = 0.0  #: What the criterion gains for each further observation, where relaxed.
+
+    @property
+    def efficiency(self) -> float:
+        """Smallest u that may be possible over the u of the choice; at most 1."""
+        return math.exp(min(0.0, self.bound - self.value))
 
 
-def relax(predictor: Predictor, limits: Limits, criterion: Criterion) -> RelaxedOptimum:
-    """Solve the relaxation on a grid."""
+def relax(
+    predictor: Predictor, limits: Limits, criterion: Criterion
+) -> tuple[Design, Optimum[Array]]:
+    """Solve the relaxation on a grid: which of its runs are used, and how many of each."""
     grid, steps = _first_grid(limits)
     possible = _possible(predictor, limits, grid)
     resources = (float(limits.runs), limits.total_time)
     solved = possible.relaxed(criterion, *resources)
     for level in range(1, _REFINEMENTS + 1):
-        used = np.flatnonzero(solved.weight > ZERO_WEIGHT)
+        used = np.flatnonzero(solved.choice > ZERO_WEIGHT)
         finer = _finer(limits, grid, used, steps * 0.5**level)
         if not finer.types:
             break
         grid = grid.joined(finer)
         possible = possible.joined(_possible(predictor, limits, finer))
-        start = np.concatenate([solved.weight, np.zeros(len(finer.types))])
+        start = np.concatenate([solved.choice, np.zeros(len(finer.types))])
         solved = possible.relaxed(criterion, *resources, start)
-    kept = np.flatnonzero(solved.weight > ZERO_WEIGHT)
-    return RelaxedOptimum(grid.taken(kept.tolist()), solved.weight[kept], *solved[1:])
+    kept = np.flatnonzero(solved.choice > ZERO_WEIGHT)
+    return grid.taken(kept.tolist()), replace(solved, choice=solved.choice[kept])
 
 
 def _possible(predictor: Predictor, limits: Limits, runs: Design) -> Possibilities:
@@ -154,16 +166,6 @@ ZERO_WEIGHT: Final = 1e-5
 _GAP_OF_U: Final = 3e-4
 
 
-class Weights(NamedTuple):
-    """Numbers of observations that need not be whole, and what they say of those that are."""
-
-    weight: Array  #: Shape (n,).
-    value: float  #: The criterion (a logarithm, see `Criterion.value`).
-    #: What no numbers can be below: `value` less the gap that the equivalence theorem leaves.
-    bound: float
-    price: float  #: What the criterion gains for each further observation.
-
-
 @frozen(eq=False)
 class Possibilities:
     """What each of n possible observations tells, and what it costs."""
@@ -234,7 +236,7 @@ class Possibilities:
 
     def relaxed(
         self, criterion: Criterion, number: float, total: float, start: Array | None = None
-    ) -> Weights:
+    ) -> Optimum[Array]:
         """Return the best numbers that need not be whole.
 
         number, total: Largest sum of the numbers and of their costs, s; one of them finite.
@@ -275,7 +277,7 @@ class _Relaxation:
         self.root, self.cost = root, cost
         self.total, self.number = total, number
 
-    def solve(self, weight: Array) -> Weights:
+    def solve(self, weight: Array) -> Optimum[Array]:
         """Return the best weights, from some."""
         value = self.value(weight)
         bound, price = -math.inf, 0.0
@@ -293,7 +295,7 @@ class _Relaxation:
             if after > value - 0.01 * _GAP_OF_U:
                 break  # rounding is all that is left to gain
             weight, value = better, after
-        return Weights(weight, value, bound, price)
+        return Optimum(weight, value, bound, price)
 
     def value(self, weight: Array) -> float:
         """Return the criterion."""

@@ -20,20 +20,14 @@ from counterspin.campaign.conditions import groups_of, poses_together
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
-from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import Readings, rows_at
 from counterspin.inference.poses import TriadPoses
 from counterspin.planning.design import Criterion
-from counterspin.planning.feasibility import (
-    GAIN,
-    RELAXATION,
-    not_determined,
-    words_of_missed_target,
-)
 from counterspin.planning.forecast import Forecast, expected_values, forecast
-from counterspin.planning.possibilities import Possibilities
+from counterspin.planning.limits import GAIN, RELAXATION
+from counterspin.planning.possibilities import Optimum, Possibilities
 from counterspin.planning.result import (
     LimitResult,
     OtherPlan,
@@ -42,6 +36,7 @@ from counterspin.planning.result import (
     planned_readings,
     result_of,
 )
+from counterspin.planning.search import not_determined, words_of_missed_target
 from counterspin.planning.stations import PossibleReading, ReadingPlan
 
 Counts = npt.NDArray[np.int64]
@@ -65,18 +60,9 @@ _ROUNDING: Final = 1e-9
 _BISECTIONS: Final = 12
 
 
-@frozen(eq=False)
-class Allocation:
-    """How often each possible reading is taken."""
-
-    counts: Counts  #: Shape (n,).
-    value: float  #: The criterion.
-    bound: float  #: What no other choice within the limits can be below.
-
-
 def best_counts(
     possible: Possibilities, criterion: Criterion, number: float, time: float
-) -> Allocation:
+) -> Optimum[Counts]:
     """Return the numbers with the smallest criterion.
 
     number, time: Largest sum of the numbers and of their times, s; one of them finite.
@@ -84,10 +70,10 @@ def best_counts(
     relaxed = possible.relaxed(criterion, number, time)
     ends = [
         _exchanged(possible, criterion, start, number, time)
-        for start in _starts(possible, relaxed.weight, number, time)
+        for start in _starts(possible, relaxed.choice, number, time)
     ]
     value, counts = min(ends, key=lambda end: end[0])
-    return Allocation(counts, value, min(relaxed.bound, value))
+    return Optimum(counts, value, min(relaxed.bound, value))
 
 
 def _starts(possible: Possibilities, weight: Array, number: float, time: float) -> list[Counts]:
@@ -149,7 +135,7 @@ def least_counts(
     number: float,
     time: float,
     u_of: Callable[[Counts], Array],
-) -> tuple[Allocation, float] | None:
+) -> tuple[Optimum[Counts], float] | None:
     """Return the fewest readings, or the least time, with which every u is at most its scale.
 
     u_of: What u will be, of all that the criterion asks for, in its order: what goes with time
@@ -159,10 +145,10 @@ def least_counts(
     """
     scales = np.array(criterion.scales)
 
-    def reached(chosen: Allocation) -> bool:
-        variance = np.diag(possible.covariance(chosen.counts))[list(criterion.places)]
+    def reached(chosen: Optimum[Counts]) -> bool:
+        variance = np.diag(possible.covariance(chosen.choice))[list(criterion.places)]
         near = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _ROUNDING)))
-        return near and bool(np.all(u_of(chosen.counts) <= scales * (1.0 + _ROUNDING)))
+        return near and bool(np.all(u_of(chosen.choice) <= scales * (1.0 + _ROUNDING)))
 
     def limits(part: float) -> tuple[float, float] | None:
         if math.isfinite(time):
@@ -210,7 +196,7 @@ class ReadingSearch:
         """Find the readings for the plan's goal."""
         self._require_determined()
         chosen, floor = self._chosen()
-        prediction, cost = self.forecast(chosen.counts), self.possible.cost
+        prediction, cost = self.forecast(chosen.choice), self.possible.cost
         if floor is None:
             # Of what is reported: what goes with time is unknown to the search.
             names = [unknown.name for unknown in prediction.fit.model.unknowns]
@@ -218,9 +204,9 @@ class ReadingSearch:
             value = float(criterion.value(prediction.fit.solution.covariance))
             efficiency = math.exp(chosen.bound - value)
         elif math.isfinite(self.plan.total_time):
-            efficiency = floor * self.plan.total_time / float(cost @ chosen.counts)
+            efficiency = floor * self.plan.total_time / float(cost @ chosen.choice)
         else:
-            efficiency = floor * self.plan.readings / float(chosen.counts.sum())
+            efficiency = floor * self.plan.readings / float(chosen.choice.sum())
         found = {
             "readings": planned_readings(_new_of(self.plan, prediction.campaign)),
             "order": self.plan.order,
@@ -228,8 +214,8 @@ class ReadingSearch:
             "others": self._others(chosen, prediction),
             "limits": self._limits(chosen),
         }
-        result = result_of(prediction, None, float(cost @ chosen.counts))
-        return result.model_copy(update=found), self._in_order(chosen.counts)
+        result = result_of(prediction, None, float(cost @ chosen.choice))
+        return result.model_copy(update=found), self._in_order(chosen.choice)
 
     def forecast(self, counts: Counts) -> Forecast:
         """Return the forecast of the campaign with these readings."""
@@ -258,7 +244,7 @@ class ReadingSearch:
             "known of the other terms in [model.priors]."
         )
 
-    def _chosen(self) -> tuple[Allocation, float | None]:
+    def _chosen(self) -> tuple[Optimum[Counts], float | None]:
         """Return the readings, and for a target the part of the limit that it needs."""
         goal = self.plan.goal
         if goal.kind == "minimise":
@@ -271,7 +257,7 @@ class ReadingSearch:
         least = least_counts(self.possible, self.criterion, *self.limits, u_of)
         if least is not None:
             return least
-        best = best_counts(self.possible, self.criterion, *self.limits).counts
+        best = best_counts(self.possible, self.criterion, *self.limits).choice
         text = words_of_missed_target(
             self.forecast(best),
             goal.sizes,
@@ -280,9 +266,9 @@ class ReadingSearch:
         )
         raise CounterspinError(text + ".")
 
-    def _others(self, chosen: Allocation, prediction: Forecast) -> list[OtherPlan]:
+    def _others(self, chosen: Optimum[Counts], prediction: Forecast) -> list[OtherPlan]:
         """Return the plan that takes every possible reading equally often, or nearly."""
-        size, number = chosen.counts.size, int(chosen.counts.sum())
+        size, number = chosen.choice.size, int(chosen.choice.sum())
         spread = np.floor(np.arange(number) * size / number).astype(np.int64)
         counts = np.bincount(spread, minlength=size)
         there = self.forecast(counts)
@@ -295,7 +281,7 @@ class ReadingSearch:
         time = float(self.possible.cost @ counts)
         return [other_plan(words, time, prediction.u, there.u, self.plan.goal.sizes)]
 
-    def _limits(self, chosen: Allocation) -> list[LimitResult]:
+    def _limits(self, chosen: Optimum[Counts]) -> list[LimitResult]:
         """Return what a tenth more of each limit would gain; nothing of a plan for a target."""
         if self.plan.goal.kind == "target":
             return []

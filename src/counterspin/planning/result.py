@@ -24,6 +24,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import BudgetLine, WhatIf, budget, what_if
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
+from counterspin.planning.design import Criterion
 from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
 from counterspin.planning.forecast import Forecast
 from counterspin.reports.publication import ShownResult, load_function, on_axes
@@ -88,16 +89,27 @@ class PlannedAccelerometer(ResultPart):
 
 
 class GoalResult(ResultPart):
-    """What was sought, and how it was met.
+    """What a plan is for, and how nearly it is the best.
 
+    `sizes`: unknown, such as ``Qx.K_II``, -> the size of u that counts as 1, or the target.
     `efficiency` is the least u (or, for a target, time) that any plan within the limits could
     have, over this plan's; None where no theorem says it.
     """
 
+    #: ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
     kind: Literal["minimise", "target"]
     criterion: Literal["sum", "determinant"]
     sizes: dict[str, float]
-    efficiency: float | None
+    efficiency: float | None = None
+
+    def criterion_of(self, names: Sequence[str]) -> Criterion:
+        """Return what is to be small, among unknowns of these names."""
+        places = tuple(names.index(name) for name in self.sizes)
+        return Criterion(places, tuple(self.sizes.values()), self.criterion)
+
+    def met(self, efficiency: float | None) -> GoalResult:
+        """Return the goal of a plan that is so efficient."""
+        return self.model_copy(update={"efficiency": efficiency})
 
 
 class OtherPlan(ResultPart):
@@ -174,7 +186,7 @@ class PlanResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
-        return on_axes(list(load_function("counterspin.planning.figures:plan_plots")(self)), axes)
+        return on_axes(list(load_function("counterspin.planning.limits:plan_plots")(self)), axes)
 
 
 def result_of(

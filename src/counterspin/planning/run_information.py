@@ -1,5 +1,7 @@
 """What a run would tell, as a smooth function of its rate and its revolutions: for planning.
 
+`Predictor` puts runs together: the uncertainties of a design.
+
 At constant rate every column of the term table is an exact combination of a few functions of the
 spindle angle th: th^2, th^3, and cos, sin, th cos, th sin of its first harmonics. The functions
 do not know the rate and their weights do not know the length of the run. So a run's square-root
@@ -20,12 +22,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, triangle_of
+from counterspin.campaign.conditions import UNKNOWN_WARMING
+from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import CONDITION_TERMS
+from counterspin.planning.design import Criterion, Design, RunType, order_of
 from counterspin.planning.information_table import EvenSamples, InformationTable, averaged, root
 from counterspin.planning.weights import (
     A_SECOND,
@@ -37,6 +43,9 @@ from counterspin.planning.weights import (
     key_of,
 )
 from counterspin.records.reduction import block_size
+
+#: Relative step of the derivatives of a run's information, by central differences.
+_RELATIVE_STEP: Final = 1e-5
 
 
 class RunInformation:
@@ -290,3 +299,155 @@ def _by_condition(setup: Setup, condition: str) -> list[int]:
 def _filled(keys: list[Key], count: int) -> list[Key]:
     """Return as many keys as another attitude has, the last ones of nothing."""
     return [*keys, *[("", "")] * (count - len(keys))]
+
+
+def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array]:
+    """Return when runs begin and how warm they are then, as `conditions_of` takes it, (..., n).
+
+    duration: s, shape (..., n).
+    """
+    order = order_of(types)
+    start, warmth = np.empty_like(duration), np.zeros(len(order))
+    start[..., order] = np.cumsum(duration[..., order], axis=-1) - duration[..., order]
+    if len(order) > 1:
+        warmth[order] = UNKNOWN_WARMING * np.linspace(-0.5, 0.5, len(order))
+    return start, warmth
+
+
+class Predictor:
+    """Uncertainties that designs would have, by the same solve as a calibration's."""
+
+    def __init__(self, information: RunInformation) -> None:
+        self.information = information
+        setup = information.setup
+        shared = [setup.model.unknowns[i] for i in setup.shared]
+        self.names = tuple(unknown.name for unknown in shared)
+        sd = np.array([u.prior[1] for u in shared])
+        limits = np.array([u.limit for u in shared])
+        #: An unknown of which nothing is known is held as loosely as in the solution.
+        self.prior = np.diag(1.0 / np.where(np.isfinite(sd), sd, REGULARISATION * limits))
+        sizes = setup.considered_sizes
+        self.common = sizes[list(setup.considered)]
+        self.own = {name: sizes[list(setup.own(name)[1])] for name in setup.attitudes}
+
+    @property
+    def p(self) -> int:
+        """How many unknowns all runs share."""
+        return len(self.names)
+
+    def covariance(
+        self,
+        types: Sequence[RunType],
+        rate: Array,
+        revolutions: Array,
+        *,
+        whole_samples: bool = False,
+    ) -> Array:
+        """Return the covariance of the shared unknowns for each of many designs.
+
+        rate, revolutions: Shape (..., n).
+        Returns: shape (..., p, p).
+        """
+        blocks = self.information.blocks(
+            types,
+            rate,
+            revolutions,
+            whole_samples=whole_samples,
+            conditions=_conditions(types, 2.0 * math.pi * revolutions / rate),
+        )
+        return self._covariance(types, blocks)[0]
+
+    def u(self, design: Design) -> Array:
+        """Return the standard uncertainties of the shared unknowns, shape (p,).
+
+        For the samples that records of these lengths have, while `covariance` is smooth in the
+        lengths.
+        """
+        runs = (design.types, design.rate, design.revolutions)
+        covariance = self.covariance(*runs, whole_samples=True)
+        return np.asarray(np.sqrt(np.diag(covariance)))
+
+    def value(self, criterion: Criterion, design: Design) -> float:
+        """Return a criterion of a design, see `Criterion.value`."""
+        covariance = self.covariance(design.types, design.rate, design.revolutions)
+        return float(criterion.value(covariance))
+
+    def _covariance(self, types: Sequence[RunType], blocks: Array) -> tuple[Array, Array, Array]:
+        """Return covariance, its part without considered terms, and their spread (..., p, k)."""
+        p = self.p
+        lead = blocks.shape[:-3]
+        rows = blocks[..., :p].reshape(*lead, -1, p)
+        prior = np.broadcast_to(self.prior, (*lead, p, p))
+        triangle = triangle_of(np.concatenate([rows, prior], axis=-2))
+        root = np.linalg.inv(triangle)
+        inner = np.asarray(root @ np.swapaxes(root, -1, -2), dtype=np.float64)
+        if blocks.shape[-1] == p:
+            return inner, inner, np.zeros((*lead, p, 0))
+        moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._sized(types, blocks)
+        q = self.common.size
+        common = moments[..., :q].sum(axis=-3)
+        own = np.moveaxis(moments[..., q:], -3, -2)
+        own = own.reshape(*lead, p, own.shape[-2] * own.shape[-1])
+        columns = np.concatenate([common, own], axis=-1)
+        spread: Array = -inner @ columns
+        whole: Array = inner + spread @ np.swapaxes(spread, -1, -2)
+        return whole, inner, spread
+
+    def _sized(self, types: Sequence[RunType], blocks: Array) -> Array:
+        """Return the considered columns of blocks, each times its standard uncertainty."""
+        q = self.common.size
+        columns = blocks[..., self.p :].copy()
+        columns[..., :q] *= self.common
+        for index, run_type in enumerate(types):
+            own = self.own[run_type.attitude]
+            columns[..., index, :, q : q + own.size] *= own
+        return columns
+
+    def sensitivities(self, design: Design, criterion: Criterion) -> tuple[float, Array, Array]:
+        """Return a criterion and its derivatives by log rate and log revolutions of each run.
+
+        The information of one run enters the covariance as P dM P, so that once P is known the
+        derivatives need no other solution, only blocks a step aside.
+        """
+        up, down = 1.0 + _RELATIVE_STEP, 1.0 - _RELATIVE_STEP
+        rate = np.array([[1.0], [up], [down], [1.0], [1.0]]) * design.rate
+        turns = np.array([[1.0], [1.0], [1.0], [up], [down]]) * design.revolutions
+        # When a run begins depends on those before it: so little that no derivative has it.
+        when = _conditions(design.types, design.duration)
+        blocks = self.information.blocks(design.types, rate, turns, conditions=when)
+        covariance, inner, spread = self._covariance(design.types, blocks[0])
+        value = float(criterion.value(covariance))
+        c = criterion.directions(covariance)
+        share = self._share(design.types, blocks, inner, spread, c)
+        return (
+            value,
+            (share[1] - share[2]) / (2.0 * _RELATIVE_STEP),
+            (share[3] - share[4]) / (2.0 * _RELATIVE_STEP),
+        )
+
+    def _share(
+        self, types: Sequence[RunType], blocks: Array, inner: Array, spread: Array, c: Array
+    ) -> Array:
+        """Return for each run a quantity whose difference quotient is the criterion's derivative.
+
+        With v = P c, s = spread' c and B the considered moments, d(c' S c) is
+        -v' dM v - 2 s' (dB' v) - 2 s' B' dP c; shape (..., runs).
+        """
+        p = self.p
+        v = inner @ c
+        seen = blocks[..., :p] @ v
+        share = -np.sum(seen**2, axis=(-2, -1))
+        if spread.shape[-1] == 0:
+            return np.asarray(share)
+        s = spread.T @ c
+        # d(spread' c) = -(dB)' v + B' P dM P c, and B' P is -spread'.
+        towards = spread @ s
+        share -= 2.0 * np.sum(seen * (blocks[..., :p] @ towards), axis=(-2, -1))
+        columns = self._sized(types, blocks)
+        q, n = self.common.size, len(types)
+        width = columns.shape[-1] - q
+        weights = np.zeros((n, q + width, c.shape[1]))
+        weights[:, :q] = s[:q]
+        weights[:, q:] = s[q:].reshape(n, width, c.shape[1])
+        share -= 2.0 * np.sum(seen * (columns @ weights), axis=(-2, -1))
+        return np.asarray(share)

@@ -25,7 +25,6 @@ from counterspin.campaign.triad import TriadSettings
 from counterspin.frozen import frozen
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.planning.plan_file import (
-    Goal,
     load_plan,
     plan_name,
     resolve_goal,
@@ -38,6 +37,7 @@ from counterspin.planning.plan_sections import (
     StationsSettings,
 )
 from counterspin.planning.recorded import with_pose_noise
+from counterspin.planning.result import GoalResult
 
 #: Most possible readings: what an exchange of one for another would gain is asked of all pairs.
 _MOST_POSSIBLE: Final = 3600
@@ -73,7 +73,7 @@ class ReadingPlan:
     readings: float
     total_time: float
     order: str  #: ``mirrored``, ``random`` or ``listed``.
-    goal: Goal  #: What it is for.
+    goal: GoalResult  #: What it is for.
 
     def campaign_document(
         self, chosen: Sequence[PossibleReading], *, value: str = BLANK

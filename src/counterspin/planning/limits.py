@@ -1,4 +1,4 @@
-"""The figures of a plan: uncertainty against total time and highest rate, and its sources."""
+"""What limits a plan: what it gains if a limit gives way, and how u goes with time and rate."""
 
 from __future__ import annotations
 
@@ -7,21 +7,166 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from counterspin.inference.joint.budget import budget
 from counterspin.output import make_folder
 from counterspin.physics.terms import symbol_of, term
-from counterspin.planning.design import Design
+from counterspin.planning.design import Criterion, Design, Limits, both_senses, fitted_into
 from counterspin.planning.forecast import forecast
+from counterspin.planning.optimisation import polish, shortest_plan
 from counterspin.planning.plan_file import Plan
-from counterspin.planning.result import Curve, Curves, PlanResult
+from counterspin.planning.result import Curve, Curves, LimitResult, PlanResult
+from counterspin.planning.run_information import Predictor
 from counterspin.planning.search import Search
 from counterspin.reports.blocks import Plot, PlotSeries
 from counterspin.reports.charts import reserve_figures, save
 from counterspin.reports.numbers import field_unit
+
+#: Part of a limit by which it is relaxed, and the smallest relative gain of u that is reported.
+RELAXATION: Final = 0.1
+GAIN: Final = 5e-4
+
+#: Relative distance from a limit at which a plan touches it.
+_TOUCHING_DISTANCE: Final = 2e-3
+
+
+class _Limit(NamedTuple):
+    """A limit that a plan touches, or that takes of its time."""
+
+    key: str
+    words: str
+    touched: bool
+    changes: dict[str, Any]  #: The fields of `Limits` that are others if it gives way.
+
+
+def limits_of(search: Search, design: Design) -> list[LimitResult]:
+    """Return which limits bind and what a tenth more would gain, the largest gain first."""
+    lines = []
+    for limit in _limits(search, design):
+        if limit.touched:
+            gain = _gain(search, limit.key, replace(search.limits, **limit.changes), design)
+            if gain > GAIN or limit.key == "senses":
+                binds = gain > GAIN
+                lines.append(LimitResult(key=limit.key, words=limit.words, binds=binds, gain=gain))
+    return sorted(lines, key=lambda line: -line.gain)
+
+
+def _limits(search: Search, design: Design) -> Iterator[_Limit]:
+    limits, more, less = search.limits, 1.0 + RELAXATION, 1.0 - RELAXATION
+    low, high = limits.rate
+    below, above = 1.0 - _TOUCHING_DISTANCE, 1.0 + _TOUCHING_DISTANCE
+    time, longest = limits.total_time, limits.longest_run
+    spent = search.plan.goal.kind == "minimise" and limits.time(design) > time * below
+    yield _Limit(
+        "total_time", f"total time {time:.6g} s", spent, {"total_time": limits.total_time * more}
+    )
+    settings = (*limits.settings, high * more) if limits.settings else ()
+    yield _Limit(
+        "rate",
+        f"highest rate {high:.6g} rad/s",
+        bool((design.rate > high * below).any()),
+        {"rate": (low, high * more), "settings": settings},
+    )
+    yield _Limit(
+        "lowest_rate",
+        f"lowest rate {low:.6g} rad/s",
+        not limits.settings and bool((design.rate < low * above).any()),
+        {"rate": (low * less, high)},
+    )
+    rates, runs = limits.fewest_rates, limits.runs
+    yield _Limit("fewest_rates", f"{rates} rates at least", rates > 1, {"fewest_rates": rates - 1})
+    more_runs = {"runs": math.ceil(runs * more)}
+    yield _Limit("runs", f"{runs} runs at most", len(design.types) >= runs, more_runs)
+    words = {
+        "settling": f"settling {limits.settling:.4g} s a run",
+        "spin_up": "time of spin-up and spin-down",
+        "attitude_change": f"changing the attitude, {limits.attitude_change:.4g} s",
+    }
+    several = len({run_type.attitude for run_type in design.types}) > 1
+    for key, text in words.items():
+        size = getattr(limits, key)
+        touched = size > 0.0 and (several or key != "attitude_change")
+        yield _Limit(key, text, touched, {key: size * less})
+    yield _Limit(
+        "revolutions",
+        f"{limits.revolutions:g} revolutions at least",
+        bool((design.revolutions < limits.revolutions * above).any()),
+        {"revolutions": limits.revolutions * less},
+    )
+    yield _Limit(
+        "longest_run",
+        f"longest run {longest:.6g} s",
+        longest < time and bool((design.duration > longest * below).any()),
+        {"longest_run": longest * more},
+    )
+    yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
+    one = all(run_type.sense == 1 for run_type in limits.types)
+    yield _Limit("senses", "one sense of the spin", one, {"types": both_senses(limits).types})
+
+
+def _gain(search: Search, key: str, limits: Limits, design: Design) -> float:
+    """Return the relative decrease of u (or of time) within relaxed limits."""
+    predictor = search.predictor
+    if search.plan.goal.kind == "target":
+        before = math.log(search.limits.time(design))
+    else:
+        before = predictor.value(search.criterion, design)
+    if key == "sampling_rate":
+        faster = search.plan.sampling_rate * (1.0 + RELAXATION)
+        predictor = Predictor(predictor.information.sampled_at(faster))
+    starts = _starts(search, key, limits, design)
+    after = min(before, *(_improved(search, predictor, limits, start) for start in starts))
+    return 1.0 - math.exp(after - before)
+
+
+def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[Design]:
+    """Return designs that make use of a relaxed limit, where better lengths alone do not."""
+    if key == "senses":
+        turned = tuple(
+            run_type._replace(sense=-run_type.sense) if index % 2 else run_type
+            for index, run_type in enumerate(design.types)
+        )
+        return [design, replace(design, types=turned)]
+    if key == "runs":
+        more = limits.runs - len(design.types)
+        # More of each type's shortest run: those are the ones there are many of.
+        longest_first = np.argsort(-design.duration, kind="stable")
+        run_types = {design.types[index]: index for index in longest_first}
+        others = [
+            Design(
+                (run_type,) * more,
+                np.repeat(design.rate[index], more),
+                np.repeat(design.revolutions[index], more),
+            )
+            for run_type, index in run_types.items()
+        ]
+        return [design, *(design.joined(other) for other in others)]
+    if key == "fewest_rates" and len(design.types) > 1:
+        slower = search.limits.runs_apart(design.rate)[1:]
+        return [design, *(design.without(index) for index in slower)]
+    if key == "rate" and limits.settings:
+        rate = np.where(design.rate == max(limits.settings[:-1]), limits.rate[1], design.rate)
+        return [design, Design(design.types, rate, design.duration * rate / (2.0 * math.pi))]
+    return [design]
+
+
+def _improved(search: Search, predictor: Predictor, limits: Limits, design: Design) -> float:
+    if search.plan.goal.kind == "target":
+        singles = [
+            Criterion((place,), (scale,))
+            for place, scale in zip(search.criterion.places, search.criterion.scales, strict=True)
+        ]
+        shorter = shortest_plan(predictor, limits, singles, design)
+        met = all(predictor.value(single, shorter) < 1e-5 for single in singles)
+        return math.log(limits.time(shorter)) if met else math.inf
+    start = fitted_into(design, limits) or design
+    return polish(predictor, limits, search.criterion, start)[0]
+
+
+# Figures
 
 #: The files, in the order of `plan_plots`.
 FIGURES: Final = ("plan-time.svg", "plan-rate.svg", "plan-sources.svg")
@@ -146,7 +291,7 @@ def curves_of(
         if limits.possible:
             best = search.smallest(limits, start)
             times.append(total)
-            by_time.append(float(search.predictor.u(best.design)[place]))
+            by_time.append(float(search.predictor.u(best.choice)[place]))
     rates, by_rate = [], []
     for factor in factors(*_RATE_FACTORS):
         high = plan.limits.rate[1] * factor
@@ -156,7 +301,7 @@ def curves_of(
         if limits.possible:
             best = search.smallest(limits)
             rates.append(high)
-            by_rate.append(float(search.predictor.u(best.design)[place]))
+            by_rate.append(float(search.predictor.u(best.choice)[place]))
     return Curves(
         coefficient=name,
         unit=term(symbol_of(name)).unit,
