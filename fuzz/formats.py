@@ -53,7 +53,7 @@ from counterspin.planning.plan import check as forecast_campaign
 from counterspin.planning.plan import plan as make_plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.stations import read_reading_plan
-from counterspin.records.tables import read_numbers, read_table
+from counterspin.records.formats import read_numbers, read_table
 from counterspin.simulation.simulate import simulate
 from counterspin.studies.description import read_study
 from counterspin.studies.study import study

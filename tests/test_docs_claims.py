@@ -42,7 +42,7 @@ from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import EARTH_RATE
 from counterspin.physics.observation import columns, parabola
 from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
-from counterspin.records import pieces, reduction, spikes
+from counterspin.records import column_file, reduction, spikes
 from counterspin.reproduction import plan as paper
 from counterspin.studies import two_stage_engine
 from counterspin.studies.result import FEWEST_TRIALS
@@ -191,7 +191,7 @@ NUMBERS = [
         "benchmarks",
         "One pass over each piece of {} rows: the least and the largest step of time and angle, "
         "the residuals among {} neighbours",
-        [pieces._PIECE_ROWS, spikes.WINDOW_SAMPLES],
+        [column_file._PIECE_ROWS, spikes.WINDOW_SAMPLES],
     ),
     ("benchmarks", "a polynomial of degree {}", [two_stage_engine.DEGREE]),
     ("physics", "to have risen evenly by {} K from", [conditions.UNKNOWN_WARMING]),

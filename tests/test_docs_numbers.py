@@ -27,9 +27,9 @@ from counterspin.histories import consistency, page, shared
 from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
-from counterspin.physics import gravity, motion, terms
+from counterspin.physics import motion, terms
 from counterspin.planning import design, faults, limits, plan_file
-from counterspin.records import clock, excel_file, reading, reduction
+from counterspin.records import clock, reading, reduction, table_files
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
 from counterspin.studies import description, draws, result, study, tally, two_stage_engine, validity
@@ -55,7 +55,7 @@ def default(function, name):
 ROWS = {
     "campaign": [
         ("/g$, {} for {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("no height from {} to {} m has", *gravity.HEIGHTS),
+        ("no height from {} to {} m has", *motion.HEIGHTS),
         (
             "latitude of {} deg, 1 mg moves the displacement at right angles to it by {} m in {} s",
             45.0,
@@ -162,8 +162,8 @@ ROWS = {
     "bulwark": [
         (
             "unpack to more than {} MB and {} times their size",
-            excel_file._UNPACKED_BYTES / 1e6,
-            excel_file._UNPACKED_PER_BYTE,
+            table_files._UNPACKED_BYTES / 1e6,
+            table_files._UNPACKED_PER_BYTE,
         ),
         ("repeats at most {} characters of a value", errors._VALUE_LENGTH),
     ],

@@ -110,14 +110,16 @@ if TYPE_CHECKING:
     from counterspin.histories.history import history as history
     from counterspin.histories.result import History as History
     from counterspin.inference.two_stage.first_stage import Parabola as Parabola
+    from counterspin.inference.two_stage.first_stage import by_angle as strobes_by_angle  # noqa: F401
+    from counterspin.inference.two_stage.first_stage import (
+        by_nominal_rate as strobes_by_nominal_rate,  # noqa: F401
+    )
     from counterspin.inference.two_stage.first_stage import first_stage as first_stage
-    from counterspin.inference.two_stage.request import TwoStageRequest as TwoStageRequest
+    from counterspin.inference.two_stage.first_stage import strobe_angle as strobe_angle
+    from counterspin.inference.two_stage.model import TwoStageRequest as TwoStageRequest
     from counterspin.inference.two_stage.second_stage import SecondStage as SecondStage
     from counterspin.inference.two_stage.second_stage import StrobedRun as StrobedRun
     from counterspin.inference.two_stage.second_stage import second_stage as second_stage
-    from counterspin.inference.two_stage.strobes import by_angle as strobes_by_angle  # noqa: F401
-    from counterspin.inference.two_stage.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
-    from counterspin.inference.two_stage.strobes import strobe_angle as strobe_angle
     from counterspin.monitoring.check import check as check
     from counterspin.monitoring.noise import noise as noise
     from counterspin.monitoring.result import CheckedRun as CheckedRun

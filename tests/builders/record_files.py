@@ -10,9 +10,9 @@ import pytest
 from scipy.io import savemat
 
 from counterspin.errors import RecordError
-from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
 from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
+from counterspin.records.signals import Swing
 
 RATE = math.pi
 RADIUS = 2.5

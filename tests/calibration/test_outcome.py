@@ -10,7 +10,7 @@ from counterspin.calibration.joint import joint
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
 from counterspin.calibration.outcome import many_outliers
-from counterspin.records.report import RecordReport, rejected_of
+from counterspin.records.record import RecordReport, rejected_of
 from counterspin.simulation.simulate import simulate
 
 

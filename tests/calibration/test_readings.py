@@ -17,7 +17,7 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
-from counterspin.records.mean import mean_of_record
+from counterspin.records.averages import mean_of_record
 
 SIGMA = 2e-6
 HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER

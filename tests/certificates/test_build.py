@@ -18,9 +18,8 @@ from counterspin.certificates.statements import Issue
 from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import Conformity
-from counterspin.physics.si_units import from_si, si_unit, to_si
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
-from counterspin.units import unit_factor
+from counterspin.units import from_si, si_unit, to_si, unit_factor
 
 G = 9.80665
 QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue']"

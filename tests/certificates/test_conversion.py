@@ -11,8 +11,8 @@ from results import coefficient, result
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.certificates.conversion import covariance, in_si, output_in_si
-from counterspin.physics.si_units import own_unit, to_si
 from counterspin.simulation.simulate import simulate
+from counterspin.units import own_unit, to_si
 
 G, U_G = 9.8066, 1e-4
 KNOWN = changed(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))

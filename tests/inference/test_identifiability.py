@@ -6,9 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from counterspin.inference.blocks import reduce_block
 from counterspin.inference.identifiability import assess, write_combination
-from counterspin.inference.least_squares import solve
+from counterspin.inference.least_squares import reduce_block, solve
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns as exact_columns

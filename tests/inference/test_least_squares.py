@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.blocks import Block, reduce_block
-from counterspin.inference.least_squares import solve
-from counterspin.inference.plain_fit import fit
+from counterspin.inference.least_squares import Block, fit, reduce_block, solve
 
 GRAVITY, RADIUS, SIGMA = 9.8066, 2.5, 0.01
 

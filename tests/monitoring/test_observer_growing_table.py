@@ -6,8 +6,7 @@ import pytest
 from counterspin.errors import RecordError
 from counterspin.monitoring import observer
 from counterspin.monitoring.observer import GrowingTable
-from counterspin.records.formats import open_columns
-from counterspin.records.tables import read_numbers
+from counterspin.records.formats import open_columns, read_numbers
 
 NAMES = ["t", "x"]
 

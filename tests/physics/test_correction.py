@@ -12,10 +12,11 @@ from counterspin.physics.accelerometer import QX, QY, QZ, Mounting, indicated
 from counterspin.physics.correction import (
     CalibratedAccelerometer,
     KnownForce,
+    NotInvertibleError,
     correct,
+    invert,
     missing_axes,
 )
-from counterspin.physics.inversion import NotInvertibleError, invert
 from counterspin.physics.terms import TERMS
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=80)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from counterspin.physics.accelerometer import QX, Mounting, direction
-from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.path_errors import path_change
+from counterspin.physics.motion import Site, Trajectory, path_change
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, Station, mean_products
 from counterspin.physics.terms import TERMS

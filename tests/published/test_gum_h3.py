@@ -8,7 +8,7 @@ validation's case.
 import numpy as np
 import pytest
 
-from counterspin.inference.plain_fit import fit
+from counterspin.inference.least_squares import fit
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check
 

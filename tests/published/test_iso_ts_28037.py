@@ -9,7 +9,7 @@ Numbers and limits are those of the validation's cases.
 
 import pytest
 
-from counterspin.inference.plain_fit import fit
+from counterspin.inference.least_squares import fit
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check
 

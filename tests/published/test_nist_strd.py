@@ -9,7 +9,7 @@ and certified values are those of the validation's cases.
 import numpy as np
 import pytest
 
-from counterspin.inference.plain_fit import fit
+from counterspin.inference.least_squares import fit
 from counterspin.validation.cases import case, cases
 from counterspin.validation.kernels import ask
 from counterspin.validation.validate import check

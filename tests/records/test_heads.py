@@ -1,7 +1,7 @@
 """What the head of a LabVIEW measurement file states."""
 
+from counterspin.records.formats import read_table
 from counterspin.records.heads import stated_head
-from counterspin.records.tables import read_table
 
 HEAD = [
     ["LabVIEW Measurement", ""],

@@ -5,10 +5,10 @@ import polars as pl
 import pytest
 
 from counterspin.errors import RecordError
+from counterspin.records.formats import locate, read_numbers
 from counterspin.records.memory import memory_table
 from counterspin.records.reading import read_record
 from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
-from counterspin.records.tables import locate, read_numbers
 
 TIMES = [0.0, 0.5, 1.0]
 ANGLES = [0.0, 1.0, float("nan")]

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from record_files import ANGLE, RADIUS, RATE, SIGNAL, TIME, dense, read, write
 
-from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec
+from counterspin.records.signals import Swing
 
 
 def test_blocks_are_the_exact_means(tmp_path):

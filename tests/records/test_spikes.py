@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from record_files import ANGLE, RADIUS, SIGNAL, TIME, dense, read, table, write
 
 from counterspin.arrays import median
-from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec
+from counterspin.records.signals import Swing
 
 
 @pytest.mark.parametrize("block", [None, "auto"])

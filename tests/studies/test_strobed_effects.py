@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
+from counterspin.inference.two_stage.first_stage import Strobes, first_stage, strobe_angle
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory

@@ -181,9 +181,9 @@ def test_the_command_fails_with_the_name_of_the_case(tmp_path, monkeypatch, caps
 
 
 def test_a_kernel_that_raises_is_a_failure(monkeypatch):
-    from counterspin.inference import plain_fit
+    from counterspin.inference import least_squares
 
-    monkeypatch.setattr(plain_fit, "fit", lambda *_: 1 / 0)
+    monkeypatch.setattr(least_squares, "fit", lambda *_: 1 / 0)
     checked = check(case("GUM H.3"))
     assert checked.state == "failed"
     assert "ZeroDivisionError" in checked.note

@@ -35,7 +35,7 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CounterspinError
 from counterspin.monitoring.check import check
 from counterspin.monitoring.run_state import goals_of
-from counterspin.records.tables import read_scaled
+from counterspin.records.formats import read_scaled
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
 

@@ -21,7 +21,7 @@ from counterspin.calibration.two_stage import in_two_stages
 from counterspin.campaign.conditions import origin_of, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
-from counterspin.records.removed import WORDS as REMOVED
+from counterspin.records.signals import WORDS as REMOVED
 from counterspin.results import environment
 
 #: A record that lasts less than this part of what the campaign states is asked about.

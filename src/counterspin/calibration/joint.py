@@ -70,7 +70,7 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.poses import TriadPoses
 from counterspin.physics.terms import INPUTS, OWN_TERMS, TERMS, shown_by_readings
-from counterspin.records.mean import RecordMean
+from counterspin.records.averages import RecordMean
 
 #: An input axis that no pose turns below the level by more than asin of this was never down.
 _DOWN: Final = 0.3

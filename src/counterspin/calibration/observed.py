@@ -28,12 +28,11 @@ from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
-from counterspin.records.amplitude import Swing
-from counterspin.records.course import read_course
+from counterspin.records.averages import read_course
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
-from counterspin.records.removed import WORDS as REMOVED
-from counterspin.records.removed import removed
+from counterspin.records.signals import WORDS as REMOVED
+from counterspin.records.signals import Swing, removed
 from counterspin.units import ZERO_CELSIUS
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.

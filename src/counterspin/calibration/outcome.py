@@ -40,7 +40,7 @@ from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
-from counterspin.records.report import rejected_of
+from counterspin.records.record import rejected_of
 
 #: More outliers than this part of a record's samples are worth a warning.
 OUTLIER_SHARE: Final = 0.05

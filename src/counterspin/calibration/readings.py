@@ -31,10 +31,9 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses
 from counterspin.inference.readings import ReadingsFit, solve_readings
-from counterspin.records.mean import RecordMean, mean_of_record
+from counterspin.records.averages import RecordMean, mean_of_record
 from counterspin.records.poses import Poses, read_poses
-from counterspin.records.record import ColumnSpec, RecordColumns
-from counterspin.records.report import RecordReport
+from counterspin.records.record import ColumnSpec, RecordColumns, RecordReport
 
 
 def only_at_rest(campaign: Campaign) -> bool:

@@ -47,11 +47,9 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import FoundNoise
-from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
-from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
+from counterspin.inference.two_stage.first_stage import Parabola, strobe_angle
+from counterspin.inference.two_stage.model import DRIFT, TwoStageRequest, strobed, two_stage_model
 from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_found_noise
-from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.

@@ -20,8 +20,8 @@ from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.rest import RestNoise, RestSignal, at_rest
 from counterspin.input import FileIdentity
 from counterspin.physics import observation
+from counterspin.records.formats import read_scaled
 from counterspin.records.memory import MemoryTable
-from counterspin.records.tables import read_scaled
 
 #: Key of [noise] -> SI unit, of those that all observables have.
 SI_UNITS: Final[Mapping[str, str]] = {

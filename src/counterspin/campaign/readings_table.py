@@ -40,7 +40,7 @@ from counterspin.records.memory import columns_of
 from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:
-    from counterspin.records.tables import FiledTable
+    from counterspin.records.formats import FiledTable
 
 #: A column's name, or those of the repeats of one reading.
 _Repeats = str | list[str]
@@ -189,7 +189,7 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
 
     Where it is said that decimals are parted by commas, its numbers have points.
     """
-    from counterspin.records.tables import is_workbook, read_small_table
+    from counterspin.records.formats import is_workbook, read_small_table
 
     if path.suffix.lower() not in (".csv", ".txt", ".tsv", ".parquet", ".xlsx"):
         raise ValueError(f"{path.name}: a table of readings is .csv, .parquet or .xlsx")

@@ -44,9 +44,9 @@ from counterspin.certificates.statements import Issue, Verdicts, item_id, statem
 from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
 from counterspin.inference.conformity import COVERAGE
-from counterspin.physics.si_units import SiUnit, si_unit, to_si
 from counterspin.physics.terms import SHARED_TERMS
 from counterspin.reports.numbers import round_to_uncertainty
+from counterspin.units import SiUnit, si_unit, to_si
 
 SCHEMA_VERSION: Final = "3.3.0"
 

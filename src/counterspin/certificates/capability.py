@@ -14,9 +14,9 @@ from counterspin.calibration.result_parts import Coefficient, Correlation, Triad
 from counterspin.certificates.conversion import certified_triad
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.wording import coverage_factor
-from counterspin.physics.si_units import to_si
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.reports.numbers import field_unit, format_uncertainty
+from counterspin.units import to_si
 
 
 def with_capability(result: Result, lab: Lab) -> Result:

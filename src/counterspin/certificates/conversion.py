@@ -20,9 +20,9 @@ from counterspin.calibration.result_parts import Coefficient, Correlation, Triad
 from counterspin.certificates import wording
 from counterspin.certificates.schema import factor
 from counterspin.certificates.wording import coverage_factor
-from counterspin.physics.si_units import si_unit
 from counterspin.reports.blocks import Column, Table
 from counterspin.reports.numbers import format_estimate, format_number
+from counterspin.units import si_unit
 
 
 def in_si(result: Result, name: str) -> dict[str, SiEstimate]:

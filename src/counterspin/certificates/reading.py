@@ -19,9 +19,9 @@ from counterspin.certificates.signature import PagesSignature, pages_signature
 from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.input import read_file
-from counterspin.physics.si_units import from_si
 from counterspin.physics.terms import TERMS
 from counterspin.records.isolation import in_reader_process
+from counterspin.units import from_si
 
 _PYPDF_MISSING: Final = (
     f"reading a PDF needs the package pypdf, which is not installed: {installing('signature')}"

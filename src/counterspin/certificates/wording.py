@@ -19,7 +19,6 @@ from counterspin.calibration.result_parts import AccelerometerResult, Coefficien
 from counterspin.certificates.lab import CertificateSettings
 from counterspin.certificates.schema import factor
 from counterspin.inference.conformity import COVERAGE, Conformity, expanded_uncertainty
-from counterspin.physics.si_units import SiUnit, si_unit
 from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
@@ -30,6 +29,7 @@ from counterspin.reports.numbers import (
     format_share,
     format_uncertainty,
 )
+from counterspin.units import SiUnit, si_unit
 
 #: Decimals of a factor as stated and used, so that U/k is the standard uncertainty to the last
 #: digit; rounding changes the coverage by less than 1e-5.

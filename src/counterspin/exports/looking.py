@@ -15,11 +15,10 @@ from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import Dialect
-from counterspin.records.excel_file import table_sheets
-from counterspin.records.formats import open_columns
+from counterspin.records.formats import is_workbook, open_columns
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.reading import LARGEST_VALUE
-from counterspin.records.tables import is_workbook
+from counterspin.records.table_files import table_sheets
 
 #: The answer that every sheet of a workbook is a run.
 ALL_SHEETS: Final = "all"

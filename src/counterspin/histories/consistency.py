@@ -20,7 +20,7 @@ from counterspin.histories.files import DatedResult
 from counterspin.histories.result import ControlLimits, Repeatability, RepeatComponent, Scatter
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
-from counterspin.inference.plain_fit import Fit, fit
+from counterspin.inference.least_squares import Fit, fit
 from counterspin.inference.variance_components import variance_components
 
 

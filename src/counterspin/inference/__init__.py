@@ -2,8 +2,8 @@
 
 What stands in this room:
 
-- `blocks`: what a record says about the shared unknowns, in a few rows
-- `least_squares`, `plain_fit`: blocks, priors and considered terms, solved by QR; one fit alone
+- `least_squares`: what a record says about the shared unknowns in a few rows; those rows, priors
+  and considered terms, solved by QR
 - `identifiability`: what the data cannot tell apart, by name
 - `distributions`: normal, chi-square and Student's, of single numbers
 - `diagnostics`: whether the model fits the records
@@ -12,8 +12,8 @@ What stands in this room:
 - `joint`: full records of all runs and accelerometers, solved together
 - `linear_readings`: single values at rest, on an arm or on a turntable, as rows
 - `poses`: poses of three accelerometers at unknown attitudes, as rows
-- `readings`: the fit of both, alone or beside records; `fitted_readings`: how they fit then
-- `reading_tests`, `pose_tests`: what their residuals follow
+- `readings`: the fit of both, alone or beside records; `fitted_readings`: how they fit then;
+  `reading_tests`: what their residuals follow
 - `variance_components`: what repeated measurements vary by from day to day and so on
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 

@@ -2,8 +2,10 @@
 
 Given the trajectory, the displacement error is linear in the coefficients, so that one solver
 serves everything: the two stages of the paper, the joint fit of full records, planning and
-Monte-Carlo studies. A record is first reduced to a small `Block`; here any set of blocks is solved
-together with what is known beforehand.
+Monte-Carlo studies. However long a record is, what it says about p unknowns fits into p rows of
+square-root information (Bierman 1977): a small `Block`, from which the record's own start offset
+and start velocity are projected out. Any set of blocks is solved together with what is known
+beforehand; `fit` is the fit of one set of observations alone.
 
 No Gram matrix is ever formed. Householder QR has a backward error that is small column by column
 (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., theorem 19.4), so that columns
@@ -20,10 +22,104 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import QR_ROWS, Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block, dependent
+
+_CHUNK: Final = 32 * QR_ROWS  #: rows copied at a time, which bounds the memory
+
+
+@frozen
+class Block:
+    """What one record says about the shared unknowns, in rotated rows of unit variance.
+
+    ``target = factor @ unknowns + considered @ considered_values + noise``.
+    """
+
+    factor: Array  #: Upper trapezoidal, shape (k, p), k <= p + q.
+    target: Array  #: Shape (k,).
+    considered: Array  #: The columns of the considered terms in the same rows, shape (k, q).
+    #: Sum of squares that neither unknowns, nor considered terms, nor nuisances can explain.
+    rss: float
+    #: Number of observations and of the record's own unknowns that were projected out.
+    rows: int
+    nuisance: int
+
+    def scaled(self, ratio: float) -> Block:
+        """Return the block of rows that weigh more by a factor."""
+        return replace(
+            self,
+            factor=ratio * self.factor,
+            target=ratio * self.target,
+            considered=ratio * self.considered,
+            rss=ratio**2 * self.rss,
+        )
+
+
+def reduce_block(
+    design: npt.ArrayLike,
+    observations: npt.ArrayLike,
+    nuisance: npt.ArrayLike | None = None,
+    considered: npt.ArrayLike | None = None,
+) -> Block:
+    """Reduce one record to its square-root information about the shared unknowns.
+
+    One QR of [nuisance | design | considered | observations]; the rows that belong to the
+    nuisances are dropped, which is the exact projection.
+
+    design: Columns of the unknowns, whitened (unit variance, uncorrelated), shape (n, p).
+    observations: Whitened observations, shape (n,).
+    nuisance: Columns of the record's own unknowns, whitened, shape (n, m); none by default.
+    considered: Columns of the considered terms, whitened, shape (n, q); none by default.
+    """
+    y = np.asarray(observations, dtype=np.float64)
+    n = y.size
+    parts = [
+        np.empty((n, 0)) if part is None else np.asarray(part, dtype=np.float64)
+        for part in (nuisance, design, considered)
+    ]
+    if y.ndim != 1 or any(part.ndim != 2 or part.shape[0] != n for part in parts):
+        shapes = ", ".join(str(part.shape) for part in parts)
+        raise ValueError(
+            f"nuisance, design and considered need the {n} rows of the observations; "
+            f"their shapes are {shapes}"
+        )
+    m, p, q = (part.shape[1] for part in parts)
+
+    triangle = np.empty((0, m + p + q + 1))
+    for start in range(0, n, _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        chunk = np.column_stack([part[rows] for part in parts] + [y[rows]])
+        triangle = triangle_of(np.vstack([triangle, in_parts(chunk)]))
+    if not np.isfinite(triangle).all():
+        raise ValueError("the columns or the observations hold numbers that are not finite")
+
+    own = triangle[:m, :m]
+    if dependent(own).size:
+        raise NotIdentifiableError(
+            f"{n} samples cannot tell the {m} unknowns of the record itself (such as its start "
+            "offset and start velocity) apart; the record is too short"
+        )
+    kept = triangle[m : m + p + q]
+    return Block(
+        factor=kept[:, m : m + p],
+        target=kept[:, -1],
+        considered=kept[:, m + p : m + p + q],
+        rss=float(np.sum(triangle[m + p + q :, -1] ** 2)),
+        rows=n,
+        nuisance=m,
+    )
+
+
+def dependent(triangle: Array) -> npt.NDArray[np.intp]:
+    """Return the columns of a triangular factor that depend on those before them, to rounding."""
+    norms = np.linalg.norm(triangle, axis=0)
+    diagonal = np.zeros_like(norms)  # a column beyond the last row depends on the others
+    diagonal[: triangle.shape[0]] = np.abs(np.diagonal(triangle))
+    return np.flatnonzero(diagonal <= 4.0 * norms.size * np.finfo(np.float64).eps * norms)
+
+
+# Blocks together -------------------------------------------------------------------------------
 
 #: Value and standard uncertainty of what nothing is known of beforehand.
 NO_PRIOR: Final = (0.0, math.inf)
@@ -347,3 +443,70 @@ def _embed(gain: Array, free: npt.NDArray[np.intp], size: int) -> Array:
     covariance = np.zeros((size, size))
     covariance[np.ix_(free, free)] = gain @ gain.T
     return covariance
+
+
+# One set of observations alone -----------------------------------------------------------------
+
+
+@frozen
+class Fit:
+    """A plain least-squares fit."""
+
+    estimate: Array  #: Shape (p,).
+    covariance: Array  #: Shape (p, p).
+    #: observations - design @ estimate, in the units of the observations, shape (n,).
+    residuals: Array
+    #: Weighted sum of squared residuals; with sigma from the residuals, plain sum of squares.
+    chi2: float
+    dof: int  #: n - p.
+    #: The standard deviation of one observation, as given or from the residuals; an array where it
+    #: was given as one.
+    sigma: float | Array
+    sigma_from_residuals: bool  #: Whether sigma was estimated, so that intervals need Student's t.
+
+    @property
+    def u(self) -> Array:
+        """The standard uncertainties, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit(
+    design: npt.ArrayLike,
+    observations: npt.ArrayLike,
+    sigma: float | npt.ArrayLike | None = None,
+) -> Fit:
+    """Fit one set of observations by (weighted) least squares.
+
+    design: Shape (n, p).
+    observations: Shape (n,).
+    sigma: Standard deviation of each observation, one number or shape (n,). None: the same unknown
+        one for all, estimated from the residuals, which the result says.
+    """
+    columns = np.asarray(design, dtype=np.float64)
+    y = np.asarray(observations, dtype=np.float64)
+    given = None if sigma is None else np.asarray(sigma, dtype=np.float64)
+    weight = np.ones(()) if given is None else given
+    if weight.shape not in {(), y.shape} or not ((weight > 0) & np.isfinite(weight)).all():
+        raise ValueError("sigma must be positive: one number, or one for each observation")
+    solution = solve([reduce_block(columns / weight.reshape(-1, 1), y / weight)])
+    covariance, dof = solution.covariance_noise, y.size - columns.shape[1]
+    scale: float | Array
+    if given is None:
+        if dof < 1:
+            raise NotIdentifiableError(
+                f"{y.size} observations of {columns.shape[1]} unknowns leave no degrees of "
+                "freedom to estimate sigma; give sigma"
+            )
+        scale = math.sqrt(solution.chi2 / dof)
+        covariance = covariance * (solution.chi2 / dof)
+    else:
+        scale = float(given) if given.ndim == 0 else given
+    return Fit(
+        estimate=solution.estimate,
+        covariance=covariance,
+        residuals=y - columns @ solution.estimate,
+        chi2=solution.chi2,
+        dof=dof,
+        sigma=scale,
+        sigma_from_residuals=given is None,
+    )

@@ -16,9 +16,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint.unknowns import Observation, Unknowns
-from counterspin.inference.least_squares import Solution
+from counterspin.inference.least_squares import Block, Solution, reduce_block
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Site
 from counterspin.physics.station import Station, mean_products, moved

@@ -4,8 +4,10 @@ Each is one further column beside the fit (`counterspin.inference.joint.alternat
 the dividing head's angle, its error where it has been mounted on in several ways, a term of the
 accelerometer, a drift of bias, scale or angle, a swing of the room's temperature, a warm-up, a
 step, an output that is another on either side of zero, the side of approach, the sense of rotation.
-Where the noise is estimated from the same residuals it is an F test of the column (Draper and
-Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
+Of poses it is a term of one of the accelerometers, or what changes in time, with the columns that
+are left once a pose's two angles are eliminated. Where the noise is estimated from the same
+residuals it is an F test of the column (Draper and Smith, Applied Regression Analysis, 3rd ed.,
+section 6.1), with the freedom that is left.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.linear_readings import Readings
-from counterspin.inference.poses import TriadPoses
+from counterspin.inference.poses import TriadPoses, lever_of
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 #: Kinds of columns, the likelier first, for where the residuals cannot tell.
@@ -312,6 +314,9 @@ def _of_sense(readings: Readings) -> Iterator[_Column]:
         yield SENSE, "sense of rotation", sense
 
 
+# Which of them is followed ---------------------------------------------------------------------
+
+
 def most_followed(
     fit: JointFit, groups: Sequence[Group], alternatives: Sequence[Sequence[Alternative]]
 ) -> list[Followed]:
@@ -463,3 +468,43 @@ def _tail(columns: int, dof: float, gain: float) -> float:
 def _of_beta(a: float, half: float) -> tuple[float, float]:
     """Return the logarithm of x^a and a (1 - x), x being a / (a + half)."""
     return -a * math.log1p(half / a), a * half / (a + half)
+
+
+# Poses -----------------------------------------------------------------------------------------
+
+#: Owner and symbol of an unknown.
+_Key = tuple[str, str]
+
+
+def pose_candidates(
+    poses: TriadPoses,
+    place: int,
+    fit: JointFit,
+    unknown: Collection[_Key],
+    followed: Collection[_Key],
+) -> Iterator[Alternative]:
+    """Yield the columns that the residuals of poses may follow.
+
+    place: Of the poses among the observations of the fit.
+    unknown: Owner and symbol of what the fit may choose; `followed`, of that what it may choose
+        within what is known of it.
+    """
+    at = poses.at(fit.model, fit.solution.estimate)
+    for k, name in enumerate(poses.accelerometers):
+        forces = at.products[:, k, [*TERMS].index("K_I")]
+        for kind, symbol, column in in_order(poses, forces):
+            yield Alternative(kind, name, symbol, {place: at.along[:, k] * column})
+        products: dict[str, Array] = {
+            symbol: at.along[:, k] * at.products[:, k, index] for index, symbol in enumerate(TERMS)
+        }
+        for symbol, product in products.items():
+            if (name, symbol) not in unknown or (name, symbol) in followed:
+                yield Alternative(TERM, name, symbol, {place: product})
+        for symbol, row in CONDITION_TERMS.items():
+            lever = lever_of(poses, symbol)
+            # A slope with time that nobody has stated is the drift.
+            if lever is None or np.ptp(lever) == 0.0 or row.effect.condition == "time":
+                continue
+            if (name, symbol) not in unknown or (name, symbol) in followed:
+                changed = products[row.effect.coefficient] * lever
+                yield Alternative(TERM, name, symbol, {place: changed})

@@ -34,11 +34,11 @@ from counterspin.errors import RecordError
 from counterspin.input import FileIdentity, open_file
 from counterspin.monitoring.result import RunState
 from counterspin.physics.effects import RunConditions
+from counterspin.records.column_file import Columns
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import HEAD_LINES, TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS, open_columns
 from counterspin.records.memory import MemoryTable
-from counterspin.records.pieces import Columns
 from counterspin.records.record import Record, RecordColumns
 
 #: Endings of files to which rows are appended.

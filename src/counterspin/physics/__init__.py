@@ -8,17 +8,15 @@ Modules, lowest first:
 - `grades`: how large the terms of an accelerometer are, by its grade
 - `terms`: the table of all error terms and uncertain inputs
 - `accelerometer`: mountings, and the error model (Eq. 7)
-- `si_units`: from g-units to SI
-- `gravity`: what gravity is to be expected at a latitude and a height
-- `motion`: exact position, velocity and specific force of the platform; harmful acceleration
+- `motion`: exact position, velocity and specific force of the platform, on a path with errors too;
+  harmful acceleration; what gravity is to be expected at a site
 - `station`: where one reading is taken, at rest, on an arm or on a double turntable, and what
   centrifuge, fixture and dividing head do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding
-- `path_errors`: an unbalanced spindle, an arm that stretches, an eccentric encoder
 - `observation`: columns, the displacement per unit of each coefficient
 - `own_velocity`: errors of a computer that takes its own velocity for the Coriolis acceleration
-- `inversion`: the error model's inverse, from an indication to the specific force
-- `correction`: accelerometers corrected together, and how uncertain that leaves them
+- `correction`: from an indication to the specific force, the error model's inverse; accelerometers
+  corrected together, and how uncertain that leaves them
 - `simulation`: what an imperfect system records, without linearisation
 - `as_printed`: the paper's equations as printed, where they depart from the exact ones
 

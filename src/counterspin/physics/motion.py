@@ -1,13 +1,19 @@
-"""Exact motion of a platform carried by a double-turntable centrifuge.
+"""Exact motion of a platform carried by a double-turntable centrifuge, at a site.
 
 The second turntable keeps the platform's case from rotating, so every point of it moves on the
 same circle and the lever arm inside the case cancels. Vectors are east-north-up, SI, shape
 (n, 3); the spindle angle is measured from east towards north.
+
+Errors of the path: a spindle out of balance and an arm that stretches change the radius; a spindle
+whose axis is tilted lifts and lowers the platform once a revolution; an eccentric encoder records
+another angle than the spindle's. None of these is in the reference, so all show in every record.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Final
 
@@ -16,8 +22,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics import quadrature
-from counterspin.physics.effects import AT_REFERENCE, RunConditions
+from counterspin.physics.effects import AT_REFERENCE, PathError, RunConditions
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import MOTION_TERMS
 
 _TINY: Final = float(np.finfo(float).tiny)
 
@@ -352,3 +359,149 @@ def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
     components[0], components[1] = east, north
     components[2] = 0.0 if up is None else up
     return components.transpose(*range(1, components.ndim), 0)
+
+
+# Errors of the path ----------------------------------------------------------------------------
+
+
+def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
+    """Return the path with the errors of radius and axis, where there are any."""
+    errors = [(MOTION_TERMS[s].effect, value) for s, value in shared.items() if s in MOTION_TERMS]
+    imbalance = tuple(
+        (error.harmonic, value, 0.0) if error.quadrature == "cos" else (error.harmonic, 0.0, value)
+        for error, value in errors
+        if error.kind == "imbalance" and value != 0.0
+    )
+    stretch = shared.get("centrifuge.stretch", 0.0)
+    tilt = (
+        shared.get("centrifuge.axis_tilt.east", 0.0),
+        shared.get("centrifuge.axis_tilt.north", 0.0),
+    )
+    if not imbalance and stretch == 0.0 and tilt == (0.0, 0.0):
+        return trajectory
+    return replace(trajectory, stretch=stretch, imbalance=imbalance, axis_tilt=tilt)
+
+
+def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
+    """Return the recorded angle less the true one in rad, shape (n,).
+
+    angle: The true angle, rad, shape (n,).
+    """
+    total = np.zeros_like(angle)
+    for symbol, value in shared.items():
+        if symbol not in MOTION_TERMS or value == 0.0:
+            continue
+        error = MOTION_TERMS[symbol].effect
+        if error.kind == "encoder":
+            wave = np.cos if error.quadrature == "cos" else np.sin
+            total += value * wave(error.harmonic * angle)
+    return total
+
+
+def path_change(symbol: str, circle: Motion, order: int) -> Array:
+    """Return the true motion less that of the circle at the recorded angle.
+
+    order: 2 for the position, 1 for the velocity, 0 for the specific force.
+    Returns: per unit of the term, in east-north-up, shape (n, 3).
+    """
+    if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
+        return _turned_back(error, circle, order)
+    # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
+    moved = motion_at(true_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
+    change: Array
+    if order == 2:
+        change = moved.position - circle.position
+    elif order == 1:
+        change = moved.velocity - circle.velocity
+    else:
+        change = moved.specific_force - circle.specific_force
+    return change
+
+
+def _turned_back(error: PathError, circle: Motion, order: int) -> Array:
+    """Return what the encoder's error makes of the motion: the true angle is behind by it.
+
+    In the level the platform is at R e^(i theta), a unit of the error takes it by
+    -i R q e^(i theta), q being the wave, and its velocity and acceleration by the derivatives.
+    """
+    trajectory, n, turning = circle.trajectory, error.harmonic, circle.turning
+    rate, acceleration = circle.rate, circle.angular_acceleration
+    turned = turning.cosine + 1j * turning.sine
+    times_n = turned
+    for _ in range(n - 1):
+        times_n = times_n * turned
+    cos, sin = times_n.real, times_n.imag
+    # wave and its derivative by the angle's n-fold
+    wave, slope = (cos, -sin) if error.quadrature == "cos" else (sin, cos)
+
+    def change(order: int) -> Array:
+        if order == 2:
+            along = wave
+        elif order == 1:
+            along = n * rate * slope + 1j * rate * wave
+        else:
+            curve = n * acceleration * slope - (n * rate) ** 2 * wave
+            along = curve + 2j * n * rate**2 * slope + (1j * acceleration - rate**2) * wave
+        level = -1j * trajectory.radius * along * turned
+        return np.column_stack([level.real, level.imag, np.zeros(wave.size)])
+
+    if order > 0:
+        return change(order)
+    return change(0) + 2.0 * np.cross(trajectory.site.earth_rotation, change(1))
+
+
+# Gravity of a site -----------------------------------------------------------------------------
+
+_EQUATOR: Final = 9.7803253359  #: m/s^2
+_SOMIGLIANA: Final = 0.00193185265241
+_ECCENTRICITY_SQUARED: Final = 0.00669437999013
+_SEMI_MAJOR_AXIS: Final = 6378137.0  #: m
+_FLATTENING: Final = 1.0 / 298.257223563
+_RATIO: Final = 0.00344978650684  #: of centrifugal force and gravity at the equator
+
+#: Heights between which a laboratory is expected, m: a mine, and a town in the mountains.
+HEIGHTS: Final = (-500.0, 3000.0)
+
+#: Latitudes that are tried between the equator and a pole: every tenth of a degree.
+_STEPS: Final = 900
+
+
+def normal_gravity(latitude: float, height: float = 0.0) -> float:
+    """Return normal gravity: Somigliana's formula, and free air above the ellipsoid.
+
+    NIMA TR 8350.2, Department of Defense World Geodetic System 1984, 3rd edition (2000),
+    Eq. 4-1 and 4-3, with the constants of its tables 3.3 and 3.4. Gravity as measured differs by
+    anomalies of the ground, mostly less than 1e-3 m/s^2.
+
+    latitude: Geodetic, rad.
+    height: Above the ellipsoid, m.
+    Returns: m/s^2.
+    """
+    square = math.sin(latitude) ** 2
+    on_ellipsoid = (
+        _EQUATOR * (1.0 + _SOMIGLIANA * square) / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * square)
+    )
+    ratio = height / _SEMI_MAJOR_AXIS
+    slope = 2.0 * (1.0 + _FLATTENING + _RATIO - 2.0 * _FLATTENING * square)
+    return on_ellipsoid * (1.0 - slope * ratio + 3.0 * ratio**2)
+
+
+def gravity_range(latitude: float) -> tuple[float, float]:
+    """Return the smallest and the largest gravity of `HEIGHTS` at a latitude (rad), m/s^2."""
+    lowest, highest = HEIGHTS
+    return normal_gravity(latitude, highest), normal_gravity(latitude, lowest)
+
+
+def latitudes_with(gravity: float, anomaly: float) -> tuple[float, float]:
+    """Return the smallest and the largest latitude (rad), of either sign, with a gravity, m/s^2.
+
+    At one of `HEIGHTS`, and but for an anomaly of the ground (m/s^2). Not a number where there is
+    none.
+    """
+    found = [
+        latitude
+        for step in range(_STEPS + 1)
+        for latitude in [0.5 * math.pi * step / _STEPS]
+        if gravity_range(latitude)[0] - anomaly <= gravity <= gravity_range(latitude)[1] + anomaly
+    ]
+    return min(found, default=math.nan), max(found, default=math.nan)

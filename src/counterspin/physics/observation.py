@@ -18,8 +18,7 @@ from counterspin.arrays import Array
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AT_REFERENCE, Effect, PathError, Product, Slope, Turn
-from counterspin.physics.motion import Motion, Site, Trajectory, motion_at
-from counterspin.physics.path_errors import path_change
+from counterspin.physics.motion import Motion, Site, Trajectory, motion_at, path_change
 from counterspin.physics.quadrature import Panels
 from counterspin.physics.terms import TERMS, term
 

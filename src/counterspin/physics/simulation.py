@@ -17,8 +17,7 @@ from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import Mounting, indicated
 from counterspin.physics.effects import RunConditions
-from counterspin.physics.motion import Trajectory
-from counterspin.physics.path_errors import true_trajectory
+from counterspin.physics.motion import Trajectory, true_trajectory
 from counterspin.physics.terms import CONDITION_TERMS, PLATFORM_TERMS, TERMS
 
 #: Flicker of a bias has a longest period of a day, Hz; what is slower is bias.
@@ -73,7 +72,7 @@ def recorded(
     """Return what the system records along one input axis, without noise.
 
     The navigation computer knows its position and velocity at t = 0 exactly. What an encoder
-    records beside it is `counterspin.physics.path_errors.encoder_error`.
+    records beside it is `counterspin.physics.motion.encoder_error`.
 
     mounting: The accelerometer's axes in the level attitude.
     coefficients: Accelerometer terms by symbol, slopes under conditions included, g-units; those

@@ -20,8 +20,8 @@ from counterspin.campaign.conditions import groups_of, poses_together
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
-from counterspin.inference.blocks import Block
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.least_squares import Block
 from counterspin.inference.linear_readings import Readings, rows_at
 from counterspin.inference.poses import TriadPoses
 from counterspin.planning.design import Criterion

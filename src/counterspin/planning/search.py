@@ -15,9 +15,9 @@ from counterspin.campaign.attitude import read_attitude
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference import least_squares
-from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
+from counterspin.inference.least_squares import Block
 from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Design, Limits, RunType, both_senses, order_of
 from counterspin.planning.forecast import Forecast, forecast, setup_of

@@ -1,20 +1,18 @@
 """Record files in, clean samples or block means out; nothing of campaigns is known here.
 
 - `reading`: `read_record`, from a run's file to samples or block means, checked and cleaned
-- `record`: the columns asked for, the stated motion, and the record that comes out
-- `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`, `excel_file`, `tdms_file`:
-  the files, by format
+- `record`: the columns asked for, the stated motion, the record that comes out, and what was found
+  on the way
+- `formats`: a file in any format, as columns or as a table
+- `column_file`, `csv_file`, `array_files`, `table_files`: what all formats have in common, and each
+  format's own
 - `dialect`, `heads`: how files of text are written, and what the lines above their names and
   their cells state
 - `run_file`: the files of one run as one, with the time and the angle that no file has
-- `pieces`, `clock`, `spikes`, `reduction`, `amplitude`: the steps of reading, in the order in
-  which a record passes them
-- `removed`: whether a recorder took a mean, a line or a parabola off
+- `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them
+- `signals`: the unit of a signal by its wave, and whether a recorder took a line off it
 - `memory`: columns that a program holds, in the place of a file
-- `mean`: the mean of a record over whole revolutions, and how uncertain its noise leaves it
-- `course`: a temperature in a record, as a few values at even times
+- `averages`: the mean of a record with its uncertainty, and the course of a temperature
 - `poses`: where a sensor with three axes lay still, in one long record
-- `report`: what was found on the way
-- `tables`: a file as a table, for those who add columns to it
 - `isolation`: the process of its own in which native code reads
 """

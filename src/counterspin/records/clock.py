@@ -18,8 +18,8 @@ import numpy as np
 from counterspin.arrays import SIGMA_OF_MAD, aligned, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.records.pieces import Piece
-from counterspin.records.report import Gap
+from counterspin.records.column_file import Piece
+from counterspin.records.record import Gap
 from counterspin.records.spikes import middle
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from counterspin.errors import RecordError
 from counterspin.records.column_file import (
     ColumnFile,
+    Columns,
     frame_columns,
     nanoseconds,
     plain_path,
@@ -35,7 +36,6 @@ from counterspin.records.dialect import (
     ungrouped,
 )
 from counterspin.records.heads import delimiter_between_units, stated_head, without_units
-from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
     import polars as pl

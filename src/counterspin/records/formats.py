@@ -1,27 +1,37 @@
-"""Record files, whatever their format: CSV, Parquet, HDF5 and MATLAB files look alike from here.
+"""Record files, whatever their format, as columns or as a table.
 
-A `ColumnFile` yields columns in batches of float64 arrays (an empty cell is NaN) and says where a
-row stands in the file, in the words a person needs to find it: the line of a text editor for CSV,
-the row else. Nothing here judges the numbers; `reading` does.
+CSV, Parquet, HDF5 and MATLAB files look alike from here. A `ColumnFile` yields columns in batches
+of float64 arrays (an empty cell is NaN) and says where a row stands in the file, in the words a
+person needs to find it: the line of a text editor for CSV, the row else. Nothing here judges the
+numbers; `reading` does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
+import numpy as np
+
+from counterspin.arrays import Array
 from counterspin.errors import RecordError
-from counterspin.input import FileIdentity, open_file
-from counterspin.records.array_files import Hdf5File, MatlabFile
-from counterspin.records.column_file import ColumnFile, record_errors
+from counterspin.frozen import frozen
+from counterspin.input import FileIdentity, open_file, read_file
+from counterspin.records.array_files import Hdf5File, MatlabFile, TdmsFile
+from counterspin.records.column_file import ColumnFile, Columns, column_rows, record_errors
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
-from counterspin.records.excel_file import ExcelFile
+from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryFile, MemoryTable
-from counterspin.records.parquet_file import ParquetFile
-from counterspin.records.tdms_file import TdmsFile
+from counterspin.records.record import ColumnSpec
+from counterspin.records.table_files import ExcelFile, NoRowsError, ParquetFile, excel_table
+
+if TYPE_CHECKING:
+    import polars as pl
+
 
 #: Bytes that show whether a file is text.
 _SHOWN_BYTES: Final = 4096
@@ -106,3 +116,126 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> Co
         file = opener(path, stream, dialect)
         stack.pop_all()
         return file
+
+
+# As a table ------------------------------------------------------------------------------------
+
+
+@frozen(eq=False)
+class FiledTable:
+    """A file's columns, and how they are written."""
+
+    frame: pl.DataFrame  #: Cells of text as they stand.
+    #: Column -> its unit by a row of units, in plain signs; empty without such a row.
+    units: Mapping[str, str]
+    #: What parts cells and decimals in a file of text.
+    delimiter: str
+    decimal: str
+    found: str  #: How the file is written, where that is not plain.
+
+
+def read_table(path: Path, dialect: Dialect = TO_BE_FOUND) -> FiledTable:
+    """Return a whole file as it stands, cells of text remaining text."""
+    return in_reader_process(_table, path, dialect)
+
+
+def read_small_table(
+    path: Path, dialect: Dialect = TO_BE_FOUND
+) -> tuple[FiledTable, list[str], str]:
+    """Return a table, where each of its rows stands, and the SHA-256 of what was read."""
+    return in_reader_process(_small_table, path, dialect)
+
+
+def is_workbook(path: Path) -> bool:
+    """Return whether a file is a workbook of Excel."""
+    return path.suffix.lower() == ".xlsx"
+
+
+def read_numbers(
+    path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = TO_BE_FOUND
+) -> Columns:
+    """Return columns of numbers, NaN where a cell is empty, of a file in any dialect."""
+    return in_reader_process(_numbers, path, list(names), dialect)
+
+
+def read_scaled(
+    path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = TO_BE_FOUND
+) -> list[Array]:
+    """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed."""
+    return in_reader_process(_scaled, path, list(columns), dialect)
+
+
+def locate(path: Path | MemoryTable, row: int, dialect: Dialect = TO_BE_FOUND) -> str:
+    """Say where data row `row` (counted from 0) stands in the file."""
+    if isinstance(path, Path) and is_workbook(path):
+        return f"row {row + 1} below the names"
+    return in_reader_process(_locate, path, row, dialect)
+
+
+def places(path: Path, rows: int) -> list[str]:
+    """Say where each of the data rows stands in the file."""
+    if is_workbook(path):
+        return _sheet_places(rows)
+    return in_reader_process(_places, path, rows)
+
+
+def _table(path: Path, dialect: Dialect) -> FiledTable:
+    with open_columns(path, dialect) as file:
+        return _filed(file)
+
+
+def _filed(file: ColumnFile) -> FiledTable:
+    units = file.units if file.units_row else {}
+    return FiledTable(file.table(), units, file.delimiter, file.decimal, file.found)
+
+
+def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
+    try:
+        with open_columns(path, dialect) as file:
+            # On leaving, the file must still be what it was when it was opened.
+            table = _filed(file)
+            return table, file.places(table.frame.height), _checksum(file.content())
+    except NoRowsError:  # of words, such as attitudes: names stand in the first row then
+        with record_errors(path):
+            content = read_file(path)
+        frame = excel_table(path, dialect, content)
+        plain = FiledTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
+        return plain, _sheet_places(frame.height), _checksum(content)
+
+
+def _checksum(content: bytes) -> str:
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def _sheet_places(rows: int) -> list[str]:
+    return [f"row {row + 1} below the names" for row in range(rows)]
+
+
+def _numbers(path: Path | MemoryTable, names: list[str], dialect: Dialect) -> Columns:
+    with open_columns(path, dialect) as file:
+        file.require(names)
+        return file.whole(names)
+
+
+def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialect) -> list[Array]:
+    filed = [spec.name for spec in columns if not spec.is_made]
+    with open_columns(path, dialect) as file:
+        file.stamps = frozenset(spec.name for spec in columns if spec.kind == "stamps")
+        file.require(filed)
+        read = file.whole(filed)
+        rows = np.arange(column_rows(read), dtype=float)
+        resolved = [spec.resolved(file) for spec in columns]
+        return [
+            (rows if spec.is_made else read[spec.name]) * spec.factor + spec.offset
+            for spec in resolved
+        ]
+
+
+def _locate(path: Path | MemoryTable, row: int, dialect: Dialect) -> str:
+    with open_columns(path, dialect) as file:
+        return file.locate(row)
+
+
+def _places(path: Path, rows: int) -> list[str]:
+    with open_columns(path) as file:
+        return file.places(rows)

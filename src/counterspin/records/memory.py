@@ -13,8 +13,7 @@ import numpy as np
 
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.records.column_file import ColumnFile
-from counterspin.records.pieces import Columns
+from counterspin.records.column_file import ColumnFile, Columns
 
 if TYPE_CHECKING:
     import polars as pl

@@ -2,7 +2,7 @@
 
 Whatever the format and the length, a record passes once through memory, in pieces: its clock is
 checked against the encoder (`clock`), outliers are found among their neighbours (`spikes`) and
-the rest is averaged (`reduction`). At the end the amplitudes are checked (`amplitude`).
+the rest is averaged (`reduction`). At the end the amplitudes are checked (`signals`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,32 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
-from counterspin.records.amplitude import (
+from counterspin.records.clock import LISTED, Clock
+from counterspin.records.column_file import (
+    ColumnFile,
+    Columns,
+    Piece,
+    column_rows,
+    in_pieces,
+    piece_rows,
+)
+from counterspin.records.dialect import TO_BE_FOUND
+from counterspin.records.formats import open_columns
+from counterspin.records.isolation import in_reader_process, in_reader_process_if_slow
+from counterspin.records.memory import MemoryTable
+from counterspin.records.record import (
+    ColumnSpec,
+    Gap,
+    Outlier,
+    Record,
+    RecordColumns,
+    RecordReport,
+    StatedMotion,
+)
+from counterspin.records.reduction import Blocks, Reducer, block_size, span_of_main_rows
+from counterspin.records.run_file import RunFile, is_derived, pulse_angle
+from counterspin.records.signals import (
+    PolynomialParts,
     UnitChange,
     Waves,
     against_reference,
@@ -28,18 +53,6 @@ from counterspin.records.amplitude import (
     switch,
     waves,
 )
-from counterspin.records.clock import LISTED, Clock
-from counterspin.records.column_file import ColumnFile
-from counterspin.records.dialect import TO_BE_FOUND
-from counterspin.records.formats import open_columns
-from counterspin.records.isolation import in_reader_process, in_reader_process_if_slow
-from counterspin.records.memory import MemoryTable
-from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, piece_rows
-from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
-from counterspin.records.reduction import Blocks, Reducer, block_size, span_of_main_rows
-from counterspin.records.removed import PolynomialParts
-from counterspin.records.report import Gap, Outlier, RecordReport
-from counterspin.records.run_file import RunFile, is_derived, pulse_angle
 from counterspin.records.spikes import find_spikes
 
 #: More empty cells than this part of a run's rows refuse the record.

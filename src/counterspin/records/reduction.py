@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from counterspin.frozen import frozen
-from counterspin.records.pieces import Piece
+from counterspin.records.column_file import Piece
 from counterspin.records.spikes import find_spikes
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.

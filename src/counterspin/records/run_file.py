@@ -10,8 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array, median
 from counterspin.input import FileIdentity
-from counterspin.records.column_file import ColumnFile
-from counterspin.records.pieces import Columns, column_rows
+from counterspin.records.column_file import ColumnFile, Columns, column_rows
 from counterspin.records.record import RecordColumns
 
 #: How far a pulse may stand from its place, in parts of the interval.

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference import plain_fit
+from counterspin.inference import least_squares
 from counterspin.inference.joint.unknowns import RIPPLE
-from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import QX
@@ -171,7 +171,7 @@ def second_unknown() -> tuple[Row, ...]:
     def k_ii(design: Array) -> tuple[float, float]:
         """Return K_II and its standard uncertainty, weighted, by these columns."""
         curvature = np.array([run.parabola.b2 for run in runs]) - TABLE_1["K_F"] * GRAVITY / 2
-        fit = plain_fit.fit(design, curvature, [run.parabola.u_b2 for run in runs])
+        fit = least_squares.fit(design, curvature, [run.parabola.u_b2 for run in runs])
         return float(fit.estimate[0]), float(fit.u[0])
 
     alone, separated = k_ii(exact[:, None]), k_ii(np.column_stack([exact, columns[:, 1]]))

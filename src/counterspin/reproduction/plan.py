@@ -11,9 +11,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from counterspin.arrays import Array
-from counterspin.inference.two_stage.first_stage import Parabola, first_stage
+from counterspin.inference.two_stage.first_stage import Parabola, Strobes, first_stage
 from counterspin.inference.two_stage.second_stage import StrobedRun
-from counterspin.inference.two_stage.strobes import Strobes
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import QX, indicated
 from counterspin.physics.motion import Site, Trajectory

@@ -28,9 +28,8 @@ from counterspin.campaign.truth import SimulatedTruth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
-from counterspin.physics.motion import Trajectory
+from counterspin.physics.motion import Trajectory, encoder_error, true_trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
-from counterspin.physics.path_errors import encoder_error, true_trajectory
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import forces_in_record, indicated_forces

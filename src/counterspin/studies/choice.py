@@ -10,7 +10,7 @@ import numpy as np
 from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
-from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import DRIFT, RIPPLE_AMPLITUDE, RIPPLE_RATIO, StudyTruth
 from counterspin.studies.joint_engine import JointEngine, bounds

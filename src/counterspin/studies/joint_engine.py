@@ -18,13 +18,12 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
-from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import solve_blocks
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series, concerns, input_column
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.least_squares import Solution
+from counterspin.inference.least_squares import Block, Solution, reduce_block
 from counterspin.inference.linear_readings import Measured, blocks_at
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, TERMS

@@ -29,7 +29,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import concerns, with_input
 from counterspin.inference.joint.unknowns import RIPPLE
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 from counterspin.studies.draws import Draws, StudyTruth, curvature_noise, of_run, residual_variances

@@ -16,7 +16,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns
 from counterspin.inference.noise.model import Noise
-from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.physics import observation
 from counterspin.physics.terms import OWN_TERMS, PLATFORM_TERMS, term
 from counterspin.studies.description import StudyDescription

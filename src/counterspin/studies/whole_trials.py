@@ -24,14 +24,14 @@ from counterspin.inference.joint.series import CLOCK, TIMING, Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_input
 from counterspin.inference.poses import TriadPoses, indications_along
-from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
+from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
-from counterspin.inference.two_stage.strobes import Strobes, by_angle, strobe_angle
 from counterspin.physics import observation, simulation
-from counterspin.physics.path_errors import encoder_error
+from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.physics.terms import shown_by_readings
-from counterspin.records.mean import stretches
+from counterspin.records.averages import stretches
 from counterspin.simulation.readings import (
     head_errors,
     indications,

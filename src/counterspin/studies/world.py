@@ -16,7 +16,7 @@ from counterspin.campaign.runs import sample_count
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
-from counterspin.inference.two_stage.strobes import strobe_angle
+from counterspin.inference.two_stage.first_stage import strobe_angle
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory

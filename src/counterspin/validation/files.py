@@ -19,8 +19,8 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.issuing import certificate
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.physics.terms import OWN_TERMS
-from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
+from counterspin.records.signals import Swing
 from counterspin.validation.cases import DATA, document
 
 #: Ending -> the package without which it is not read.

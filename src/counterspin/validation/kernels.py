@@ -138,7 +138,7 @@ def _fit(module: Any, given: Given) -> Found:
 
 
 def _solve(module: Any, given: Given) -> Found:
-    from counterspin.inference.blocks import reduce_block
+    from counterspin.inference.least_squares import reduce_block
 
     block = reduce_block(given["design"], given["y"], None, given.get("considered"))
     known = {
@@ -167,7 +167,7 @@ def _variance(module: Any, given: Given) -> Found:
 
 
 def _first_stage(module: Any, given: Given) -> Found:
-    from counterspin.inference.two_stage.strobes import Strobes
+    from counterspin.inference.two_stage.first_stage import Strobes
 
     time = np.arange(float(given["strobes"]))
     error = np.polynomial.polynomial.polyval(time, given["coefficients"])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import reduce_block
 from counterspin.inference.joint.agreement import agreements
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
+from counterspin.inference.least_squares import reduce_block
 
 FREE = (0.0, math.inf)
 MEAN = Unknown("A", "K_F", FREE, 0.1)

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.blocks import Block
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
+from counterspin.inference.least_squares import Block
 
 #: Priors such that the data tell much of some and next to nothing of others.
 PRIORS = {"K_F": math.inf, "K_II": math.inf, "K_OO": 2e-6, "K_PP": 1e-6, "K_4": 1e-9}

@@ -7,8 +7,7 @@ import pytest
 from scipy.special import stdtrit
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.strobes import Strobes
+from counterspin.inference.two_stage.first_stage import Strobes, first_stage
 
 SIGMA = 0.01
 

@@ -13,11 +13,10 @@ from scipy.special import stdtrit
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint import series as joint_series
 from counterspin.inference.joint.unknowns import RIPPLE
-from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
+from counterspin.inference.two_stage.first_stage import Strobes, first_stage, strobe_angle
+from counterspin.inference.two_stage.model import DRIFT, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun
 from counterspin.inference.two_stage.second_stage import second_stage as resolved
-from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation, simulation
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory

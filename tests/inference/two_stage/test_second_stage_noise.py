@@ -9,9 +9,9 @@ from counterspin.inference.joint.budget import budget
 from counterspin.inference.noise.model import WALK_UNIT, Noise
 from counterspin.inference.noise.search import FoundNoise, effective_dof
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
-from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.first_stage import Strobes
+from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
-from counterspin.inference.two_stage.strobes import Strobes
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle

@@ -22,7 +22,6 @@ from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.inference.linear_readings import Readings
-from counterspin.inference.pose_tests import pose_candidates
 from counterspin.inference.poses import TriadPoses
 from counterspin.inference.reading_tests import (
     APPROACH,
@@ -44,8 +43,9 @@ from counterspin.inference.reading_tests import (
     Group,
     candidates,
     most_followed,
+    pose_candidates,
 )
-from counterspin.records.mean import RecordMean
+from counterspin.records.averages import RecordMean
 from counterspin.reports.numbers import format_number
 
 #: Up to so many positions that are off may each be a mistake. More, and more than this share of

@@ -12,9 +12,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.physics.si_units import SiUnit, own_unit, si_unit
 from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import format_compact
+from counterspin.units import SiUnit, own_unit, si_unit
 
 if TYPE_CHECKING:
     import polars as pl

@@ -21,7 +21,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.agreement import Jackknife
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.physics.terms import is_term, term, words_of
-from counterspin.records.report import rejected_of
+from counterspin.records.record import rejected_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,

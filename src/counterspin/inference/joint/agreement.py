@@ -27,7 +27,6 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.distributions import countable
 from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.estimation import Estimate
@@ -35,7 +34,7 @@ from counterspin.inference.joint.fit import JointFit, relaxed_block, solve_block
 from counterspin.inference.joint.found_noise import losses, uncertain
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.least_squares import Solution
+from counterspin.inference.least_squares import Block, Solution
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.search import effective_dof
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened

@@ -22,13 +22,12 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.diagnostics import LEAST_PART_LEFT
 from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, solve_blocks, widened
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.inference.least_squares import Solution
+from counterspin.inference.least_squares import Block, Solution
 from counterspin.physics.terms import INPUTS, mounting_of
 
 #: Of the centrifuge, and behind a point each mounting's.

@@ -23,12 +23,11 @@ import numpy as np
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
-from counterspin.inference.least_squares import Combination
+from counterspin.inference.least_squares import Block, Combination
 from counterspin.inference.linear_readings import LinearReadings
 from counterspin.inference.noise.model import WALK_UNIT
 

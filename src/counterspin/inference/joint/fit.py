@@ -22,11 +22,10 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
-from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Observation, Unknown, Unknowns
-from counterspin.inference.least_squares import NO_PRIOR, Solution
+from counterspin.inference.least_squares import NO_PRIOR, Block, Solution
 from counterspin.inference.noise.model import Noise
 
 

@@ -22,10 +22,10 @@ import numpy.typing as npt
 from counterspin.arrays import SIGMA_OF_MAD, Array, median, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.series import Series, input_column, rotation_column
 from counterspin.inference.joint.unknowns import ROTATION, Observation, Unknown, Unknowns
+from counterspin.inference.least_squares import Block, reduce_block
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 

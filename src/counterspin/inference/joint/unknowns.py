@@ -17,9 +17,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.blocks import Block
 from counterspin.inference.joint.series import Series, concerns
-from counterspin.inference.least_squares import REGULARISATION
+from counterspin.inference.least_squares import REGULARISATION, Block
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import (
     INPUTS,

@@ -1,8 +1,7 @@
 """The paper's two-stage method: a parabola a run, then its curvature against the rate.
 
-- `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
-- `request`: model, priors and noise of one accelerometer
-- `first_stage`: a parabola through the strobes of one run (Eq. 16-18, 31)
-- `curvatures`: a record as one row of a joint fit, its curvature
+- `first_stage`: the samples of a record at one angle of each revolution, its strobes (Eq. 15), and
+  a parabola through them (Eq. 16-18, 31)
+- `model`: what is asked of one accelerometer, and its curvatures as rows of a joint fit
 - `second_stage`: K_II from the curvatures of all runs (Eq. 19-27, 33-34)
 """

@@ -3,7 +3,7 @@
 First stage, per run: the strobed displacement error is fitted with b0 + b1 t + b2 t^2
 (`first_stage` beside this module). Second stage, here: the b2 of all runs, at their different
 rates, are resolved into K_II and the unknowns beside it, by the joint fit's own solver on one row a
-run (`curvatures` beside this module). So budgets, sensitivities and tests of priors are those of
+run (`model` beside this module). So budgets, sensitivities and tests of priors are those of
 any fit.
 
 Two observation models:
@@ -30,15 +30,16 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
 from counterspin.inference.noise.model import COMPONENTS, Noise
 from counterspin.inference.noise.unseen_noise import Unseen
-from counterspin.inference.two_stage.curvatures import (
+from counterspin.inference.two_stage.first_stage import Parabola
+from counterspin.inference.two_stage.model import (
+    DRIFT,
     LEAST_SIGMA,
     Curvature,
+    TwoStageRequest,
     exact_columns,
     printed_columns,
     two_stage_model,
 )
-from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Trajectory
@@ -205,7 +206,7 @@ def resolve(
 ) -> SecondStage:
     """Resolve the curvatures of one accelerometer's runs, at their strobes.
 
-    The model is `curvatures.two_stage_model`'s; errors are those of `second_stage`.
+    The model is `model.two_stage_model`'s; errors are those of `second_stage`.
     """
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
     noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}

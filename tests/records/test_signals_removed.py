@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.records.removed import PolynomialParts, removed
+from counterspin.records.signals import PolynomialParts, removed
 
 ROWS = 20_000
 

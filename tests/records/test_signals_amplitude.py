@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from record_files import ANGLE, RATE, SIGNAL, TIME, read, refusal, table, write
 
-from counterspin.records.amplitude import Swing
+from counterspin.records.signals import Swing
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1e2])

@@ -8,10 +8,9 @@ from nptdms import ChannelObject, TdmsWriter
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 
 from counterspin.records.dialect import Dialect
-from counterspin.records.formats import open_columns
+from counterspin.records.formats import open_columns, read_scaled
 from counterspin.records.isolation import uses_reader_process
 from counterspin.records.record import ColumnSpec
-from counterspin.records.tables import read_scaled
 
 
 def write(path, groups, properties=None):

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from counterspin.records.pieces import in_pieces
+from counterspin.records.column_file import in_pieces
 
 
 @settings(max_examples=30, deadline=None)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import triads
 
-from counterspin.inference.pose_tests import pose_candidates
+from counterspin.inference.reading_tests import pose_candidates
 from counterspin.inference.readings import solve_readings
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 

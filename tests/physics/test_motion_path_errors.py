@@ -8,9 +8,8 @@ import pytest
 import sympy as sp
 
 from counterspin.physics.accelerometer import QX, QY, Mounting
-from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.motion import Site, Trajectory, encoder_error, true_trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola, reference
-from counterspin.physics.path_errors import encoder_error, true_trajectory
 from counterspin.physics.simulation import recorded
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import MOTION_TERMS

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.records.course import MOST_KNOTS, read_course
+from counterspin.records.averages import MOST_KNOTS, read_course
 from counterspin.records.memory import memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 

@@ -11,10 +11,10 @@ from workbooks import write_workbook
 
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records.dialect import Dialect
-from counterspin.records.excel_file import excel_table, table_sheets
+from counterspin.records.formats import places, read_small_table
 from counterspin.records.isolation import uses_reader_process
 from counterspin.records.record import ColumnSpec
-from counterspin.records.tables import places, read_small_table
+from counterspin.records.table_files import excel_table, table_sheets
 
 ROWS = [
     ["position", "deg", "mA"],
@@ -57,7 +57,7 @@ def test_a_damaged_workbook_is_told(tmp_path):
 
 
 def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("counterspin.records.excel_file._UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("counterspin.records.table_files._UNPACKED_BYTES", 1_000_000)
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as file:
         file.writestr("xl/sharedStrings.xml", bytes(3_000_000))

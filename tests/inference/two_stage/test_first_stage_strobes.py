@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError, RecordError
-from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.strobes import by_angle, by_nominal_rate, strobe_angle
+from counterspin.inference.two_stage.first_stage import (
+    by_angle,
+    by_nominal_rate,
+    first_stage,
+    strobe_angle,
+)
 from counterspin.physics.accelerometer import Mounting, direction
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import reference

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.records.mean import mean_of_record, u_of_mean
+from counterspin.records.averages import mean_of_record, u_of_mean
 from counterspin.records.memory import memory_table
 from counterspin.records.record import ColumnSpec
 

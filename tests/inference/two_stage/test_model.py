@@ -12,11 +12,15 @@ from counterspin.inference.joint.fit import relax
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.inference.two_stage.curvatures import held, strobed, two_stage_model
-from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.request import DRIFT, TwoStageRequest
+from counterspin.inference.two_stage.first_stage import Strobes, first_stage, strobe_angle
+from counterspin.inference.two_stage.model import (
+    DRIFT,
+    TwoStageRequest,
+    held,
+    strobed,
+    two_stage_model,
+)
 from counterspin.inference.two_stage.second_stage import StrobedRun, resolve, second_stage
-from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation, simulation
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory

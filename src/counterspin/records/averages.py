@@ -1,7 +1,7 @@
-"""The mean of a record over whole revolutions, and how uncertain its noise leaves it.
+"""A record as a few numbers: the mean of a signal and the course of a temperature.
 
-The record passes what any record passes: its clock, repeated rows, empty cells, gaps and outliers
-(`counterspin.records.reading`).
+The mean is that over whole revolutions. The record passes what any record passes: its clock,
+repeated rows, empty cells, gaps and outliers (`counterspin.records.reading`).
 
 The scatter of a record's own stretches tells u of its mean where they are independent. Where the
 level wanders they are alike, and u would be too small, of a walk by a factor of ten. So u is
@@ -10,6 +10,10 @@ at the record's length), of white noise with flicker (1/f) or with a random walk
 proportions, each weighted with the restricted likelihood that the stretches' means give it
 (Patterson and Thompson, Biometrika 58 (1971) 545). Flicker is that of Kasdin, Proc. IEEE 83
 (1995) 802.
+
+A thermometer is slow, noisy to its last digit, and often read more seldom than the accelerometers.
+Its course is the broken line between even times that fits its values best; where a few are missing
+it goes straight on.
 """
 
 from __future__ import annotations
@@ -26,12 +30,15 @@ import numpy as np
 from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
+from counterspin.records.column_file import ColumnFile, in_pieces, piece_rows
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryTable
-from counterspin.records.reading import read_record
-from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
-from counterspin.records.report import RecordReport
+from counterspin.records.reading import opened, read_record
+from counterspin.records.record import ColumnSpec, RecordColumns, RecordReport, StatedMotion
+from counterspin.records.run_file import RunFile
 from counterspin.records.spikes import FEWEST_SAMPLES, find_spikes
+from counterspin.units import ZERO_CELSIUS
 
 #: Most stretches of a record whose means tell its noise; fewest samples of one.
 _STRETCHES: Final = 64
@@ -197,3 +204,116 @@ def _wanders(count: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         sizes, turn = np.linalg.eigh(flat.T @ covariance[:count, :count] @ flat / unit)
         found.append((np.maximum(sizes, 0.0), flat @ turn))
     return found[0], found[1]
+
+
+# The course of a temperature -------------------------------------------------------------------
+
+#: Most values of a course.
+MOST_KNOTS: Final = 64
+
+#: Parts of a piece of a record whose means are kept, and of the record whose means are fitted.
+_PARTS_OF_PIECE: Final = 256
+_PARTS: Final = 1024
+
+#: Longest stretch without a value, as part of the record.
+_LONGEST_GAP: Final = 0.25
+
+#: Weight of a bend of the course beside the values', which decides only where there are none.
+_STIFFNESS: Final = 1e-4
+
+#: Between which no accelerometer works, K.
+_POSSIBLE: Final = (100.0, 600.0)
+
+
+def read_course(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
+    """Return the temperature in a record, K, at even times from its first row to its last.
+
+    columns: Time, and the temperature as their only signal.
+    Returns: One value of a temperature that did not change, else 2 to `MOST_KNOTS`.
+    """
+    return in_reader_process(_read, path, columns)
+
+
+def _read(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
+    with opened(path, columns, 0.0) as (file, resolved, _):
+        try:
+            return _course(file, resolved)
+        except RecordError:
+            if not file.look_closely():
+                raise
+            return _course(file, resolved)
+
+
+def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
+    (spec,) = columns.signals.values()
+    where = f"{file.path}: column '{spec.name}'"
+    span, last, gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
+    parts: list[Array] = []
+    for piece in in_pieces(file.batches(columns.names), lambda _: piece_rows(1)):
+        time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
+        impossible = np.flatnonzero((warm < _POSSIBLE[0]) | (warm > _POSSIBLE[1]))
+        if len(impossible):
+            odd, place = float(warm[impossible[0]]), file.locate(rows + int(impossible[0]))
+            raise RecordError(
+                f"{file.path}, {place}: column '{spec.name}' holds {odd:.6g} K "
+                f"({odd - ZERO_CELSIUS:.6g} degC), at which no accelerometer works. Check the unit "
+                "of the column."
+            )
+        rows += len(time)
+        used = (time >= columns.part[0]) & (time <= columns.part[1])
+        if not used.any():
+            continue
+        span = min(span[0], float(time[used].min())), max(span[1], float(time[used].max()))
+        used &= np.isfinite(warm)
+        t, x = time[used], warm[used]
+        if not len(t):
+            continue
+        before = np.append(span[0] if math.isnan(last) else last, t)
+        steps = np.diff(before)
+        widest = int(np.argmax(steps))
+        gap = max(gap, (float(steps[widest]), float(before[widest]), float(t[widest])))
+        last = float(t[-1])
+        parts.append(_means(np.stack([t, x, np.ones(len(t))]), _PARTS_OF_PIECE))
+    if not parts:
+        raise RecordError(f"{where} has no number in the part that is used.")
+    gap = max(gap, (span[1] - last, last, span[1]))
+    if gap[0] > _LONGEST_GAP * (span[1] - span[0]):
+        raise RecordError(
+            f"{where} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than a quarter of "
+            "the record. State the temperature of the run instead (`temperature`), and no column."
+        )
+    values = np.concatenate(parts, axis=1)
+    low, high = float(values[1].min()), float(values[1].max())
+    return _fitted(values, span) if high > low else (low,)
+
+
+def _means(values: Array, parts: int) -> Array:
+    """Return means of time and value over consecutive parts, and their weights, shape (3, m).
+
+    values: Times, values and weights, shape (3, n).
+    """
+    n = values.shape[1]
+    if n <= parts:
+        return values
+    starts = np.arange(parts) * n // parts
+    weight = np.add.reduceat(values[2], starts)
+    means = np.add.reduceat(values[:2] * values[2], starts, axis=1) / weight
+    return np.concatenate([means, weight[None]])
+
+
+def _fitted(values: Array, span: tuple[float, float]) -> tuple[float, ...]:
+    """Return the values at even times of the broken line that fits best.
+
+    values: Times (s), values and weights, shape (3, n).
+    """
+    time, value, weight = _means(values, _PARTS)
+    count = min(MOST_KNOTS, max(2, time.size // 2))
+    place = (time - span[0]) / (span[1] - span[0]) * (count - 1)
+    knots = np.arange(count)
+    hats = np.maximum(1.0 - np.abs(place[:, None] - knots), 0.0)
+    root = np.sqrt(weight / weight.max())
+    bends = _STIFFNESS * np.diff(np.eye(count), 2, axis=0)
+    rows = np.concatenate([root[:, None] * hats, bends])
+    mean = float(value.mean())
+    target = np.append(root * (value - mean), np.zeros(len(bends)))
+    return tuple((mean + np.linalg.lstsq(rows, target, rcond=None)[0]).tolist())
