@@ -178,3 +178,15 @@ def test_sizes_beyond_all_measure(text):
 )
 def test_the_last_digit_of_a_quantity(text, one):
     assert last_digit(text) == one
+
+
+def test_a_quantity_that_was_read_already_is_only_converted():
+    assert parse(Quantity(2.5, 1.0, "mA"), "A") == parse("2.5 ± 1.0 mA", "A")
+    assert parse(Quantity(2.0, 0.0, "m/s^2"), "g", gravity=8.0) == Quantity(0.25, 0.0, "g")
+    for wrong, words in (
+        (Quantity(1e300, 0.0, "A"), "implausibly large"),
+        (Quantity(float("inf"), 0.0, "A"), "not a finite number"),
+        (Quantity(1.0, -1.0, "A"), "negative uncertainty"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            parse(wrong, "A")

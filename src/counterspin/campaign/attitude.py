@@ -11,7 +11,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import did_you_mean
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import Turn, parse
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, direction
 
@@ -56,16 +56,15 @@ def read_attitude(value: object) -> Attitude:
     """Return an attitude as it is written.
 
     value: ``"level"``, ``"unknown"``; a right-handed turn of the level platform such as ``"90 deg
-        about east"`` (which takes y from north to up); or a table of the directions of x and y, and
-        of z if wanted.
+        about east"`` (which takes y from north to up), or as a `Turn`; or a table of the directions
+        of x and y, and of z if wanted.
     """
     if value in ("level", UNKNOWN):
         return Attitude(np.eye(3), unknown=value == UNKNOWN)
-    if isinstance(value, str):
-        match = TURN_WORDS.fullmatch(value.strip())
-        if match is None:
-            raise ValueError(NO_ATTITUDE)
-        turn, axis = parse(match[1], "rad"), read_direction(match[2])
+    if isinstance(value, str) and (match := TURN_WORDS.fullmatch(value.strip())) is not None:
+        value = Turn(parse(match[1], "rad"), match[2])
+    if isinstance(value, Turn):
+        turn, axis = parse(value.angle, "rad"), read_direction(value.about)
         return Attitude(_turned(turn.value, np.array(axis)), axis, turn.value, turn.u)
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:
         raise ValueError(NO_ATTITUDE)

@@ -37,7 +37,7 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
 }
 
 #: How pydantic names the one of several types as which a value was read, in a mistake's place.
-_ONE_OF_SEVERAL: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict)\[.*\]")
+_ONE_OF_SEVERAL: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict|is-instance)\[.*\]")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -211,6 +211,8 @@ def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
     """
     several: dict[KeyPath, list[Any]] = {}
     for mistake in mistakes:
+        if mistake["type"] == "is_instance_of":
+            continue  # what no document can hold
         loc = mistake["loc"]
         at = next((i for i, part in enumerate(loc) if _is_type(part)), len(loc))
         several.setdefault(loc[:at], []).append({**mistake, "loc": loc[:at] + loc[at + 1 :]})

@@ -276,6 +276,8 @@ def _in_folder(name: object, info: ValidationInfo) -> Path:
 
 def a_temperature(value: object) -> float:
     """Return a temperature, K."""
+    if isinstance(value, Quantity):
+        return value.value + TEMPERATURE_SCALES[value.unit]
     if not isinstance(value, str):
         raise ValueError("must be text")
     match = _TEMPERATURE.fullmatch(value)

@@ -63,23 +63,43 @@ class Quantity:
         """Write the quantity so that `parse` reads the same numbers."""
         return f"{self.value!r} ± {self.u!r} {self.unit}"
 
+    @property
+    def written(self) -> str:
+        """The same as a person writes it: without an uncertainty where there is none."""
+        return str(self) if self.u else f"{self.value!r} {self.unit}"
+
+
+@frozen
+class Turn:
+    """A right-handed turn of the level platform, as of a dividing head."""
+
+    angle: Quantity  #: In a unit of angle.
+    about: str  #: A direction.
+
+    @property
+    def written(self) -> str:
+        """The turn as a person writes it."""
+        return f"{self.angle.written} about {self.about}"
+
 
 def parse(
     text: object, unit: str, *, gravity: float | None = None, usual: str | None = None
 ) -> Quantity:
-    """Read ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``.
+    """Read ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``; a `Quantity` is one that was read already.
 
     gravity: The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
     usual: The unit that a number without one is most likely in; None: what `_SCALES` say.
     """
     kind, accepted = advice(unit)
+    if isinstance(text, Quantity):
+        return _in_unit(text, unit, text.written, gravity)
     if not isinstance(text, str):
         if isinstance(text, bool) or not isinstance(text, int | float):
             raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
         if not math.isfinite(text):
             raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
-        written = _with_unit(repr(text), unit, usual)
-        raise ValueError(f"a number without its unit; write {written} ({kind}: {accepted})")
+        example = _with_unit(repr(text), unit, usual)
+        raise ValueError(f"a number without its unit; write {example} ({kind}: {accepted})")
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"
@@ -88,8 +108,8 @@ def parse(
     if _NOT_FINITE.search(clean):
         raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
     if BARE.fullmatch(clean):
-        written = _with_unit(clean, unit, usual)
-        raise ValueError(f"{text!r} has no unit; {kind} is needed ({accepted}); write {written}")
+        example = _with_unit(clean, unit, usual)
+        raise ValueError(f"{text!r} has no unit; {kind} is needed ({accepted}); write {example}")
     if re.match(r"[+-]?\d+,\d", clean):
         raise ValueError(f"{text!r} contains a comma; write decimals with a point")
     match = _QUANTITY.fullmatch(clean)
@@ -101,9 +121,15 @@ def parse(
     twice = _UNIT_TWICE.fullmatch(match[3])
     if match[2] is None and twice is not None:
         raise ValueError(f"{text!r} {_unit_once(match[1], twice, gravity)}")
-    factor = unit_factor(match[3], unit, gravity=gravity)
-    value = float(match[1]) * factor
-    u = float(match[2] or 0.0) * factor
+    written = Quantity(float(match[1]), float(match[2] or 0.0), match[3])
+    return _in_unit(written, unit, text, gravity)
+
+
+def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) -> Quantity:
+    """Return a quantity in a unit; ValueError of one that is none, which `text` quotes."""
+    kind, accepted = advice(unit)
+    factor = unit_factor(quantity.unit, unit, gravity=gravity)
+    value, u = quantity.value * factor, quantity.u * factor
     if not (math.isfinite(value) and math.isfinite(u)):
         raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
     if u < 0.0:
@@ -120,8 +146,9 @@ def _with_unit(number: str, unit: str, usual: str | None) -> str:
     return f"{', '.join(others)} or {last}, whichever applies" if others else last
 
 
-def last_digit(text: str) -> str:
+def last_digit(written: str | Quantity) -> str:
     """Return one of the last digit of a quantity, as a quantity: ``0.001 mA`` of ``1.250 mA``."""
+    text = written.written if isinstance(written, Quantity) else written
     clean = text.strip().replace("−", "-")
     match = re.match(r"[+-]?\d*\.?(\d*)(?:[eE]([+-]?\d+))?", clean)
     assert match is not None

@@ -123,7 +123,7 @@ def _with_length(reading: Reading, turns: float | None) -> Reading:
 
 def _read(
     run: Run, path: KeyPath, names: Collection[str], problems: Problems
-) -> Iterator[tuple[str, Sequence[str], KeyPath]]:
+) -> Iterator[tuple[str, Sequence[str | Quantity], KeyPath]]:
     """Yield each accelerometer that was read, what was (nothing of a record), and its place."""
     where, written = (*path, "reading"), run.reading
     if run.file is not None:
@@ -136,7 +136,7 @@ def _read(
     for name, texts in written.items():
         own = (*where, name) if isinstance(run.reading, dict) else where
         if name in names:
-            yield name, [texts] if isinstance(texts, str) else texts, own
+            yield name, texts if isinstance(texts, list) else [texts], own
         elif names:
             said = did_you_mean(name, names)
             problems.add(own, f'there is no accelerometer "{name}"{said}')
@@ -200,31 +200,33 @@ class _Value:
     resolution: float = 0.0
 
 
-def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Value:
+def _value(repeats: Sequence[str | Quantity], output: Output | None, gravity: float) -> _Value:
     """Return what repeats of one reading say."""
     unit, size, zero = "g", 1.0, 0.0
     if output is not None:
         unit, size, zero = output.unit, output.sensitivity, output.zero
     conversion = gravity if output is None else None
     written = [
-        f"0 {text.removeprefix(BLANK) or unit}" if text.startswith(BLANK) else text
-        for text in texts
+        f"0 {one.removeprefix(BLANK) or unit}"
+        if isinstance(one, str) and one.startswith(BLANK)
+        else one
+        for one in repeats
     ]
     quantities = [parse(text, unit, gravity=conversion) for text in written]
     values = (np.array([quantity.value for quantity in quantities]) - zero) / size
     u = np.array([quantity.u for quantity in quantities]) / abs(size)
-    mean = float(values.mean()) if written == list(texts) else math.nan
+    mean = float(values.mean()) if written == list(repeats) else math.nan
     in_si = False
     if conversion is not None:
         unlike = parse(written[0], unit, gravity=2.0 * conversion)
         in_si = unlike != quantities[0]
     if (u > 0.0).all():
-        return _Value(mean, float(np.linalg.norm(u)) / len(texts), len(texts), in_si=in_si)
+        return _Value(mean, float(np.linalg.norm(u)) / len(u), len(u), in_si=in_si)
     scatter = float(np.sum((values - mean) ** 2))
     last = 0.0
     if not math.isnan(mean):
-        last = min(parse(last_digit(text), unit, gravity=conversion).value for text in written)
-    return _Value(mean, None, len(texts), scatter, in_si, last / abs(size))
+        last = min(parse(last_digit(one), unit, gravity=conversion).value for one in written)
+    return _Value(mean, None, len(u), scatter, in_si, last / abs(size))
 
 
 def _axes(run: Run, mounting: Mounting | None) -> Mounting | None:

@@ -26,9 +26,9 @@ from counterspin.campaign.columns import (
     with_points,
     words_of,
 )
-from counterspin.campaign.documents import KeyPath, list_of, table_of
+from counterspin.campaign.documents import KeyPath, list_of, plain, table_of
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import Quantity, Turn, parse
 from counterspin.campaign.readings import MOST_READINGS
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
@@ -158,7 +158,10 @@ def read_table(
     problems: Problems,
     checksums: dict[Path, str],
 ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands."""
+    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands.
+
+    Numbers are quantities and turns; only what is text in the table is text.
+    """
     settings = problems.check(ReadingsSettings, document["readings"], ("readings",))
     if settings is None:
         return
@@ -233,7 +236,7 @@ def take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> N
     outputs = {name: _output(table) for name, table in tables.items()}
     table = ReadingsTable(settings, outputs, problems, document)
     made = [run for run, _ in table.runs(list(columns), rows)]
-    document["runs"] = [*list_of(document, "runs"), *made]
+    document["runs"] = [*list_of(document, "runs"), *plain(made, ("readings",), problems.add)]
 
 
 def _output(table: Any) -> Output | None:
@@ -450,7 +453,7 @@ class ReadingsTable:
             run["rate"] = rate
         shown = self._number(cell("head"), (*path, "head"))
         if shown is not None:
-            run["head"] = f"{shown!r} {settings.attitude_unit}"
+            run["head"] = Quantity(shown, 0.0, settings.attitude_unit)
         mounting = run["mounting"] = mounting_of(cell("mounting")) or settings.mounting
         axes = {key: words_of(cell(key)) for key in ("input", "pendulous") if cell(key)}
         stated = self._axes(motion, mounting)
@@ -473,13 +476,13 @@ class ReadingsTable:
                 if key == "time":
                     value = seconds_of(value)
                 number = as_number(value)
-                run[key] = words_of(value) if number is None else f"{number!r} {unit}"
+                run[key] = words_of(value) if number is None else Quantity(number, 0.0, unit)
         readings = self.of("reading")
         run["reading"] = {name: self._reading(row, name, path) for name in readings}
         return run
 
-    def _moved(self, cell: Callable[[str], Any], path: KeyPath) -> tuple[str, str | None]:
-        """Return how a row moves, and its rate as it would be written; None where it has none."""
+    def _moved(self, cell: Callable[[str], Any], path: KeyPath) -> tuple[str, Quantity | None]:
+        """Return how a row moves, and its rate; None where it has none."""
         stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
         if rate := self._number(stated, path):
             sense = words_of(cell("sense")).lower() or self.settings.sense
@@ -501,21 +504,21 @@ class ReadingsTable:
         at_rest = settings.axes_at_rest if motion == "static" else None
         return settings.mountings.get(mounting) or at_rest or settings.axes
 
-    def _rate(self, number: float, sense: Sense) -> str:
-        """Return a rate as it would be written, right-handed about up; ValueError if it is none."""
+    def _rate(self, number: float, sense: Sense) -> Quantity:
+        """Return a rate, right-handed about up; ValueError if it is none."""
         unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
         sign = -1.0 if sense == "clockwise" else 1.0
         if _converts(unit, "s"):
-            return f"{sign / (number * unit_factor(unit, 's'))!r} rev/s"
+            return Quantity(sign / (number * unit_factor(unit, "s")), 0.0, "rev/s")
         gravity = self._stated("site", "gravity", "m/s^2")
         if not _converts(unit, "m/s^2", gravity=gravity):
             unit_factor(unit, "rad/s")
-            return f"{sign * number!r} {unit}"
+            return Quantity(sign * number, 0.0, unit)
         if number < 0.0:
             raise ValueError("a centripetal acceleration is positive; the mounting has the sign")
         acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)
         radius = self._stated("centrifuge", "radius", "m")
-        return f"{sign * math.sqrt(acceleration / radius)!r} rad/s"
+        return Quantity(sign * math.sqrt(acceleration / radius), 0.0, "rad/s")
 
     def _stated(self, section: str, key: str, unit: str) -> float:
         """Return a quantity of another section; what is wrong with it is noted there."""
@@ -524,22 +527,18 @@ class ReadingsTable:
         except (KeyError, TypeError, ValueError):
             return 1.0
 
-    def _turn(self, angle: float) -> str:
-        """Return the attitude that an angle of the head makes."""
-        settings = self.settings
-        unit = settings.attitude_unit
-        if settings.u_attitude is None:
-            return f"{angle!r} {unit} about {settings.about}"
-        u = exact(settings.u_attitude, "rad") / unit_factor(unit, "rad")
-        return f"{angle!r} ± {u!r} {unit} about {settings.about}"
+    def _turn(self, angle: float) -> Turn:
+        """Return the turn that an angle of the head is."""
+        unit, stated = self.settings.attitude_unit, self.settings.u_attitude
+        u = 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
+        return Turn(Quantity(angle, u, unit), self.settings.about)
 
-    def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> str | list[str]:
-        """Return the readings of an accelerometer as they would be written."""
+    def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
+        """Return the readings of an accelerometer: quantities, and text where there is text."""
         columns = self.of("reading")[name]
         unit = output.unit if (output := self.accelerometers[name]) else "g"
         u = self.u(row, name, path)
-        spread = f" ± {u!r}" if u is not None else ""
-        written = []
+        written: list[Quantity | str] = []
         for column in columns:
             value = row[column]
             if is_empty(value):
@@ -548,7 +547,9 @@ class ReadingsTable:
             number = as_number(value)
             if number is None:
                 self._refuse_comma(value, (*path, column))
-            written.append(words_of(value) if number is None else f"{number!r}{spread} {unit}")
+            read = words_of(value) if number is None else Quantity(number, u or 0.0, unit)
+            written.append(read)
+        spread = f" ± {u!r}" if u is not None else ""
         written = written or [f"{BLANK}{spread} {unit}"] * len(columns)
         return written[0] if len(columns) == 1 and written else written
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr
+from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, PrivateAttr
 
 from counterspin.arrays import Array
 from counterspin.campaign.attitude import UNKNOWN, of_platform, read_attitude
@@ -61,8 +61,10 @@ def sample_count(duration: float, sampling_rate: float) -> int:
     return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
 
 
+#: What was read, as it is written; a number of a table has its unit already.
+_Read = Text | InstanceOf[Quantity]
 #: A reading, or repeats of one at the same setting.
-Written = Text | Annotated[list[Text], Field(min_length=1)]
+Written = _Read | Annotated[list[_Read], Field(min_length=1)]
 #: That of the one accelerometer there is, or of several by name.
 OfEach = Annotated[Written | dict[str, Written], BeforeValidator(with_units)]
 
