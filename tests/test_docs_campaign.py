@@ -52,8 +52,9 @@ def test_every_section_has_its_table():
     }
     # The true radius is one of the keys of [truth.centrifuge].
     # A dialect is part of the keys of records and readings; all columns but that of a force have
-    # the same keys.
+    # the same keys. The tables of [truth] are told one by one, its noise by that of [noise].
     parts = {"SettingsSection", "TableDialect", "VelocityChannel", "TrueRadius"}
+    parts |= {"TruthSettings", "TrueNoise"}
     assert sections - parts <= {name.partition(" of ")[0] for name in TABLES}
 
 

@@ -3,10 +3,9 @@ import pytest
 from campaigns import campaign_of
 from reading_descriptions import ACCELEROMETER, at_rest, place
 
-from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.model import Apparatus, resolve_model
-from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.quantity import Quantity, attitude_rows
 from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.terms import BARE_NAMES, acts, rows_of
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting

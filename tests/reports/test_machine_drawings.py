@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from counterspin.campaign.attitude import attitude_rows, read_direction
+from counterspin.campaign.quantity import attitude_rows, read_direction
 from counterspin.physics.accelerometer import Mounting
 from counterspin.reports.chart_layout import _FONT_SIZE, text_width
 from counterspin.reports.machine import DRAWINGS, machine_svg

@@ -2,8 +2,7 @@
 
 A campaign is a folder: ``campaign.toml`` beside its record files.
 
-- `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
-- `attitude`: directions and platform attitudes
+- `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units; directions, attitudes
 - `kinds`: kinds of values: how each is read, and what its schema says
 - `documents`: documents in TOML: read, patched and compared; the lines in which their keys stand
 - `checking`: mistakes in the file, collected and reported with their keys
@@ -17,6 +16,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `model`: what is asked for, held and known of terms
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
+- `checks`: what several tables contradict in each other
 - `resolution`: the sections of ``campaign.toml``, each with its class, and what they say together
 - `description`: the `Campaign`, and how it comes from a file, or from mappings and arrays
 - `changes`: a campaign with named changes

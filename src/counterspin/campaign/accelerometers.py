@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +15,6 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import (
     DisplacementChannel,
     ForceChannel,
-    RecordsSettings,
     VelocityChannel,
     spec_of,
 )
@@ -34,7 +32,6 @@ from counterspin.campaign.runs import is_reading
 from counterspin.campaign.settings import (
     OBSERVABLES,
     Output,
-    StatedNoise,
     term_keys,
 )
 from counterspin.physics.accelerometer import Mounting
@@ -44,8 +41,6 @@ from counterspin.units import unit_factor
 
 #: Keys that say how an accelerometer stands on the level platform.
 _AXES: Final = ("input_axis", "pendulous_axis", "output_axis")
-
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 #: Tables of [truth] that are not accelerometers', and so no names for one.
 TRUTH_TABLES: Final = (
@@ -251,6 +246,10 @@ class AccelerometersReader:
             for name, (table, wrong) in self._read.items()
             if table is not None and "output" not in wrong
         }
+        #: Accelerometer -> grade, of those whose tables are in order.
+        self.grades: dict[str, str] = {
+            name: table.grade for name, (table, wrong) in self._read.items() if table and not wrong
+        }
         #: Accelerometer -> its table, None where it has mistakes.
         self.tables: dict[str, Any] = {
             name: None if wrong else table for name, (table, wrong) in self._read.items()
@@ -277,18 +276,8 @@ class AccelerometersReader:
         """Accelerometer -> the priors of its own table, by symbol."""
         return {n: table.own_priors if table else {} for n, table in self.tables.items()}
 
-    def check_names(self) -> None:
-        """Note names that [truth] could not tell from its other tables, or TOML would quote."""
-        for name in self.raw:
-            if name in TRUTH_TABLES or not _NAME.fullmatch(name):
-                self.problems.add(
-                    ("accelerometers", name),
-                    "cannot be an accelerometer's name; use letters, digits, - and _, "
-                    f"and none of {', '.join(TRUTH_TABLES)}",
-                )
-
-    def observables(self, noise: StatedNoise | None) -> dict[str, str]:
-        """Return what each accelerometer records; note noise of what none does."""
+    def observables(self) -> dict[str, str]:
+        """Return what each accelerometer records."""
         observables = {}
         for name, table in self.raw.items():
             if not isinstance(table, dict):
@@ -305,9 +294,6 @@ class AccelerometersReader:
                 self.problems.add(
                     ("accelerometers", name), f"{has}; give one of {', '.join(OBSERVABLES)}"
                 )
-        for key in OBSERVABLES if noise and observables else ():
-            if key not in observables.values() and getattr(noise, key) != 0.0:
-                self.problems.add(("noise", key), f"no accelerometer records {key}")
         return observables
 
     def _recorded(self, name: str, table: Any, observable: str) -> ColumnSpec:
@@ -345,24 +331,3 @@ class AccelerometersReader:
             )
             return None
         return self._recorded(name, table, "specific_force")
-
-    def check_columns(
-        self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
-    ) -> None:
-        """Note columns that are used twice."""
-        seen = {records.time.column or "": "records.time"}
-        others = {
-            f"records.{key}": channel.column
-            for key, channel in (("angle", records.angle), ("temperature", records.temperature))
-            if channel
-        }
-        others |= {
-            f"accelerometers.{a.name}.{a.observable}": a.channel.name
-            for a in accelerometers.values()
-        }
-        for key, column in others.items():
-            if column in seen:
-                self.problems.add(
-                    tuple(key.split(".")), f'column "{column}" is already used by {seen[column]}'
-                )
-            seen[column] = key

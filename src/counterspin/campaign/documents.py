@@ -13,7 +13,6 @@ from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any, Final, Literal
 
-from counterspin.campaign.quantity import Quantity, Turn
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.input import looks_like, read_file
@@ -292,8 +291,8 @@ def _plain(path: tuple[str | int, ...]) -> str:
 def plain(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> Any:
     """Return a copy of what stands at a key as TOML would be read.
 
-    value: Text, a number, a date, a `Quantity` or `Turn`, or a mapping or sequence of these. Keys
-        whose value is None are left out.
+    value: Text, a number, a date, a `Quantity` or `HeadTurn`, or a mapping or sequence of these.
+        Keys whose value is None are left out.
     note: Takes the key of what cannot stand in a document, and why.
     """
     if isinstance(value, Mapping):
@@ -307,7 +306,7 @@ def plain(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> An
         }
     if isinstance(value, list | tuple):
         return [plain(inner, (*path, place), note) for place, inner in enumerate(value)]
-    if isinstance(value, Quantity | Turn):
+    if hasattr(value, "written"):  # a quantity, or a turn
         return value.written
     if hasattr(value, "tolist"):  # a number of NumPy, or an array
         return plain(value.tolist(), path, note)

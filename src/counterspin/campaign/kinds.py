@@ -31,9 +31,16 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
-from counterspin.campaign.attitude import Attitude, read_attitude, read_direction
 from counterspin.campaign.documents import BACKSLASH_ADVICE
-from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, Quantity, parse
+from counterspin.campaign.quantity import (
+    NUMBER,
+    PLUS_MINUS,
+    Attitude,
+    Quantity,
+    parse,
+    read_attitude,
+    read_direction,
+)
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import TEMPERATURE_SCALES, unit_factor

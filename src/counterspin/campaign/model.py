@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final
 
@@ -12,7 +12,6 @@ from counterspin.campaign.documents import KeyPath, flat_keys
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.terms import (
     BARE_NAMES,
@@ -216,13 +215,6 @@ def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
     return tuple(names)
 
 
-def refuse_encoder(model: ErrorModel, problems: Problems) -> None:
-    """Note terms of an encoder that records nothing."""
-    for key, symbols in (("terms", model.terms), ("hold", model.considered)):
-        if any(symbol.startswith("encoder.") for symbol in symbols):
-            problems.add(("model", key), "contains errors of the encoder, but no angle is recorded")
-
-
 def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -> tuple[str, ...]:
     """Return the symbols that a list of names stands for."""
     symbols: dict[str, None] = {}
@@ -380,44 +372,3 @@ def _resolve_sizes(
         elif size is not None:
             sizes |= dict.fromkeys(symbols, size)
     return sizes
-
-
-def check_conditions(
-    model: ErrorModel,
-    runs: Mapping[int, Run],
-    recorded: Collection[str],
-    reference: float | None,
-    problems: Problems,
-) -> None:
-    """Note what is missing for the slopes of a model, and slopes that nothing determines.
-
-    runs: By their places in the description.
-    recorded: Names of the runs whose record has the temperature.
-    reference: The reference temperature, K, if there is one.
-    """
-    used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
-    for key in ("temperature", "time"):
-        conditions = (key, "direction") if key == "temperature" else (key,)
-        asking = next((row.symbol for row in used if row.effect.condition in conditions), None)
-        own = recorded if key == "temperature" else ()
-        stated = [getattr(run, key) is not None or run.name in own for run in runs.values()]
-        if asking is None and (key == "temperature" or not any(stated)):
-            continue
-        why = f"{asking} is in the model" if asking else "other runs state theirs"
-        for place, there in zip(runs, stated, strict=True):
-            if not there:
-                example = '"23.4 degC"' if key == "temperature" else '"12 min"'
-                problems.add(
-                    ("runs", place, key), f"is missing: {why}; write for example {key} = {example}"
-                )
-        if own or reference is not None or not runs or not all(stated):
-            continue
-        if asking and key == "temperature":
-            temperatures = {
-                temperature for run in runs.values() for temperature in run.temperature or ()
-            }
-            if len(temperatures) == 1:
-                problems.add(
-                    ("centrifuge", "reference_temperature"),
-                    f"is missing: {asking} is in the model, and all runs are at one temperature",
-                )

@@ -28,7 +28,7 @@ from counterspin.campaign.columns import (
 )
 from counterspin.campaign.documents import KeyPath, list_of, plain, table_of
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
-from counterspin.campaign.quantity import Quantity, Turn, parse
+from counterspin.campaign.quantity import HeadTurn, Quantity, parse
 from counterspin.campaign.readings import MOST_READINGS
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
@@ -527,11 +527,11 @@ class ReadingsTable:
         except (KeyError, TypeError, ValueError):
             return 1.0
 
-    def _turn(self, angle: float) -> Turn:
+    def _turn(self, angle: float) -> HeadTurn:
         """Return the turn that an angle of the head is."""
         unit, stated = self.settings.attitude_unit, self.settings.u_attitude
         u = 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
-        return Turn(Quantity(angle, u, unit), self.settings.about)
+        return HeadTurn(Quantity(angle, u, unit), self.settings.about)
 
     def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
         """Return the readings of an accelerometer: quantities, and text where there is text."""

@@ -7,13 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from counterspin.campaign.accelerometers import (
     AccelerometerKeys,
     AccelerometersReader,
 )
-from counterspin.campaign.checking import M, Problems, Section
+from counterspin.campaign.checking import Problems, Section
+from counterspin.campaign.checks import note_mistakes
 from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.documents import (
     KeyPath,
@@ -23,8 +24,6 @@ from counterspin.campaign.documents import (
 from counterspin.campaign.kinds import Schema, SettingsSection, described
 from counterspin.campaign.model import (
     Apparatus,
-    check_conditions,
-    refuse_encoder,
     resolve_model,
 )
 from counterspin.campaign.quantity import Quantity
@@ -45,7 +44,6 @@ from counterspin.campaign.settings import (
     FixtureSettings,
     ModelSettings,
     NoiseSettings,
-    Output,
     SiteSettings,
 )
 from counterspin.campaign.specification import (
@@ -145,196 +143,162 @@ class DescriptionReader:
     """Reads one document; each section is checked even where another one is wrong."""
 
     def __init__(self, raw: Mapping[str, Any], file: Path, problems: Problems) -> None:
-        self.raw = raw
-        self.file = file
-        self.problems = problems
+        self.raw, self.file, self.problems = raw, file, problems
         problems.check(CampaignDocument, raw, ())
-        self.site = self._required(SiteSettings, "site")
+        runs = list_of(raw, "runs")
+        listed, tables = taken_runs(runs), table_of(raw, "accelerometers")
+        #: Name -> a part of the description that is in order; None of a table that is not there.
+        self.parts: dict[str, Any] = {"document": raw, "listed": listed, "tables": tables}
+        for key, model in (
+            ("campaign", CampaignSettings),
+            ("site", SiteSettings),
+            ("centrifuge", CentrifugeSettings),
+            ("records", RecordsSettings),
+            ("fixture", FixtureSettings),
+        ):
+            self._read(key, model)
         # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
-        self.gravity = self.site.gravity.value if self.site else 9.80665
+        site = self.parts.get("site")
+        self.gravity = site.gravity.value if site else 9.80665
+        self._read("noise", NoiseSettings, gravity=self.gravity)
         self.simulated = "simulation" in raw or "truth" in raw
-        self.all_runs = list_of(raw, "runs")
-        self.numbered_runs = taken_runs(self.all_runs)
-        self.raw_runs = [run for _, run in self.numbered_runs]
-        tables = with_usual_axes(table_of(raw, "accelerometers"), raw.get("triad"))
-        self.accelerometers = AccelerometersReader(tables, self.raw_runs, problems, self.gravity)
+        self.skipped = skipped_runs(runs)
+        self.accelerometers = AccelerometersReader(
+            with_usual_axes(tables, raw.get("triad")),
+            [run for _, run in listed],
+            problems,
+            self.gravity,
+        )
         self.table_checksums: dict[Path, str] = {}
 
-    def _required(self, model: type[M], key: str) -> M | None:
-        """Check a section that must be there; that it is absent is noted already."""
+    def _read(self, key: str, model: type[BaseModel], **context: object) -> None:
+        """Read a section; that one which must be there is absent is noted already."""
         value = self.raw.get(key)
-        return self.problems.check(model, value, (key,)) if isinstance(value, dict) else None
+        if key not in self.raw:
+            self.parts[key] = None
+        elif isinstance(value, dict):
+            made = self.problems.check(model, value, (key,), **context)
+            if made is not None:
+                self.parts[key] = made
 
     def attributes(self) -> dict[str, Any] | None:
         """Return what a `Campaign` is made of, or None if there are problems."""
-        problems, gravity = self.problems, self.gravity
-        info = problems.check(CampaignSettings, table_of(self.raw, "campaign"), ("campaign",))
-        centrifuge = self._required(CentrifugeSettings, "centrifuge")
-        records = self._required(RecordsSettings, "records")
-        fixture = self._required(FixtureSettings, "fixture") or FixtureSettings()
-        noise = self._noise()
-        right, tables = self.accelerometers.mountings, self.accelerometers.tables
-        mountings = {name: right.get(name) for name in tables}
-        self.accelerometers.check_names()
-        observables = self.accelerometers.observables(noise)
-        settings = problems.check(ModelSettings, table_of(self.raw, "model"), ("model",))
+        problems, gravity, parts, raw = self.problems, self.gravity, self.parts, self.raw
+        listed, centrifuge, records = parts["listed"], parts.get("centrifuge"), parts.get("records")
+        fixture = parts.get("fixture") or FixtureSettings()
+        observables = parts["observables"] = self.accelerometers.observables()
+        settings = problems.check(ModelSettings, table_of(raw, "model"), ("model",))
         turns = self._sampling().revolutions if self.simulated else None
-        placed = resolve_runs(
-            self.numbered_runs,
-            self.file.parent,
-            table_of(self.raw, "records"),
-            turns,
-            problems,
+        folder = self.file.parent
+        placed = parts["runs"] = resolve_runs(
+            listed, folder, table_of(raw, "records"), turns, problems
         )
-        runs = tuple(placed.values())
-        outputs = self.accelerometers.outputs
+        mountings = {n: self.accelerometers.mountings.get(n) for n in self.accelerometers.tables}
         before = len(problems.lines)
-        numbered = self._numbered_readings(outputs)
+        numbered = self._numbered_readings()
         read = partial(
             resolve_readings,
             mountings=mountings,
-            outputs=outputs,
-            folder=self.file.parent,
+            outputs=self.accelerometers.outputs,
+            folder=folder,
             problems=problems,
             gravity=gravity,
             turns=turns,
         )
-        readings = positioned(
-            read([one for one in numbered if not is_pose(one[0])]), fixture.position
-        )
+        known = [one for one in numbered if not is_pose(one[0])]
+        readings = parts["right_readings"] = positioned(read(known), fixture.position)
         whole = len(problems.lines) == before
-        self._check_sections(readings)
-        if not self.raw_runs and "readings" not in self.raw:
-            said = "must have at least one entry" if "runs" in self.raw else "is missing"
-            said = "are all left out by skip = true" if self.all_runs else said
-            problems.add(("runs",), said)
         given = self.accelerometers.own_priors
         triad = resolve_triad(
-            self.raw.get("triad"),
+            raw.get("triad"),
             mountings,
             [one for one in numbered if is_pose(one[0])],
-            self.file.parent,
+            folder,
             read,
-            given=None if readings or runs else given,
+            given=None if readings or placed else given,
             problems=problems,
         )
-        reference = centrifuge.reference_temperature if centrifuge else None
-        model, priors = None, given
+        priors = given
+        common = records.recording if records else NOT_RECORDED
         if settings is not None:
             apparatus = Apparatus(
-                right,
-                {name: table.grade for name, table in tables.items() if table is not None},
-                [run.attitude for run in runs],
+                self.accelerometers.mountings,
+                self.accelerometers.grades,
+                [run.attitude for run in placed.values()],
                 readings,
                 triad.count if triad else 0,
                 centrifuge,
                 fixture.position,
                 whole,
             )
-            model, priors = resolve_model(settings, given, apparatus, problems, gravity)
-            if records is not None and records.angle is None:
-                refuse_encoder(model, problems)
-            common = records.recording if records else NOT_RECORDED
-            recorded = {run.name for run in runs if (run.recording or common).temperature}
-            check_conditions(model, placed, recorded, reference, problems)
-        known = readings if whole else None
-        simulation = self._simulation(outputs, noise, placed, known, centrifuge)
+            parts["model"], priors = resolve_model(settings, given, apparatus, problems, gravity)
+            parts["recorded_temperatures"] = {
+                run.name for run in placed.values() if (run.recording or common).temperature
+            }
+        simulation = self._simulation(placed, readings if whole else None)
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(observables, priors)
-        if records is not None:
-            self.accelerometers.check_columns(records, accelerometers)
+        parts["accelerometers"] = accelerometers
+        note_mistakes(parts, problems)
         if problems.lines:
             return None
         # No problem noted: every section is there.
-        assert info is not None
-        assert self.site is not None
-        assert model is not None
-        site, recording = self.site, records.recording if records else NOT_RECORDED
+        site, info = parts["site"], parts["campaign"] or CampaignSettings()
         return dict(  # noqa: C408 -- as the arguments of a class
-            title=info.title or self.file.parent.name,
+            title=info.title or folder.name,
             path=self.file,
-            folder=self.file.parent,
+            folder=folder,
             site=Site(
-                site.gravity.value,
-                site.latitude.value,
-                removed_gravity=site.removed_gravity,
+                site.gravity.value, site.latitude.value, removed_gravity=site.removed_gravity
             ),
             gravity=site.gravity,
             latitude=site.latitude,
             radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
-            time=recording.time,
-            angle=recording.angle,
-            dialect=recording.dialect,
-            temperature=recording.temperature,
-            skipped=skipped_runs(self.all_runs),
+            time=common.time,
+            angle=common.angle,
+            dialect=common.dialect,
+            temperature=common.temperature,
+            skipped=self.skipped,
             timing_offset=records.timing_offset if records else None,
             clock=records.clock if records else None,
             own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
-            noise=noise,
-            model=model,
-            runs=runs,
+            noise=parts["noise"],
+            model=parts["model"],
+            runs=tuple(placed.values()),
             simulation=simulation,
             details=info.model_dump(exclude={"title"}, exclude_none=True),
             specifications=specifications,
             readings=readings,
-            reference_temperature=reference,
+            reference_temperature=centrifuge.reference_temperature if centrifuge else None,
             tables=self._tables(),
             table_checksums=self.table_checksums,
             triad=triad,
         )
 
-    def _check_sections(self, readings: Sequence[Reading]) -> None:
-        """Note sections that are missing although what there is needs them."""
-        recorded = any(not is_reading(raw) or "record" in raw for raw in self.raw_runs)
-        turning = any(r.motion != "static" for r in readings) or any(
-            not isinstance(raw, dict) or raw.get("motion") != "static" for raw in self.raw_runs
-        )
-        for key, needed in (("centrifuge", turning), ("records", recorded)):
-            if (needed or not (self.raw_runs or "readings" in self.raw)) and key not in self.raw:
-                self.problems.add((key,), "is missing")
-
-    def _numbered_readings(self, outputs: Mapping[str, Output | None]) -> list[tuple[Any, KeyPath]]:
+    def _numbered_readings(self) -> list[tuple[Any, KeyPath]]:
         """Return the runs that are readings, rows of the table too, with where each stands."""
         runs: list[tuple[Any, KeyPath]] = [
-            (raw, ("runs", index)) for index, raw in self.numbered_runs if is_reading(raw)
+            (raw, ("runs", index)) for index, raw in self.parts["listed"] if is_reading(raw)
         ]
         if "readings" in self.raw:
-            folder, checksums = self.file.parent, self.table_checksums
+            outputs = self.accelerometers.outputs
             every = {name: outputs.get(name) for name in self.accelerometers.raw}
+            folder, checksums = self.file.parent, self.table_checksums
             runs += read_table(self.raw, folder, every, self.problems, checksums)
         return runs
 
     def _tables(self) -> tuple[Path, ...]:
         """Return the files of readings."""
-        files = {
-            self.file.parent / raw["record"]
-            for raw in self.raw_runs
-            if is_reading(raw) and "record" in raw
-        }
+        named = [
+            run["record"] for _, run in self.parts["listed"] if is_reading(run) and "record" in run
+        ]
         if "readings" in self.raw:
-            files.add(self.file.parent / self.raw["readings"]["file"])
-        return tuple(sorted(files))
-
-    def _noise(self) -> NoiseSettings | None:
-        if not isinstance(raw := self.raw.get("noise"), dict):
-            return None
-        noise = self.problems.check(NoiseSettings, raw, ("noise",), gravity=self.gravity)
-        if noise is not None and noise.rest is not None:
-            if all(map(is_reading, self.raw_runs)):
-                self.problems.add(("noise", "from"), "no run has a record; noise is of records")
-            named = [run.get("record") for run in self.raw_runs if isinstance(run, dict)]
-            if noise.rest in named:
-                self.problems.add(("noise", "from"), "is the record of a run; none is at rest")
-        return noise
+            named.append(self.raw["readings"]["file"])
+        return tuple(sorted({self.file.parent / name for name in named}))
 
     def _simulation(
-        self,
-        outputs: Mapping[str, Output | None],
-        noise: NoiseSettings | None,
-        runs: Mapping[int, Run],
-        readings: Sequence[Reading] | None,
-        centrifuge: CentrifugeSettings | None,
+        self, runs: Mapping[int, Run], readings: Sequence[Reading] | None
     ) -> Simulation | None:
         """Return how records are simulated; parameters as of `TruthReader.simulation`."""
         if not self.simulated:
@@ -344,6 +308,8 @@ class DescriptionReader:
         recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
         names = list(self.accelerometers.raw)
         truth = TruthReader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
+        noise, centrifuge = self.parts.get("noise"), self.parts.get("centrifuge")
+        outputs = self.accelerometers.outputs
         return truth.simulation(
             self._sampling(), outputs, noise, runs, readings, centrifuge, recorders
         )

@@ -11,7 +11,6 @@ from typing import Annotated, Any, Final
 from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, PrivateAttr
 
 from counterspin.arrays import Array
-from counterspin.campaign.attitude import UNKNOWN, of_platform, read_attitude
 from counterspin.campaign.checking import Problems, Section
 from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.documents import KeyPath, patched
@@ -25,13 +24,12 @@ from counterspin.campaign.kinds import (
     Temperatures,
     Text,
     described,
-    exact,
     extra_of,
     positive,
     read_exactly,
     with_units,
 )
-from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -409,23 +407,11 @@ def resolve_runs(
     turns: Revolutions of a run that is simulated; None where nothing is.
     """
     resolved: dict[int, Run] = {}
-    names: dict[str, int] = {}
-    files: dict[str, int] = {}
     for index, raw in runs:
         path = ("runs", index)
-        if isinstance(raw, dict):
-            _once(raw.get("name"), names, (*path, "name"), problems)
-            for key, file in _files(raw):
-                if isinstance(file, str) and not _is_elsewhere(raw, file, runs, records):
-                    _once(file, files, (*path, key), problems)
-        if is_reading(raw):
-            continue
-        run = problems.check(Run, raw, path, folder=folder)
+        run = None if is_reading(raw) else problems.check(Run, raw, path, folder=folder)
         if run is not None and run.file is not None:
-            if run.truth is not None and turns is None:
-                problems.add((*path, "truth"), "needs [simulation] or [truth]")
             resolved[index] = _completed(run, records, turns, path, problems)
-    _check_clocks(list(resolved.values()), problems)
     return resolved
 
 
@@ -440,63 +426,6 @@ def _completed(
         own = _own_recording(run.records, records, (*path, "records"), problems)
         run = run.completed(recording=own)
     return run
-
-
-def _files(raw: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Return the files that a run names, with their keys."""
-    more = raw.get("continued_in")
-    names = [("continued_in", name) for name in (more if isinstance(more, list) else [])]
-    return [("record", raw.get("record")), *names, ("pulses", raw.get("pulses"))]
-
-
-def _is_elsewhere(
-    raw: Mapping[str, Any], file: Any, runs: Sequence[tuple[int, Any]], common: Mapping[str, Any]
-) -> bool:
-    """Return whether a run uses another part of a file than every other run that names it.
-
-    common: The section [records].
-    """
-    sharing = [
-        other
-        for _, other in runs
-        if other is not raw and isinstance(other, dict) and other.get("record") == file
-    ]
-    here = _table_in_file(raw, common)
-    same = [one for one in sharing if not _are_two_tables(here, _table_in_file(one, common))]
-    if not same:
-        return bool(sharing)
-    if "start" not in raw and "stop" not in raw:
-        return False
-    begin, end = _stated_part(raw)
-    return all(end <= start or stop <= begin for start, stop in map(_stated_part, same))
-
-
-def _table_in_file(raw: Mapping[str, Any], common: Mapping[str, Any]) -> list[Any]:
-    """Return the sheet and the group that are read of a run's record; None: the only one."""
-    own = raw.get("records")
-    stated = {**common, **own} if isinstance(own, Mapping) else common
-    return [stated.get("sheet"), stated.get("group")]
-
-
-def _are_two_tables(one: Sequence[Any], other: Sequence[Any]) -> bool:
-    return any(a is not None and b is not None and a != b for a, b in zip(one, other, strict=True))
-
-
-def _stated_part(raw: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the part of its record that a run states; all of it if it states none that is one."""
-    try:
-        start = exact(raw["start"], "s") if "start" in raw else -math.inf
-        stop = exact(raw["stop"], "s") if "stop" in raw else math.inf
-    except ValueError:
-        return -math.inf, math.inf
-    return start, stop
-
-
-def _once(value: Any, seen: dict[str, int], path: KeyPath, problems: Problems) -> None:
-    index = path[1]
-    assert isinstance(index, int)
-    if isinstance(value, str) and seen.setdefault(value, index) != index:
-        problems.add(path, f'"{value}" is already used by runs[{seen[value]}]')
 
 
 def _own_recording(
@@ -531,18 +460,3 @@ def recorders_of(records: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, s
     """
     own = {run.recording.recorder for run in runs if run.recording} - {""}
     return {str(records.get("recorder", "")): "", **{name: name for name in sorted(own)}}
-
-
-def _check_clocks(runs: Sequence[Run], problems: Problems) -> None:
-    """Note recorders of which two runs state two clocks."""
-    clocks: dict[str, tuple[str, Quantity | None]] = {}
-    for run in runs:
-        if run.recording is not None and run.recording.recorder:
-            own = run.name, run.recording.clock
-            first, clock = clocks.setdefault(run.recording.recorder, own)
-            if clock != run.recording.clock:
-                problems.add(
-                    ("runs",),
-                    f'"{first}" and "{run.name}" state two clocks of the recorder '
-                    f'"{run.recording.recorder}"; state one',
-                )

@@ -26,11 +26,12 @@ from counterspin.exports.questions import (
     UNFIT,
     AnsweredExport,
     ExportQuestion,
+    completed,
     questions_of,
     relative_name,
     settled,
+    waves_sense,
 )
-from counterspin.exports.relations import completed, waves_sense
 from counterspin.exports.triads import without_gravity
 from counterspin.exports.tumble import TumbleDraft, shows_tumble, tumble_draft
 from counterspin.frozen import frozen

@@ -20,8 +20,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
-from counterspin.exports.looking import FileColumn, Look
-from counterspin.exports.waves import frequency, wave
+from counterspin.exports.looking import FileColumn, Look, frequency, wave
 from counterspin.frozen import frozen
 from counterspin.records.dialect import file_unit
 from counterspin.units import unit_factor

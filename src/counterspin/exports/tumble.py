@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import CampaignError
 from counterspin.exports.guessing import converts
-from counterspin.exports.looking import FileColumn, Look
+from counterspin.exports.looking import FileColumn, Look, wave
 from counterspin.exports.questions import ExportQuestion, place_questions, settled
 from counterspin.exports.readings import (
     OutputEstimate,
@@ -34,7 +34,6 @@ from counterspin.exports.readings import (
     table_statements,
     usual_role,
 )
-from counterspin.exports.waves import wave
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
-from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.checking import Section
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.kinds import (
@@ -23,6 +22,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     with_units,
 )
+from counterspin.campaign.quantity import attitude_rows
 from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.resolution import Accelerometers, Runs

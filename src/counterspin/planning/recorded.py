@@ -15,11 +15,11 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
 from counterspin.calibration.readings import noise_within, poses_of
-from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.conditions import poses_together
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.memory import source_of
 from counterspin.campaign.noise_at_rest import said_noise
+from counterspin.campaign.quantity import attitude_rows
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import NoiseSettings, StatedNoise

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.attitude import read_attitude
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.quantity import read_attitude
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference import least_squares
 from counterspin.inference.identifiability import Assessment, assess

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from counterspin.exports.axes import threes
 from counterspin.exports.looking import FileColumn
+from counterspin.exports.triads import threes
 
 
 def found(*names):

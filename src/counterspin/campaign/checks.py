@@ -1,0 +1,255 @@
+"""What several tables of ``campaign.toml`` say together: each check names the parts that it needs.
+
+A check runs wherever these are in order, whatever else is wrong, so that all mistakes are told at
+once. What a part is called and is says `counterspin.campaign.resolution`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from inspect import signature
+from typing import Any, Final
+
+from counterspin.campaign.accelerometers import TRUTH_TABLES, Accelerometer
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.columns import RecordsSettings
+from counterspin.campaign.documents import KeyPath, list_of, table_of
+from counterspin.campaign.kinds import exact
+from counterspin.campaign.model import ErrorModel
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.runs import Run, is_reading
+from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
+from counterspin.physics.terms import CONDITION_TERMS
+
+#: Where mistakes are, and what they are.
+Mistakes = Iterator[tuple[KeyPath, str]]
+
+#: Entries of ``[[runs]]`` that are not left out, with their places.
+Listed = Sequence[tuple[int, Any]]
+
+_CHECKS: Final[dict[Callable[..., Mistakes], tuple[str, ...]]] = {}
+
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+def check(function: Callable[..., Mistakes]) -> Callable[..., Mistakes]:
+    """Have a check run where the parts are in order that its arguments name."""
+    _CHECKS[function] = tuple(signature(function).parameters)
+    return function
+
+
+def note_mistakes(parts: Mapping[str, Any], problems: Problems) -> None:
+    """Note what every check finds whose parts are in order.
+
+    parts: Those of a description that are in order, by name; None of a table that is not there.
+    """
+    for function, names in _CHECKS.items():
+        if parts.keys() >= set(names):
+            for path, words in function(*(parts[name] for name in names)):
+                problems.add(path, words)
+
+
+@check
+def _missing_sections(
+    document: Mapping[str, Any], listed: Listed, right_readings: Sequence[Reading]
+) -> Mistakes:
+    """Yield sections that what there is needs."""
+    entries = [entry for _, entry in listed]
+    recorded = any(not is_reading(entry) or "record" in entry for entry in entries)
+    turning = any(reading.motion != "static" for reading in right_readings) or any(
+        not isinstance(entry, dict) or entry.get("motion") != "static" for entry in entries
+    )
+    for key, needed in (("centrifuge", turning), ("records", recorded)):
+        if (needed or not (entries or "readings" in document)) and key not in document:
+            yield (key,), "is missing"
+
+
+@check
+def _no_runs(document: Mapping[str, Any], listed: Listed) -> Mistakes:
+    if not listed and "readings" not in document:
+        said = "must have at least one entry" if "runs" in document else "is missing"
+        yield ("runs",), "are all left out by skip = true" if list_of(document, "runs") else said
+
+
+@check
+def _names_and_files_once(document: Mapping[str, Any], listed: Listed) -> Mistakes:
+    """Yield names of runs that are used twice, and files; of a file each part is one."""
+    names: dict[str, int] = {}
+    files: dict[str, int] = {}
+    for index, entry in listed:
+        if not isinstance(entry, dict):
+            continue
+        yield from _once(entry.get("name"), names, ("runs", index, "name"))
+        for key, file in _files(entry):
+            if not _is_elsewhere(entry, file, listed, table_of(document, "records")):
+                yield from _once(file, files, ("runs", index, key))
+
+
+def _once(value: Any, seen: dict[str, int], path: KeyPath) -> Mistakes:
+    index = path[1]
+    assert isinstance(index, int)
+    if isinstance(value, str) and seen.setdefault(value, index) != index:
+        yield path, f'"{value}" is already used by runs[{seen[value]}]'
+
+
+def _files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the files that a run names, with their keys."""
+    more = entry.get("continued_in")
+    names = [("continued_in", name) for name in (more if isinstance(more, list) else [])]
+    return [("record", entry.get("record")), *names, ("pulses", entry.get("pulses"))]
+
+
+def _is_elsewhere(
+    entry: Mapping[str, Any], file: Any, listed: Listed, records: Mapping[str, Any]
+) -> bool:
+    """Return whether a run uses another part of a file than every other run that names it."""
+    sharing = [
+        other
+        for _, other in listed
+        if other is not entry and isinstance(other, dict) and other.get("record") == file
+    ]
+    here = _table_in_file(entry, records)
+    same = [one for one in sharing if not _are_two_tables(here, _table_in_file(one, records))]
+    if not same:
+        return bool(sharing)
+    if "start" not in entry and "stop" not in entry:
+        return False
+    begin, end = _stated_part(entry)
+    return all(end <= start or stop <= begin for start, stop in map(_stated_part, same))
+
+
+def _table_in_file(entry: Mapping[str, Any], records: Mapping[str, Any]) -> list[Any]:
+    """Return the sheet and the group that are read of a run's record; None: the only one."""
+    own = entry.get("records")
+    stated = {**records, **own} if isinstance(own, Mapping) else records
+    return [stated.get("sheet"), stated.get("group")]
+
+
+def _are_two_tables(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    return any(a is not None and b is not None and a != b for a, b in zip(one, other, strict=True))
+
+
+def _stated_part(entry: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the part of its record that a run states; all of it if it states none that is one."""
+    try:
+        start = exact(entry["start"], "s") if "start" in entry else -math.inf
+        stop = exact(entry["stop"], "s") if "stop" in entry else math.inf
+    except ValueError:
+        return -math.inf, math.inf
+    return start, stop
+
+
+@check
+def _two_clocks(runs: Mapping[int, Run]) -> Mistakes:
+    """Yield recorders of which two runs state two clocks."""
+    clocks: dict[str, tuple[str, Quantity | None]] = {}
+    for run in runs.values():
+        if run.recording is not None and run.recording.recorder:
+            own = run.name, run.recording.clock
+            first, clock = clocks.setdefault(run.recording.recorder, own)
+            if clock != run.recording.clock:
+                said = f'state two clocks of the recorder "{run.recording.recorder}"; state one'
+                yield ("runs",), f'"{first}" and "{run.name}" {said}'
+
+
+@check
+def _truth_without_simulation(document: Mapping[str, Any], runs: Mapping[int, Run]) -> Mistakes:
+    for place, run in runs.items():
+        if run.truth is not None and not {"simulation", "truth"} & document.keys():
+            yield ("runs", place, "truth"), "needs [simulation] or [truth]"
+
+
+@check
+def _names_of_accelerometers(tables: Mapping[str, Any]) -> Mistakes:
+    """Yield names that [truth] could not tell from its other tables, or TOML would quote."""
+    for name in tables:
+        if name in TRUTH_TABLES or not _NAME.fullmatch(name):
+            said = "cannot be an accelerometer's name; use letters, digits, - and _, and none of"
+            yield ("accelerometers", name), f"{said} {', '.join(TRUTH_TABLES)}"
+
+
+@check
+def _columns_once(
+    records: RecordsSettings | None, accelerometers: Mapping[str, Accelerometer]
+) -> Mistakes:
+    """Yield columns that are used twice."""
+    if records is None:
+        return
+    seen = {records.time.column or "": "records.time"}
+    others = {
+        f"records.{key}": channel.column
+        for key, channel in (("angle", records.angle), ("temperature", records.temperature))
+        if channel
+    }
+    others |= {
+        f"accelerometers.{one.name}.{one.observable}": one.channel.name
+        for one in accelerometers.values()
+    }
+    for key, column in others.items():
+        if column in seen:
+            yield tuple(key.split(".")), f'column "{column}" is already used by {seen[column]}'
+        seen[column] = key
+
+
+@check
+def _record_of_the_noise(noise: NoiseSettings | None, listed: Listed) -> Mistakes:
+    entries = [entry for _, entry in listed]
+    if noise is not None and noise.rest is not None:
+        if all(map(is_reading, entries)):
+            yield ("noise", "from"), "no run has a record; noise is of records"
+        if noise.rest in [entry.get("record") for entry in entries if isinstance(entry, dict)]:
+            yield ("noise", "from"), "is the record of a run; none is at rest"
+
+
+@check
+def _noise_of_nothing(noise: NoiseSettings | None, observables: Mapping[str, str]) -> Mistakes:
+    for key in OBSERVABLES if noise and observables else ():
+        if key not in observables.values() and getattr(noise, key) != 0.0:
+            yield ("noise", key), f"no accelerometer records {key}"
+
+
+@check
+def _encoder_without_angle(model: ErrorModel, records: RecordsSettings | None) -> Mistakes:
+    """Yield terms of an encoder that records nothing."""
+    for key, symbols in (("terms", model.terms), ("hold", model.considered)):
+        if records and not records.angle and any(s.startswith("encoder.") for s in symbols):
+            yield ("model", key), "contains errors of the encoder, but no angle is recorded"
+
+
+@check
+def _conditions(
+    model: ErrorModel,
+    runs: Mapping[int, Run],
+    recorded_temperatures: set[str],
+    centrifuge: CentrifugeSettings | None,
+) -> Mistakes:
+    """Yield what is missing for the slopes of a model, and slopes that nothing determines."""
+    reference = centrifuge and centrifuge.reference_temperature
+    used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
+    for key in ("temperature", "time"):
+        conditions = (key, "direction") if key == "temperature" else (key,)
+        asking = next((row.symbol for row in used if row.effect.condition in conditions), None)
+        own = recorded_temperatures if key == "temperature" else ()
+        stated = [getattr(run, key) is not None or run.name in own for run in runs.values()]
+        if asking is None and (key == "temperature" or not any(stated)):
+            continue
+        why = f"{asking} is in the model" if asking else "other runs state theirs"
+        for place, there in zip(runs, stated, strict=True):
+            if not there:
+                example = '"23.4 degC"' if key == "temperature" else '"12 min"'
+                said = f"is missing: {why}; write for example {key} = {example}"
+                yield ("runs", place, key), said
+        if own or reference is not None or not runs or not all(stated):
+            continue
+        if asking and key == "temperature":
+            temperatures = {
+                temperature for run in runs.values() for temperature in run.temperature or ()
+            }
+            if len(temperatures) == 1:
+                yield (
+                    ("centrifuge", "reference_temperature"),
+                    f"is missing: {asking} is in the model, and all runs are at one temperature",
+                )
