@@ -178,6 +178,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "GET manual": [{"name": "campaign"}],
         "GET description": [{"name": "three"}, {"name": "tumble"}],
         "GET lab": [{"file": "LAB.toml", "result": result}, {"file": "new.toml", "result": result}],
+        "GET plan-text": [{"name": "PLAN.toml"}],
         "POST check": [
             own,
             labs | {"result": result},
@@ -247,7 +248,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"name": "report", "said": {"name": result, "kind": "md"}},
         ],
         "GET plan": [{"name": "PLAN.toml"}],
-        "POST plan": [{"name": "new.toml"}],
+        "POST plan": [{"name": "new.toml"}, {"name": "poses.toml", "example": "poses"}],
         "POST plan-try": [{"name": "PLAN.toml", "moved": {"total_time": 2000.0, "runs": 3}}],
         "DELETE plan-try": [{"name": "PLAN.toml"}],
         "POST planned": [{"name": "PLAN.toml", "moved": {"highest_rate": 5.0}, "folder": "new"}],

@@ -36,6 +36,15 @@ def test_results_are_compared_and_followed(page, folder):
     assert str(folder) not in told["html"]
 
 
+def test_that_no_result_can_be_followed_is_an_answer_and_no_failure(page):
+    asked = {"kind": "history", "names": "three/result.json", "term": "K_OQ"}
+    told = page.get("/api/page", params=asked)
+    assert told.status_code == 200
+    assert told.json()["empty"] is True
+    assert ": has no K" in told.json()["html"]
+    assert not page.get("/api/page", params=PAGE).json()["empty"]
+
+
 @pytest.mark.parametrize(
     ("query", "status"),
     [

@@ -7,11 +7,9 @@ from campaigns import changed
 from planning_setups import PERFECT
 from served import wait
 
-from counterspin.application.plans import LONGEST_TIME, PLAN_KEYS
+from counterspin.application.plans import LONGEST_TIME, PLAN_KEYS, READING_PLAN_KEYS
 from counterspin.planning.plan import plan, write_example
-from counterspin.planning.plan_sections import LimitsSettings
-
-#: In the example of a plan.
+from counterspin.planning.plan_sections import LimitsSettings, ReadingLimitsSettings
 
 
 @pytest.fixture
@@ -22,9 +20,9 @@ def planned(page, folder):
     return page
 
 
-def tried(page, **moved):
+def tried(page, name="PLAN.toml", **moved):
     for _ in range(60):
-        answered = page.post("/api/plan-try", json={"name": "PLAN.toml", "moved": moved})
+        answered = page.post("/api/plan-try", json={"name": name, "moved": moved})
         assert answered.is_success, answered.text
         if "busy" not in answered.json():
             return answered.json()
@@ -43,7 +41,9 @@ def refused(page, **moved):
 
 def test_limits_have_the_names_of_the_plan_s_file(planned):
     assert PLAN_KEYS.keys() <= LimitsSettings.model_fields.keys()
-    assert planned.get("/api/folder").json()["plans"] == ["PLAN.toml"]
+    assert READING_PLAN_KEYS.keys() <= ReadingLimitsSettings.model_fields.keys()
+    (listed,) = planned.get("/api/folder").json()["plans"]
+    assert listed == {"name": "PLAN.toml", "title": "A day at the centrifuge"}
     told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
     values = {limit["key"]: limit["value"] for limit in told["limits"]}
     assert (values["total_time"], values["settling"], values["runs"]) == (700.0, 10.0, 4)
@@ -113,6 +113,77 @@ def test_limits_move_less_far_where_runs_would_become_too_long(planned, folder):
     }
     assert high["total_time"] == pytest.approx(LONGEST_TIME / 20000.0)
     assert 1.1 < high["highest_rate"] < 1.2
+
+
+def test_limits_move_in_the_units_of_the_file(planned, folder):
+    """rev/s and minutes, as a person wrote them; what is asked is in SI."""
+    file = folder / "PLAN.toml"
+    text = changed(file.read_text(), ('settling = "10 s"', 'settling = "0.5 min"'))
+    file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "60 rpm"'))
+    told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
+    limits = {limit["key"]: limit for limit in told["limits"]}
+    rate = limits["highest_rate"]
+    assert (rate["unit"], rate["value"] / rate["factor"]) == ("rpm", pytest.approx(60.0))
+    assert told["rate"]["unit"] == "rpm"
+    assert (limits["settling"]["unit"], limits["settling"]["factor"]) == ("min", 60.0)
+    moved = {"highest_rate": 45.0 * rate["factor"], "settling": 15.0, "runs": 3.0}
+    said = {"name": "PLAN.toml", "moved": moved, "folder": "planned"}
+    number = planned.post("/api/planned", json=said).json()["number"]
+    assert wait(planned, number)["state"] == "done"
+    written = tomllib.loads(file.read_text())["limits"]
+    assert (written["highest_rate"], written["settling"]) == ("45 rpm", "0.25 min")
+    assert written["runs"] == 3
+
+
+def test_poses_are_planned_as_the_command_plans_them(page, folder):
+    page.post("/api/plan", json={"name": "POSES.toml", "example": "poses"})
+    told = page.get("/api/plan", params={"name": "POSES.toml"}).json()
+    assert (told["of"], told["title"]) == ("readings", "Poses of a sensor")
+    (limit,) = told["limits"]
+    assert (limit["key"], limit["value"], limit["low"], limit["high"]) == ("readings", 18, 4, 72)
+    found = tried(page, "POSES.toml", readings=12.0)
+    file = folder / "POSES.toml"
+    text = file.read_text()
+    said = {"name": "POSES.toml", "moved": {"readings": 12.0}, "folder": "poses"}
+    number = page.post("/api/planned", json=said).json()["number"]
+    assert wait(page, number)["state"] == "done"
+    assert file.read_text() == text.replace("readings = 18", "readings = 12")
+    command = plan(file)
+    assert [line["u"] for line in found["u"]] == pytest.approx(
+        [command.u[f"{axis}.K_F"] for axis in "XYZ"], rel=1e-9
+    )
+    assert sum(reading["number"] for reading in found["readings"]) == 12
+    runs = tomllib.loads((folder / "poses" / "campaign.toml").read_text())["runs"]
+    assert len(runs) == 12
+    taken = sorted(run["name"].partition(" ")[2] for run in runs)
+    assert taken == sorted(
+        name for one in found["readings"] for name in [one["name"]] * one["number"]
+    )
+
+
+def test_a_plan_s_file_is_edited_and_stays_a_plan(planned, folder):
+    told = planned.get("/api/plan-text", params={"name": "PLAN.toml"}).json()
+    assert [section["key"] for section in told["form"]][:2] == ["goal", "limits"]
+    assert told["problems"] == []
+    asked = {"file": "PLAN.toml", "text": told["text"], "path": ["limits", "settling"]}
+    wrong = planned.post("/api/change", json=asked | {"value": "10 kg"}).json()
+    ((key, words),) = ((one["key"], one["words"]) for one in wrong["problems"])
+    assert key == "limits.settling"
+    assert "kg" in words
+    good = planned.post("/api/change", json=asked | {"value": "20 s"}).json()
+    assert good["problems"] == []
+    said = {"file": "PLAN.toml", "text": good["text"], "version": told["version"]}
+    assert planned.put("/api/text", json=said).is_success
+    limits = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()["limits"]
+    assert {one["key"]: one["value"] for one in limits}["settling"] == 20.0
+    refusal = planned.put("/api/text", json=said | {"text": "schema = 1"})
+    assert "nothing was saved" in refusal.json()["error"]
+    (folder / "other.toml").write_text("schema = 1\n")
+    assert planned.get("/api/plan-text", params={"name": "other.toml"}).status_code == 403
+    other = said | {"file": "other.toml"}
+    asked = {"file": "other.toml", "text": "a = 1"}
+    assert planned.post("/api/check", json=asked).status_code == 403
+    assert planned.put("/api/text", json=other).status_code == 403
 
 
 def test_limits_and_the_campaign_are_written(planned, folder):

@@ -337,14 +337,16 @@ def test_a_plan_answers_while_its_slider_moves(opened, folder):
     example = write_example(folder / "PLAN.toml")
     example.write_text(changed(example.read_text(), ("runs = 14", "runs = 3"), *PERFECT))
     tab = opened("/plans")
-    tab.get_by_role("link", name="PLAN.toml").click()
+    tab.get_by_role("link", name="A day at the centrifuge").click()
     answer = tab.locator(".answer")
     answer.get_by_text("as with the limits of the file").wait_for()
-    tab.get_by_label("Highest rate").fill("4")
+    # In the unit of the file.
+    tab.get_by_label("Highest rate").fill("0.6366")
     # That of a slower machine is five times as large.
     answer.get_by_text(re.compile(r"^5\.\d+ times that with the limits")).wait_for()
     # Spoken once: by the slider, not by the figure beside it too.
-    assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "4 rad/s"
+    assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "0.6366 rev/s"
+    assert tab.get_by_role("columnheader", name="Rate, rev/s").is_visible()
     assert tab.locator("output:not([aria-live=off])").count() == 0
     assert tab.locator("tbody tr").count() == 3
 

@@ -13,11 +13,11 @@ from scipy.stats import chi2 as chi2_distribution
 
 import counterspin as cs
 from counterspin.cli import main
-from counterspin.comparisons.page import comparison_blocks
+from counterspin.comparisons.page import comparison_blocks, short_names
 from counterspin.comparisons.result import ResultComparison
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import term
-from counterspin.reports.blocks import Paragraph, Table
+from counterspin.reports.blocks import Paragraph, Plot, Table
 
 TERMS = ["K_F", "K_I", "K_II"]
 TRIALS = 10
@@ -287,6 +287,19 @@ def test_results_that_do_not_agree_are_told_first():
     compared = cs.compare(*map(independent, (2.7e-5, 2.70001e-5, 2.9e-5)))
     first, second, *_ = (b for b in comparison_blocks(compared) if isinstance(b, Paragraph))
     assert (first.style, second.style) == ("warning", "answer")
+
+
+def test_the_picture_names_the_results_that_have_a_value():
+    compared = cs.compare(
+        *map(independent, (2.7e-5, 2.70001e-5)),
+        names=["y2024/a/result.json", "y2025/a/result.json"],
+    )
+    (plot,) = (block for block in comparison_blocks(compared) if isinstance(block, Plot))
+    assert plot.x_names == ("y2024", "y2025")
+    assert plot.series[0].x == (0.0, 1.0)
+    assert short_names(["three/result.json", "b.json"]) == ("three/result.json", "b.json")
+    assert short_names(["a/one.json", "a/two.json"]) == ("one.json", "two.json")
+    assert short_names(["a.json", "a.json"]) == ("a.json", "a.json")
 
 
 def test_several_coefficients_are_judged_together():

@@ -18,7 +18,7 @@ from counterspin.reports.blocks import (
     Table,
 )
 from counterspin.reports.charts import can_zoom, plot_data, svg
-from counterspin.reports.html import _asset, cell, part
+from counterspin.reports.html import _asset, _equation, cell, part
 
 
 def parsed(text):
@@ -159,6 +159,8 @@ def test_the_date_is_said_in_utc():
 def test_equations_have_indices_and_names_of_code_have_none(tree):
     [equation] = tree.xpath("//p[@class='equation']")
     assert equation.xpath("sub/text()") == ["ind", "F", "II", "I"]
+    turned = _equation("K_I a_I + delta_O a_P")
+    assert "δ<sub><i>_</i>O</sub> a<sub><i>_</i>P</sub>" in turned
 
 
 # What nobody may bring in

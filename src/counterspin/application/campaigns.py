@@ -11,16 +11,16 @@ from typing import Any, Final
 
 from counterspin.application.desk import Desk, calibrate_command, init_command
 from counterspin.application.jobs import Job, calibrate_into
-from counterspin.application.plans import is_plan
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
-from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.campaign.starter import Test
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.input import DOCUMENT_BYTES
 from counterspin.physics.terms import TERMS
+from counterspin.planning.plan_file import is_plan
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
 
@@ -42,7 +42,7 @@ _WORDS: Final = {
 def folder_overview(desk: Desk) -> dict[str, Any]:
     """Return the folder's campaigns and those of its results that are no campaign's."""
     campaigns, others = [], []
-    plans: list[str] = []
+    plans: list[dict[str, str]] = []
     labs: list[str] = []
     for folder, files in desk.folder.folders():
         name = desk.folder.name(folder)
@@ -52,9 +52,11 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
         else:
             others += results
         for file in files:
-            kind = _toml_kind(desk, folder / file)
-            if kind is not None:
-                (plans if kind == "plan" else labs).append(desk.folder.name(folder / file))
+            match _toml_kind(desk, folder / file):
+                case ("plan", title):
+                    plans.append({"name": desk.folder.name(folder / file), "title": title})
+                case ("lab", _):
+                    labs.append(desk.folder.name(folder / file))
     return {
         "folder": desk.folder.root.name,
         "campaigns": campaigns,
@@ -65,21 +67,21 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
     }
 
 
-def _toml_kind(desk: Desk, path: Path) -> str | None:
-    """Return whether a file is a ``plan`` or the laboratory's data, ``lab``; None if neither."""
+def _toml_kind(desk: Desk, path: Path) -> tuple[str, str]:
+    """Return whether a file is a ``plan`` or the laboratory's data, ``lab``, and its title."""
     if path.suffix.lower() != ".toml" or path.name == DESCRIPTION_NAME:
-        return None
+        return "", ""
     if not desk.folder.holds(path):
-        return None
+        return "", ""
 
-    def look() -> str | None:
+    def look() -> tuple[str, str]:
         try:
             document = load_document(path)
         except CounterspinError:
-            return None
+            return "", ""
         if is_plan(document):
-            return "plan"
-        return "lab" if {"certificate", "laboratory"} <= document.keys() else None
+            return "plan", str(table_of(document, "campaign").get("title", ""))
+        return "lab" if {"certificate", "laboratory"} <= document.keys() else "", ""
 
     return desk.remembered.get(("kind", path), [path], look)
 

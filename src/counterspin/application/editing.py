@@ -23,15 +23,17 @@ from tomlkit.items import AoT, Comment, Table
 
 from counterspin.application.desk import Desk
 from counterspin.application.folder import TEXT_BYTES, OutsideError
-from counterspin.application.form import campaign_form, lab_form, run_kinds
+from counterspin.application.form import campaign_form, lab_form, plan_form, run_kinds
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
-from counterspin.campaign.documents import DESCRIPTION_NAME, parse_document
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
 from counterspin.campaign.questions import questions
 from counterspin.certificates.lab import example_keys, read_lab, write_example
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
+from counterspin.planning.plan_file import is_plan
+from counterspin.planning.stations import read_any_plan
 from counterspin.studies.description import study_of
 
 KeyPath = Sequence[str | int]
@@ -93,6 +95,18 @@ def checked_lab(text: str, result: Result) -> EditedText:
     except CampaignError as error:
         return EditedText(text, document, _split(error.problems))
     return EditedText(text, document, example=tuple(example_keys(lab)))
+
+
+def checked_plan(desk: Desk, file: Path, text: str) -> EditedText:
+    """Return a plan's text with all its mistakes."""
+    document: dict[str, Any] = {}
+    try:
+        document = _document(text)
+        desk.require_inside(file.parent, document)
+        read_any_plan(document, file)
+    except CampaignError as error:
+        return EditedText(text, document, _split(error.problems))
+    return EditedText(text, document)
 
 
 def _document(text: str) -> dict[str, Any]:
@@ -240,6 +254,20 @@ def description(desk: Desk, name: str) -> dict[str, Any]:
     }
 
 
+def plan_text(desk: Desk, name: str) -> dict[str, Any]:
+    """Return a plan's text, version and form, what it says and what is wrong; name: its file."""
+    path = desk.file(name)
+    document = load_document(path)
+    if not is_plan(document):
+        raise OutsideError(f"{name}: not a plan: it has no [limits] and [goal]")
+    seen = desk.folder.read(name)
+    return checked_plan(desk, path, seen.text).shown() | {
+        "file": name,
+        "version": seen.version,
+        "form": plan_form("stations" in document),
+    }
+
+
 def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
     """Return the laboratory's data in a file, or the example where there is none yet."""
     seen = desk.folder.read(file)
@@ -283,18 +311,23 @@ def _checked(desk: Desk, file: str, text: str, result: str | None) -> EditedText
     path = _place(desk, file)
     if path.name == DESCRIPTION_NAME:
         return checked_campaign(desk, path, text)
-    if result is None:
-        raise OutsideError(f"{file}: only descriptions and the laboratory's data are edited here")
-    return checked_lab(text, desk.result(result))
+    if result is not None:
+        return checked_lab(text, desk.result(result))
+    if not (path.is_file() and is_plan(load_document(path))):
+        raise OutsideError(
+            f"{file}: only descriptions, plans and the laboratory's data are edited here"
+        )
+    return checked_plan(desk, path, text)
 
 
 def save_text(
     desk: Desk, file: str, text: str, version: str, result: str | None = None
 ) -> dict[str, Any]:
     """Write a text, mistakes and all, if the file still is what its editor had seen."""
-    _place(desk, file)
-    told = _checked(desk, file, text, result).shown()
-    return told | {"file": file, "version": desk.folder.write(file, text, version).version}
+    path, told = _place(desk, file), _checked(desk, file, text, result)
+    if result is None and path.name != DESCRIPTION_NAME and not is_plan(told.document):
+        raise CounterspinError(f"{file}: a plan has [limits] and [goal]; nothing was saved")
+    return told.shown() | {"file": file, "version": desk.folder.write(file, text, version).version}
 
 
 def _place(desk: Desk, file: str) -> Path:

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
 from counterspin.application.pages import address, page_explaining
-from counterspin.campaign.checking import model_inside
+from counterspin.campaign.checking import model_inside, sections_of
 from counterspin.campaign.kinds import (
     OUTPUTS,
     STAMPS,
@@ -30,6 +30,7 @@ from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.certificates.lab import Lab
 from counterspin.physics.terms import OWN_TERMS, READING_TERMS, SHARED_TERMS, TERMS
+from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.schemas import SECTIONS, unlinked
 from counterspin.units import advice, check_unit
 
@@ -38,6 +39,7 @@ _REPEATED: Final = {
     "accelerometers": "names",
     "runs": "list",
     "persons": "list",
+    "stations": "list",
     "truth": "names",
 }
 
@@ -95,6 +97,20 @@ def lab_form() -> tuple[Field, ...]:
         if model is not None:
             sections.append(_section(field.alias or name, model, "certificate"))
     return tuple(sections)
+
+
+@cache
+def plan_form(of_readings: bool) -> tuple[Field, ...]:
+    """Return the sections of a plan: those of a campaign, and those of its own."""
+    known = {section["key"]: section for section in campaign_form()}
+    document = ReadingPlanDocument if of_readings else PlanDocument
+    sections = []
+    for key, written in sections_of(document).items():
+        model = model_inside(written)
+        if model is not None:
+            sections.append(known.get(key) or _section(key, model, "plan"))
+    # What makes it a plan comes first.
+    return tuple(sorted(sections, key=lambda section: section["key"] in known))
 
 
 def run_kinds(document: Mapping[str, Any]) -> list[str]:

@@ -95,6 +95,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "records"): keeping.add_records,
     ("GET", "description"): editing.description,
     ("GET", "lab"): editing.lab_data,
+    ("GET", "plan-text"): editing.plan_text,
     ("POST", "check"): editing.check_text,
     ("POST", "change"): editing.change_text,
     ("PUT", "text"): editing.save_text,

@@ -24,8 +24,9 @@ from counterspin.application.desk import (
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
 from counterspin.campaign.documents import load_document
+from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
-from counterspin.reports.blocks import Block, Picture
+from counterspin.reports.blocks import Block, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
 
 if TYPE_CHECKING:
@@ -168,6 +169,7 @@ class Page:
     title: str
     blocks: Sequence[Block]
     command: str
+    empty: bool = False  #: Whether it only says why there is nothing to show.
 
 
 def _result(desk: Desk, names: Sequence[str], _: str) -> Page:
@@ -191,8 +193,14 @@ def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
     from counterspin.histories.history import history
     from counterspin.histories.page import history_blocks
 
-    found = history([desk.file(name) for name in names], term=term)
     command = history_command(desk.folder.root, term)
+    try:
+        found = history([desk.file(name) for name in names], term=term)
+    except CampaignError:
+        raise
+    except CounterspinError as error:
+        # Results without serial numbers are no mistake: there is no history of them, and why.
+        return Page("History", [Paragraph(str(error), "warning")], command, empty=True)
     return Page(f"History of {term}", _typeset(list(history_blocks(found))), command)
 
 
@@ -268,6 +276,7 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
         lambda: desk.folder.spoken(part(made.blocks, title=made.title)),
     )
     told: dict[str, Any] = {"title": made.title, "html": text, "command": made.command}
+    told["empty"] = made.empty
     if kind == "result":
         told["accelerometers"] = list(desk.result(names[0]).accelerometers)
     return told

@@ -1,9 +1,11 @@
-"""Plans whose limits are moved like sliders, and whose uncertainty answers at once."""
+"""Plans of records or readings whose limits are moved, and whose uncertainty answers at once."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,7 +16,9 @@ from pydantic import FiniteFloat
 from counterspin.application.desk import Desk, plan_command
 from counterspin.application.editing import with_value
 from counterspin.application.jobs import Job, Progress, report_progress
-from counterspin.campaign.documents import load_document, parse_document
+from counterspin.campaign.documents import load_document, parse_document, table_of
+from counterspin.campaign.quantity import BARE
+from counterspin.campaign.readings import MOST_READINGS
 from counterspin.campaign.runs import MOST_ROWS
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
@@ -23,23 +27,27 @@ from counterspin.output import make_folder
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Limits
 from counterspin.planning.plan import (
+    Example,
     PlannedCampaign,
     plan,
     refuse_other_campaign,
     write_campaign,
     write_example,
 )
-from counterspin.planning.plan_file import Plan, read_plan
+from counterspin.planning.plan_file import Plan, is_plan
+from counterspin.planning.reading_plan import ReadingSearch
 from counterspin.planning.search import Search
+from counterspin.planning.stations import ReadingPlan, read_any_plan
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 from counterspin.reports.numbers import field_unit, format_uncertainty
 from counterspin.reports.typography import typeset
+from counterspin.units import unit_factor
 from counterspin.workers import one_blas_thread
 
 #: How far limits on time and rate can be moved, as factors of what the plan says.
 LIMIT_FACTORS: Final = (4.0, 2.0)
 
-#: Longest time at the centrifuge that may be asked for, s: 30 days.
+#: Longest time that may be asked for, s: 30 days.
 LONGEST_TIME: Final = 30 * 86400.0
 
 #: A search looks no less far beyond its limits: so much more of them is tried by itself.
@@ -50,7 +58,7 @@ _LEAST_FACTOR: Final = 1.11
 class LimitKey:
     """A limit that can be moved."""
 
-    #: What it is called, and its unit in the file.
+    #: What it is called, and its unit in SI.
     words: str
     unit: str
     #: Its range, as factors of what the plan says.
@@ -60,7 +68,7 @@ class LimitKey:
     least: float = 0.0  #: Below which it never is.
 
 
-#: Key of [limits] -> how it is moved.
+#: Key of [limits] -> how it is moved, of a plan of records and of one of readings.
 PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
     "total_time": LimitKey("Time at the centrifuge", "s", 0.25, LIMIT_FACTORS[0]),
     "highest_rate": LimitKey("Highest rate", "rad/s", 0.5, LIMIT_FACTORS[1]),
@@ -68,11 +76,45 @@ PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
     "runs": LimitKey("Runs at most", "", 0.25, 2.0, whole=True, least=1.0),
     "fewest_revolutions": LimitKey("Revolutions of a run at least", "", 0.5, 4.0, least=1.0),
 }
+READING_PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
+    "readings": LimitKey("Readings at most", "", 0.25, 4.0, whole=True, least=1.0),
+    "total_time": LimitKey("Time of all readings", "s", 0.25, 4.0),
+}
 
 
-def is_plan(document: Mapping[str, Any]) -> bool:
-    """Tell whether a document is a plan of records."""
-    return {"limits", "goal"} <= document.keys() and "stations" not in document
+@frozen
+class MovableLimit:
+    """A limit of a plan, its range, and the unit in which its file states it."""
+
+    key: str  #: Of [limits].
+    how: LimitKey  #: How it is moved.
+    #: In SI.
+    value: float
+    low: float
+    high: float
+    #: As written in the file, or SI; and how much of SI one of it is.
+    unit: str
+    factor: float
+
+    def shown(self) -> dict[str, Any]:
+        """Return what the page is told."""
+        return {
+            "key": self.key,
+            "words": self.how.words,
+            "whole": self.how.whole,
+            "unit": self.unit,
+            "factor": self.factor,
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+        }
+
+    def written(self, value: float) -> str | int | float:
+        """Return a value, in SI, as the file states it."""
+        if self.how.whole:
+            return round(value)
+        number = float(f"{value / self.factor:.6g}")
+        return f"{number:g} {self.unit}" if self.unit else number
 
 
 def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
@@ -82,98 +124,125 @@ def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
     """
     file = desk.file(name)
     described = _plan(desk, file)
-    values, highs = _values(described.limits), _highs(described)
     return {
         "name": name,
         "title": described.stand_in.title or name,
-        "goal": described.goal.kind,
+        "of": "records" if isinstance(described, Plan) else "readings",
         "names": list(described.goal.sizes),
-        "limits": [
-            {
-                "key": key,
-                "words": limit.words,
-                "unit": limit.unit,
-                "value": values[key],
-                "low": _low(limit, values[key]),
-                "high": highs[key],
-                "whole": limit.whole,
-            }
-            for key, limit in PLAN_KEYS.items()
-        ],
+        "rate": dict(zip(("unit", "factor"), _rate_unit(load_document(file)), strict=True)),
+        "limits": [limit.shown() for limit in _limits_of(described, load_document(file))],
         "command": plan_command(file, None),
     }
 
 
-def begin_plan(desk: Desk, name: str) -> dict[str, Any]:
+def begin_plan(desk: Desk, name: str, example: Example = "records") -> dict[str, Any]:
     """Write an example of a plan; CounterspinError if there is a file already."""
     path = desk.folder.path(name)
     if path.suffix.lower() != ".toml":
         raise CounterspinError(f"{name}: name the plan's file, such as PLAN.toml")
-    write_example(path)
+    write_example(path, example)
     return {"name": name}
 
 
-def _low(limit: LimitKey, value: float) -> float:
-    low = value * limit.low
-    return max(limit.least, round(low) if limit.whole else low)
-
-
-def _values(limits: Limits) -> dict[str, float]:
-    return {
-        "total_time": limits.total_time,
-        "highest_rate": limits.rate[1],
-        "settling": limits.settling,
-        "runs": limits.runs,
-        "fewest_revolutions": limits.revolutions,
-    }
-
-
-def _plan(desk: Desk, file: Path) -> Plan:
-    def make() -> Plan:
+def _plan(desk: Desk, file: Path) -> Plan | ReadingPlan:
+    def make() -> Plan | ReadingPlan:
         document = load_document(file)
         desk.require_inside(file.parent, document)
         if not is_plan(document):
-            raise CampaignError(str(file), ["not a plan of records: it has no [limits] and [goal]"])
-        return read_plan(file)
+            raise CampaignError(str(file), ["not a plan: it has no [limits] and [goal]"])
+        return read_any_plan(file)
 
     return desk.remembered.get(("plan", file), [file], make)
 
 
-def _reach(described: Plan) -> tuple[float, float]:
+# Limits, as they stand in the file and as they are moved
+
+
+def _limits_of(described: Plan | ReadingPlan, document: Mapping[str, Any]) -> list[MovableLimit]:
+    """Return the limits of a plan that can be moved."""
+    said = table_of(document, "limits")
+    keys = PLAN_KEYS if isinstance(described, Plan) else READING_PLAN_KEYS
+    made, reach = [], _reach(described) if isinstance(described, Plan) else {}
+    for key, value in _values(described).items():
+        how, (unit, factor) = keys[key], ("", 1.0)
+        if key == "highest_rate":
+            unit, factor = _rate_unit(document)
+        elif how.unit:
+            unit, factor = _unit_of(said.get(key), how.unit)
+        low, high = value * how.low, value * reach.get(key, how.high) or 60.0
+        if key == "total_time":  # beyond the reach of what is tabulated, a search tabulates anew
+            high = max(high, LONGEST_TIME)
+        if how.whole:
+            low, high = round(low), min(high, MOST_READINGS)
+        made.append(MovableLimit(key, how, value, max(how.least, low), high, unit, factor))
+    return made
+
+
+def _values(described: Plan | ReadingPlan) -> dict[str, float]:
+    """Return the limits that a plan states and that can be moved, in SI."""
+    if isinstance(described, Plan):
+        limits = described.limits
+        return {
+            "total_time": limits.total_time,
+            "highest_rate": limits.rate[1],
+            "settling": limits.settling,
+            "runs": limits.runs,
+            "fewest_revolutions": limits.revolutions,
+        }
+    stated = {"readings": described.readings, "total_time": described.total_time}
+    return {key: value for key, value in stated.items() if math.isfinite(value)}
+
+
+def _unit_of(said: Any, unit: str) -> tuple[str, float]:
+    """Return the unit in which a quantity is written, and how much of `unit` one of it is."""
+    text = said.strip() if isinstance(said, str) else ""
+    number = re.match(BARE, text)
+    own = text[number.end() :].strip() if number else ""
+    return (own, unit_factor(own, unit)) if own else (unit, 1.0)
+
+
+def _rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
+    """Return the unit in which a plan writes rates, and how many rad/s one of it is."""
+    said = table_of(document, "limits")
+    some = said.get("rates")
+    stated = [said.get("highest_rate"), *(some if isinstance(some, list) else ())]
+    first = next((text for text in (*stated, said.get("lowest_rate")) if text), None)
+    return _unit_of(first, "rad/s")
+
+
+def _reach(described: Plan) -> dict[str, float]:
     """Return how far time and rate can be moved: less far where runs become too long."""
     limits = described.limits
     turns = min(limits.longest_run, limits.total_time) * limits.rate[1] / (2.0 * math.pi)
     room = MOST_ROWS / BLOCKS_PER_REVOLUTION / (turns * LIMIT_FACTORS[0] * LIMIT_FACTORS[1])
     shrunk = min(1.0, math.sqrt(room))
-    return (
-        max(_LEAST_FACTOR, LIMIT_FACTORS[0] * shrunk),
-        max(_LEAST_FACTOR, LIMIT_FACTORS[1] * shrunk),
-    )
-
-
-def _highs(described: Plan) -> dict[str, float]:
-    """Return the highest value to which each limit can be moved."""
-    reach = dict(zip(("total_time", "highest_rate"), _reach(described), strict=True))
-    values = _values(described.limits)
-    highs = {
-        key: values[key] * reach.get(key, limit.high) or 60.0 for key, limit in PLAN_KEYS.items()
+    names = ("total_time", "highest_rate")
+    return {
+        name: max(_LEAST_FACTOR, factor * shrunk)
+        for name, factor in zip(names, LIMIT_FACTORS, strict=True)
     }
-    # Beyond the reach of what is tabulated, a search tabulates anew.
-    return highs | {"total_time": max(highs["total_time"], LONGEST_TIME)}
 
 
-def _longer(described: Plan, total: float) -> Search:
-    """Return a search that has more time than a usual one reaches."""
-    limits = described.limits
-    longest = limits.longest_run if limits.longest_run < limits.total_time else total
-    limits = replace(limits, total_time=total, longest_run=longest)
-    return Search(replace(described, limits=limits), (_LEAST_FACTOR, _reach(described)[1]))
+def _moved(
+    described: Plan | ReadingPlan, document: Mapping[str, Any], moved: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the limits, in SI, with those that were moved; none is out of its range."""
+    limits = {limit.key: limit for limit in _limits_of(described, document)}
+    for key in moved:
+        if key not in limits:
+            raise CounterspinError(f"{key}: there is no such limit")
+    return {
+        key: min(max(moved.get(key, one.value), one.low), one.high) for key, one in limits.items()
+    }
+
+
+# The best plan within moved limits, by a process that is kept while it is asked
 
 
 def tried_plan(
     desk: Desk, name: str, moved: dict[str, FiniteFloat] | None = None
 ) -> dict[str, Any]:
-    """Return what the best plan within other limits would tell, and its runs.
+    """Return what the best plan within other limits would tell, and its runs or readings.
 
     It is searched in a process that is kept while it is asked, as `LiveViews.ask` has it.
 
@@ -202,16 +271,17 @@ def search_into(there: Connection, file: Path) -> None:
 
     @one_blas_thread()
     def work(_: Progress) -> None:
-        described = read_plan(file)
-        reach = _reach(described)
-        usual = Search(described, reach)
+        described, document = read_any_plan(file), load_document(file)
+        within = _records_within(described) if isinstance(described, Plan) else None
         while True:
             moved = there.recv()
             try:
-                limits = dict(moved)
-                total = min(limits.get("total_time", 0.0), LONGEST_TIME)
-                far = total > described.limits.total_time * reach[0]
-                found = _tried(_longer(described, total) if far else usual, limits)
+                values = _moved(described, document, dict(moved))
+                if isinstance(described, ReadingPlan):
+                    found = _readings_within(described, values)
+                else:
+                    assert within is not None
+                    found = within(values)
             except CounterspinError as error:
                 found = {"error": str(error)}
             there.send(("told", moved, found))
@@ -219,48 +289,29 @@ def search_into(there: Connection, file: Path) -> None:
     report_progress(there, work)
 
 
-def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
-    limits = _moved(search.plan, moved)
-    if not limits.possible:
-        raise CounterspinError(
-            "No campaign is possible within these limits: its runs would take too long."
-        )
-    optimum = search.best(limits)
-    if optimum is None:
-        raise CounterspinError("No plan within these limits reaches the target.")
-    u = dict(zip(search.predictor.names, search.predictor.u(optimum.choice), strict=True))
-    return {
-        "u": [_line(term, float(u[term])) for term in search.plan.goal.sizes],
-        "time": limits.time(optimum.choice),
-        "runs": [
-            {"rate": float(rate) * kind.sense, "attitude": kind.attitude, "seconds": float(length)}
-            for kind, rate, length in zip(
-                optimum.choice.types, optimum.choice.rate, optimum.choice.duration, strict=True
-            )
-        ],
-    }
+def _records_within(described: Plan) -> Callable[[Mapping[str, float]], dict[str, Any]]:
+    """Return what finds the best plan of records within limits: what it tabulates is kept."""
+    reach = _reach(described)
+    usual = Search(described, (reach["total_time"], reach["highest_rate"]))
+
+    def find(values: Mapping[str, float]) -> dict[str, Any]:
+        total = values["total_time"]
+        far = total > described.limits.total_time * reach["total_time"]
+        search = _longer(described, total, reach["highest_rate"]) if far else usual
+        return _best_records(search, _limits_within(search.plan.limits, values))
+
+    return find
 
 
-def _line(name: str, u: float) -> dict[str, Any]:
-    """Return an uncertainty, in the unit of the result and as text."""
-    owner, _, symbol = name.partition(".")
-    unit, factor = field_unit(unit_of(symbol if symbol in TERMS else name))
-    text = format_uncertainty(u * factor) if math.isfinite(u) else "not determined"
-    return {
-        "name": f"{symbol} of {owner}" if symbol in TERMS else name,
-        "u": u,
-        "text": typeset(f"{text} {unit}"),
-    }
-
-
-def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
+def _longer(described: Plan, total: float, reach: float) -> Search:
+    """Return a search that has more time than a usual one reaches."""
     limits = described.limits
-    values, highs = _values(limits), _highs(described)
-    for key, value in (moved or {}).items():
-        limit = PLAN_KEYS.get(key)
-        if limit is None:
-            raise CounterspinError(f"{key}: there is no such limit")
-        values[key] = min(max(value, _low(limit, values[key])), highs[key])
+    longest = limits.longest_run if limits.longest_run < limits.total_time else total
+    limits = replace(limits, total_time=total, longest_run=longest)
+    return Search(replace(described, limits=limits), (_LEAST_FACTOR, reach))
+
+
+def _limits_within(limits: Limits, values: Mapping[str, float]) -> Limits:
     total = values["total_time"]
     longest = limits.longest_run
     if longest >= limits.total_time:
@@ -275,6 +326,59 @@ def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
         revolutions=values["fewest_revolutions"],
         longest_run=min(longest, total),
     )
+
+
+def _best_records(search: Search, limits: Limits) -> dict[str, Any]:
+    if not limits.possible:
+        raise CounterspinError(
+            "No campaign is possible within these limits: its runs would take too long."
+        )
+    optimum = search.best(limits)
+    if optimum is None:
+        raise CounterspinError("No plan within these limits reaches the target.")
+    u = dict(zip(search.predictor.names, search.predictor.u(optimum.choice), strict=True))
+    return {
+        "u": list(_lines(search.plan.goal.sizes, u)),
+        "time": limits.time(optimum.choice),
+        "runs": [
+            {"rate": float(rate) * kind.sense, "attitude": kind.attitude, "seconds": float(length)}
+            for kind, rate, length in zip(
+                optimum.choice.types, optimum.choice.rate, optimum.choice.duration, strict=True
+            )
+        ],
+    }
+
+
+def _readings_within(described: ReadingPlan, values: Mapping[str, float]) -> dict[str, Any]:
+    """Return the best plan of readings within limits: each reading, and how often it is taken."""
+    number = values.get("readings", math.inf)
+    number = round(number) if math.isfinite(number) else number
+    limited = replace(described, readings=number, total_time=values.get("total_time", math.inf))
+    result, readings = ReadingSearch(limited).best()
+    often = Counter(reading.name for reading in readings)
+    return {
+        "u": list(_lines(described.goal.sizes, PlannedCampaign(result, "").u)),
+        "time": sum(reading.time for reading in readings),
+        "readings": [
+            {"name": one.name, "number": often[one.name]}
+            for one in described.possible
+            if one.name in often
+        ],
+    }
+
+
+def _lines(names: Mapping[str, float], u: Mapping[str, float]) -> Iterator[dict[str, Any]]:
+    """Yield uncertainties, each in the unit of the result and as text."""
+    for name in names:
+        owner, _, symbol = name.partition(".")
+        unit, factor = field_unit(unit_of(symbol if symbol in TERMS else name))
+        size = float(u.get(name, math.inf))
+        text = format_uncertainty(size * factor) if math.isfinite(size) else "not determined"
+        yield {
+            "name": f"{symbol} of {owner}" if symbol in TERMS else name,
+            "u": size,
+            "text": typeset(f"{text} {unit}"),
+        }
 
 
 def begin_planned(
@@ -292,14 +396,11 @@ def begin_planned(
         raise CounterspinError("give the campaign's folder a name")
     refuse_other_campaign(place)
     before = desk.folder.read(name)
-    text, values = before.text, _values(_plan(desk, file).limits)
-    for key, value in (moved or {}).items():
-        if key in PLAN_KEYS and not math.isclose(value, values[key], rel_tol=1e-9):
-            limit = PLAN_KEYS[key]
-            written: Any = round(value) if limit.whole else float(f"{value:.6g}")
-            text = with_value(
-                text, ["limits", key], f"{written:g} {limit.unit}" if limit.unit else written
-            )
+    text = before.text
+    for limit in _limits_of(_plan(desk, file), load_document(file)):
+        value = (moved or {}).get(limit.key, limit.value)
+        if not math.isclose(value, limit.value, rel_tol=1e-9):
+            text = with_value(text, ["limits", limit.key], limit.written(value))
     document = parse_document(text.encode("utf-8"), name)
 
     def make(number: int) -> Job:

@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, group, say, shell_word
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+
+
+@group
+@frozen
+class ExampleOptions:
+    """An example to start from, instead of a plan.
+
+    Parameters
+    ----------
+    init
+        Instead of a plan: write a commented example to this file.
+    example
+        With --init: an example for `records` of a double turntable, or for `poses` of a triad.
+    """
+
+    init: Path | None = None
+    example: Literal["records", "poses"] = "records"
 
 
 @group
@@ -27,13 +45,14 @@ class RecordingDetails:
 
 
 _UNKNOWN = RecordingDetails()
+_NO_EXAMPLE = ExampleOptions()
 
 
 def plan(
     file: Path | None = None,
     *,
     check: Path | None = None,
-    init: Path | None = None,
+    start: ExampleOptions = _NO_EXAMPLE,
     output: OutputFile = None,
     saved: SaveOptions = NOT_SAVED,
     figures: Path | None = None,
@@ -47,8 +66,6 @@ def plan(
         The plan's file, with its limits and goal.
     check
         Instead of a plan: the folder of a campaign whose uncertainties are predicted.
-    init
-        Instead of a plan: write a commented example to this file.
     output
         Folder for the campaign.toml of the planned campaign; it must not contain one yet.
     figures
@@ -63,11 +80,11 @@ def plan(
     from counterspin.reports.charts import reserve_figures
     from counterspin.reports.text import progress, report_console
 
-    if sum(given is not None for given in (file, check, init)) != 1:
+    if sum(given is not None for given in (file, check, start.init)) != 1:
         raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])
-    if init is not None:
-        say(f"Wrote {write_example(init)}. Edit it, or try it:")
-        say(f"  counterspin plan {shell_word(init)}")
+    if start.init is not None:
+        say(f"Wrote {write_example(start.init, start.example)}. Edit it, or try it:")
+        say(f"  counterspin plan {shell_word(start.init)}")
         return
     saved.reserve(PlanResult.file_kind)
     if figures is not None:

@@ -51,7 +51,7 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         yield Heading(name)
         own = [c for c in compared.coefficients if c.accelerometer == name]
         yield _table(compared, own)
-        yield from _pictures(own)
+        yield from _pictures(own, short_names([result.name for result in compared.results]))
     yield Paragraph(
         f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
         "their u accounts for what both results have in common. z: difference over its u.",
@@ -167,33 +167,46 @@ def _difference(estimate: ComparedEstimate, factor: float) -> str:
     return format_estimate(difference, u) if u else format_number(difference)
 
 
-def _pictures(own: list[ComparedCoefficient]) -> Iterator[Block]:
+def short_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of files without the folders and the ending that all of them have in common."""
+    parts = [name.split("/") for name in names]
+    if len({*names}) < len(names):
+        return tuple(names)  # nothing would be left
+    while all(len(own) > 1 for own in parts) and len({own[0] for own in parts}) == 1:
+        parts = [own[1:] for own in parts]
+    while all(len(own) > 1 for own in parts) and len({own[-1] for own in parts}) == 1:
+        parts = [own[:-1] for own in parts]
+    return tuple("/".join(own) for own in parts)
+
+
+def _pictures(own: list[ComparedCoefficient], names: tuple[str, ...]) -> Iterator[Block]:
     """Yield K_II through the results, with its standard uncertainties."""
     for coefficient in own:
         if coefficient.term != "K_II":
             continue
         unit, factor = field_unit(coefficient.unit)
         points = [
-            (float(place), e.value * factor, e.u * factor)
-            for place, e in enumerate(coefficient.estimates, 1)
+            (name, e.value * factor, e.u * factor)
+            for name, e in zip(names, coefficient.estimates, strict=True)
             if e.value is not None and e.u is not None
         ]
         if len(points) > 1:
-            x, y, u = (tuple(numbers) for numbers in zip(*points, strict=True))
+            shown, y, u = (tuple(row) for row in zip(*points, strict=True))
             yield Plot(
                 title=f"K_II of {coefficient.accelerometer} in each result",
-                x_label="result, in the order of the table",
+                x_label="result",
                 y_label=f"K_II, {unit}",
                 series=(
                     PlotSeries(
                         "estimate; bars: one standard uncertainty",
-                        x,
+                        tuple(map(float, range(len(y)))),
                         y,
                         low=tuple(a - b for a, b in zip(y, u, strict=True)),
                         high=tuple(a + b for a, b in zip(y, u, strict=True)),
                         kind="points",
                     ),
                 ),
+                x_names=shown,
             )
 
 

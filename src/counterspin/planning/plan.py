@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
@@ -280,11 +280,16 @@ def write_campaign(planned: PlannedCampaign, folder: Path) -> Path:
     return target
 
 
-def write_example(file: Path) -> Path:
+#: What an example plans: records of a double turntable, or poses of a triad.
+Example = Literal["records", "poses"]
+
+
+def write_example(file: Path, example: Example = "records") -> Path:
     """Write a commented plan to start from; raises as `write_campaign` does."""
     if file.exists():
         raise CounterspinError(f"{file} exists; edit it, or choose another name")
-    write_text(file, (files("counterspin.planning") / "starter.toml").read_text("utf-8"))
+    starter = "starter.toml" if example == "records" else f"starter_{example}.toml"
+    write_text(file, (files("counterspin.planning") / starter).read_text("utf-8"))
     return file
 
 

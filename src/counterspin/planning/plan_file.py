@@ -100,14 +100,22 @@ def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict
     return made
 
 
+def is_plan(document: Mapping[str, Any]) -> bool:
+    """Tell whether a document is a plan, of records or of readings."""
+    return {"limits", "goal"} <= document.keys()
+
+
 def plan_name(path: Mapping[str, Any] | Path | str) -> Path:
     """Return what messages call a plan: its file, if there is one."""
     return Path("plan in memory") if isinstance(path, Mapping) else Path(path)
 
 
-def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
-    """Read and check a plan."""
-    file, raw = plan_name(path), load_plan(path)
+def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) -> Plan:
+    """Read and check a plan.
+
+    file: As whose content a plan in memory counts, for the files that it names; None: nothing's.
+    """
+    file, raw = file or plan_name(path), load_plan(path)
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}

@@ -25,8 +25,10 @@ from counterspin.campaign.triad import TriadSettings
 from counterspin.frozen import frozen
 from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.planning.plan_file import (
+    Plan,
     load_plan,
     plan_name,
+    read_plan,
     resolve_goal,
     resolved_campaign,
 )
@@ -166,9 +168,19 @@ def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
     return {**run, "reading": {name: text.replace(BLANK, value) for name, text in reading.items()}}
 
 
-def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
-    """Read and check a plan of readings."""
-    file, raw = plan_name(path), load_plan(path)
+def read_any_plan(
+    path: Mapping[str, Any] | Path | str, file: Path | None = None
+) -> Plan | ReadingPlan:
+    """Read and check a plan of records or of readings; file: as of `plan_file.read_plan`."""
+    readings = "stations" in load_plan(path)
+    return read_reading_plan(path, file) if readings else read_plan(path, file)
+
+
+def read_reading_plan(
+    path: Mapping[str, Any] | Path | str, file: Path | None = None
+) -> ReadingPlan:
+    """Read and check a plan of readings; file: as of `plan_file.read_plan`."""
+    file, raw = file or plan_name(path), load_plan(path)
     problems = Problems(raw)
     problems.check(ReadingPlanDocument, raw, ())
     limits = problems.check(ReadingLimitsSettings, table_of(raw, "limits"), ("limits",))

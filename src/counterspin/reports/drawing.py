@@ -197,8 +197,9 @@ def _draw_plot(
         axes.set_xticks(counts)
     axes.set(xlim=plot.x_range, ylim=plot.y_range, title=title, ylabel=plot.y_label)
     if plot.x_names:
+        room = max(90.0, (WIDTH - 80.0) / len(plot.x_names))
         axes.set_xticks(
-            range(len(plot.x_names)), [shorten_words(name, 90.0) for name in plot.x_names]
+            range(len(plot.x_names)), [shorten_words(name, room) for name in plot.x_names]
         )
         axes.grid(visible=False, axis="x")
     if plot.dates:

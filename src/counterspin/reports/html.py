@@ -226,7 +226,7 @@ def _answer(text: str) -> dict[str, str]:
 
 def _equation(text: str) -> Markup:
     """Return an equation with K_II and the like set as a letter and its index."""
-    return _indexed(text, r"([^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
+    return _indexed(text, r"(delta|[^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
 
 
 def _symbols(text: str) -> Markup:

@@ -71,6 +71,7 @@ globalThis.BroadcastChannel = class {
   }
 };
 globalThis.document = { createElement: (name) => new Element(name), getElementById: () => said };
+globalThis.addEventListener = () => {};
 globalThis.location = { hash: "" };
 globalThis.history = { replaceState: (_state, _title, to) => (globalThis.location.hash = to) };
 globalThis.fetch = async (path, request) => {

@@ -3,10 +3,12 @@ import { beforeEach, mock, test } from "node:test";
 import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
-import { commandLine, inSections, make, oneAtATime, say, stateMark, symbols, warning } from "./dom.js";
+import {
+  attempt, commandLine, inSections, make, oneAtATime, say, stateMark, submitting, symbols, warning,
+} from "./dom.js";
 import { answersTo, asTable, lookUntilSettled, tipOf } from "./exports.js";
 import { knownTo, named, percent, size } from "./improving.js";
-import { follow } from "./job.js";
+import { carryOut, follow, followRunning } from "./job.js";
 import { columnsOf, withPoint } from "./live.js";
 import { inUnit } from "./plan.js";
 
@@ -93,6 +95,16 @@ test("of questions that come while one is asked the last alone is asked, and its
   waiting[2].done();
   await turn();
   assert.deepEqual([asked, wrong.textContent], [[1, 3, 4], ""]);
+});
+
+test("a form that is sent does its work here, and says where it failed", async () => {
+  const place = make("div");
+  let prevented = 0;
+  const event = { preventDefault: () => (prevented += 1) };
+  await submitting(place, async () => { throw new Error("No such file"); })(event);
+  assert.deepEqual([prevented, place.textContent], [1, "No such file"]);
+  assert.equal(await attempt(place, async () => 7), 7);
+  assert.equal(place.textContent, "No such file");
 });
 
 test("attributes that are false, null or undefined are left out", () => {
@@ -338,6 +350,19 @@ test("a job that fails says why, and one that is gone was stopped", async () => 
   const gone = await followed([]);
   assert.equal(gone.place.textContent, "The calibration was stopped.");
   assert.equal(failed.done + gone.done, 0);
+});
+
+test("a job that cannot be begun says why in its place, and one that goes on is followed", async () => {
+  const place = make("div");
+  server.answer = () => json({ error: "give it a name" }, 422);
+  await carryOut(place, () => send("POST", "study", {}), () => assert.fail())();
+  assert.equal(place.textContent, "give it a name");
+  mock.timers.enable({ apis: ["setTimeout"] });
+  followRunning([job({ kind: "study", state: "done" }), job({ kind: "fit" })], "study", place, () => {});
+  assert.equal(place.textContent, "give it a name");
+  followRunning([job({ kind: "study" })], "study", place, () => {});
+  assert.equal(place.textContent, "Trials, 0 sStop");
+  mock.timers.reset();
 });
 
 test("a job is stopped by its button", () => {

@@ -3,13 +3,11 @@
 
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { bring, get, send } from "./api.js";
-import { command, commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
+import { attempt, command, commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
-import { follow } from "./job.js";
+import { carryOut, followRunning } from "./job.js";
 import { certificateLink, pagePart, resultLinks, underAnswer, withContents } from "./result.js";
 import { campaignTabs } from "./tabs.js";
-
-/** @typedef {import("./job.js").Job} Job */
 
 /**
  * Show a result that has just been made: here, or in its own place if it is not the campaign's.
@@ -33,24 +31,17 @@ function calibration(campaign) {
     make("option", { value: "two-stage" }, "Two-stage: the paper's"));
   const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
   const reason = make("input", { autocomplete: "off" });
+  const show = (/** @type {import("./job.js").Job} */ job) => showResult(campaign.name, job.output);
   const button = make("button", { class: "main", form: "calibration", disabled: campaign.mistakes.length > 0 },
     campaign.results.length ? "Calibrate again" : "Calibrate");
   const form = make("form", {
     id: "calibration",
-    onsubmit: async (/** @type {Event} */ event) => {
-      event.preventDefault();
-      try {
-        const job = await send("POST", "jobs", {
-          name: campaign.name,
-          output: output.value,
-          method: method.value,
-          accept_misfit: reason.value.trim() || undefined,
-        });
-        follow(job, place, () => showResult(campaign.name, job.output));
-      } catch (error) {
-        place.replaceChildren(warning(/** @type {Error} */ (error).message));
-      }
-    },
+    onsubmit: carryOut(place, () => send("POST", "jobs", {
+      name: campaign.name,
+      output: output.value,
+      method: method.value,
+      accept_misfit: reason.value.trim() || undefined,
+    }), show),
   },
   campaign.state === "contradicted"
     ? labelled("Reason for accepting the misfit", reason) : null,
@@ -58,9 +49,7 @@ function calibration(campaign) {
     make("div", { class: "row" }, labelled("Method", method),
       labelled("Result file; an earlier result is replaced", output)),
     command(campaign.command)));
-  const running = campaign.jobs.find(/** @param {Job} job */ ({ kind, state }) =>
-    kind === "calibration" && (state === "waiting" || state === "running"));
-  if (running) follow(running, place, () => showResult(campaign.name, running.output));
+  followRunning(campaign.jobs, "calibration", place, show);
   return { button, below: [place, form] };
 }
 
@@ -77,14 +66,10 @@ function keeping(name) {
    * @param {() => Promise<string>} work it returns what to say
    * @param {() => void} then
    */
-  const doing = async (work, then) => {
-    try {
-      say(await work());
-      then();
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
+  const doing = (work, then) => attempt(place, async () => {
+    say(await work());
+    then();
+  });
   const go = (/** @type {string} */ where) => () => { location.hash = where; };
   const moved = (/** @type {"copy"|"rename"} */ how, /** @type {string} */ said) => () =>
     doing(async () => {

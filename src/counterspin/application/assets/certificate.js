@@ -3,7 +3,7 @@
 
 import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { commandLine, inSections, labelled, make, say, warning } from "./dom.js";
+import { commandLine, inSections, labelled, make, say, submitting } from "./dom.js";
 import { editorOf } from "./editor.js";
 import { saving } from "./result.js";
 import { Signing } from "./signing.js";
@@ -45,25 +45,20 @@ export async function certificateView(result) {
       judge();
     },
   });
-  const issue = async (/** @type {Event} */ event) => {
-    event.preventDefault();
+  const issue = submitting(place, async () => {
     if (editor.changed || !editor.version) await editor.save();
     if (editor.changed || button.disabled) return;
-    try {
-      const made = await send("POST", "certificate", {
-        result, lab: file, output: output.value, both: both.checked, signing: await signing.said(),
-      });
-      say(`Wrote ${made.files.join(" and ")}.`);
-      place.replaceChildren(
-        make("p", { class: "answer-line" },
-          `Certificate ${made.identifier} of ${made.accelerometers.join(", ")}${signing.wanted ? ", signed" : ""}: `,
-          ...made.files.map(/** @param {string} name */ (name) => saving(name, "file", { name }))),
-        ...made.notes.map(/** @param {string} note */ (note) => make("p", { class: "warning" }, note)),
-        commandLine(made.command));
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
+    const made = await send("POST", "certificate", {
+      result, lab: file, output: output.value, both: both.checked, signing: await signing.said(),
+    });
+    say(`Wrote ${made.files.join(" and ")}.`);
+    place.replaceChildren(
+      make("p", { class: "answer-line" },
+        `Certificate ${made.identifier} of ${made.accelerometers.join(", ")}${signing.wanted ? ", signed" : ""}: `,
+        ...made.files.map(/** @param {string} name */ (name) => saving(name, "file", { name }))),
+      ...made.notes.map(/** @param {string} note */ (note) => make("p", { class: "warning" }, note)),
+      commandLine(made.command));
+  });
   return {
     title: `Certificate of ${result}`,
     content: [

@@ -53,11 +53,11 @@ export async function historyView() {
   const term = make("select", {}, ...folder.terms.map((/** @type {{name: string, words: string}} */ one) =>
     make("option", { value: one.name, selected: one.name === "K_II" }, named(one))));
   const show = async () => {
-    await fill(place, "history", results.map(({ name }) => name), term.value);
-    if (!place.querySelector(".warning")) return;
+    const told = await fill(place, "history", results.map(({ name }) => name), term.value);
+    if (!told?.empty) return;
     const links = folder.campaigns.filter((/** @type {any} */ { results: own }) => own.length).map((/** @type {any} */ { name, title }) =>
       make("li", {}, make("a", { href: descriptionAddress(name, "s-accelerometers") }, title || name)));
-    place.append(make("p", {}, "Descriptions, in which a serial number and a date can be added before the campaign is calibrated again:"),
+    place.append(make("p", {}, "Add a serial number and a date to the description of a campaign, then calibrate it again:"),
       make("ul", {}, ...links));
   };
   term.addEventListener("change", show);

@@ -79,6 +79,32 @@ export const commandLine = (text) =>
 export const warning = (text) => make("p", { class: "warning", role: "alert" }, text);
 
 /**
+ * Do something; what goes wrong is said in a place.
+ * @template T
+ * @param {HTMLElement} place
+ * @param {() => Promise<T>} work
+ * @returns {Promise<T|undefined>} what the work returns; nothing where it went wrong
+ */
+export async function attempt(place, work) {
+  try {
+    return await work();
+  } catch (error) {
+    place.replaceChildren(warning(/** @type {Error} */ (error).message));
+  }
+}
+
+/**
+ * What a form does when it is sent, in place of the browser's own.
+ * @param {HTMLElement} place where it is said that it failed
+ * @param {() => Promise<any>} work
+ * @returns {(event?: Event) => Promise<void>}
+ */
+export const submitting = (place, work) => async (event) => {
+  event?.preventDefault();
+  await attempt(place, work);
+};
+
+/**
  * What asks one question at a time: of those that come meanwhile the last is asked once more, so that
  * the last place of a slider is always asked.
  * @param {() => Promise<void>} question
@@ -94,12 +120,10 @@ export function oneAtATime(question, wrong) {
       return;
     }
     busy = true;
-    try {
+    await attempt(wrong, async () => {
       await question();
       wrong.replaceChildren();
-    } catch (error) {
-      wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
+    });
     busy = false;
     if (again) {
       again = false;

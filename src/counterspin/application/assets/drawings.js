@@ -1,7 +1,7 @@
 // @ts-check
 // Drawings of the machine, beside the fields that they explain.
 
-import { make, warning } from "./dom.js";
+import { attempt, make } from "./dom.js";
 
 /** Drawing -> the question that it answers. */
 const QUESTIONS = /** @type {Record<string, string>} */ ({
@@ -28,14 +28,12 @@ export function drawingOf(name, begin = false) {
       if (details.open) open.add(name);
       else open.delete(name);
       if (!details.open || place.childElementCount) return;
-      try {
+      await attempt(place, async () => {
         const answer = await fetch(`/assets/machine-${name}.svg`);
         if (!answer.ok) throw new Error(`The server answers ${answer.status}.`);
         // The program's own, the same for everybody.
         place.innerHTML = await answer.text();
-      } catch (error) {
-        place.replaceChildren(warning(/** @type {Error} */ (error).message));
-      }
+      });
     },
   }, make("summary", {}, QUESTIONS[name]), place);
   details.open = begin || open.has(name);

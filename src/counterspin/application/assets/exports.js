@@ -4,7 +4,7 @@
 
 import { campaignAddress } from "./addresses.js";
 import { bring, Refused, send } from "./api.js";
-import { labelled, make, say, warning } from "./dom.js";
+import { attempt, labelled, make, say, warning } from "./dom.js";
 import { drawingOf } from "./drawings.js";
 
 /**
@@ -43,20 +43,16 @@ export function exportsPart() {
   /** @type {Preview|null} */
   let preview = null;
   let guessed = "";
-  const look = async () => {
+  const look = () => attempt(place, async () => {
     preview?.end();
     place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
-    try {
-      const stated = test.value;
-      const own = preview = new Preview(place, names, () => folder.value, test.value, preview?.answers);
-      await own.update();
-      if (own !== preview) return;
-      test.value = own.test;
-      guessed = stated ? "" : own.test;
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
+    const stated = test.value;
+    const own = preview = new Preview(place, names, () => folder.value, test.value, preview?.answers);
+    await own.update();
+    if (own !== preview) return;
+    test.value = own.test;
+    guessed = stated ? "" : own.test;
+  });
   test.addEventListener("change", () => names.length ? look() : null);
   /** @param {File[]} some */
   const take = async (some) => {
@@ -68,17 +64,14 @@ export function exportsPart() {
     }
     // What other files are is guessed anew.
     if (test.value === guessed) test.value = "";
-    try {
+    await attempt(place, async () => {
       names = [];
       for (const file of some) {
         place.replaceChildren(make("p", { class: "quiet" }, `Uploading ${file.name}.`));
         names.push((await bring(`${folder.value.trim()}/${file.name}`, file)).name);
       }
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-      return;
-    }
-    await look();
+      await look();
+    });
   };
   files.addEventListener("change", () => take([...files.files ?? []]));
   const pasted = pastedTable(async (file) => {

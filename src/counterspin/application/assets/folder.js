@@ -4,7 +4,7 @@
 import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { exportsPart } from "./exports.js";
-import { labelled, make, say, stateMark, symbols, warning } from "./dom.js";
+import { labelled, make, say, stateMark, submitting, symbols } from "./dom.js";
 import { pagePart } from "./result.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
@@ -81,16 +81,11 @@ function newCampaign() {
   const wrong = make("div");
   const form = make("form", {
     class: "row",
-    onsubmit: async (/** @type {Event} */ event) => {
-      event.preventDefault();
-      try {
-        const made = await send("POST", "campaign", { name: name.value, test: test.value });
-        say(`Wrote ${made.name}/campaign.toml.`);
-        location.hash = campaignAddress(made.name);
-      } catch (error) {
-        wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
-      }
-    },
+    onsubmit: submitting(wrong, async () => {
+      const made = await send("POST", "campaign", { name: name.value, test: test.value });
+      say(`Wrote ${made.name}/campaign.toml.`);
+      location.hash = campaignAddress(made.name);
+    }),
   }, labelled("Folder of the example", name), labelled("Kind of test", test),
   make("button", {}, "Write an example"));
   return [
@@ -112,7 +107,7 @@ function instruments(names) {
       if (!charts.length) return;
       place.append(make("h2", {}, "Instruments"), make("div", { class: "charts report" }, ...charts));
       globalThis.counterspin.draw(place);
-    }, () => {}); // Without serial numbers or dates there is none; History says why.
+    }, () => {}); // Where the server has gone, the next click says it.
   }
   return place;
 }

@@ -3,8 +3,8 @@
 
 import { campaignAddress, descriptionAddress } from "./addresses.js";
 import { get, send } from "./api.js";
-import { make, oneAtATime, say, symbols, warning } from "./dom.js";
-import { follow } from "./job.js";
+import { attempt, make, oneAtATime, say, symbols } from "./dom.js";
+import { carryOut } from "./job.js";
 
 /** @typedef {{name: string, words: string, u: number, factor: number, unit: string, share: number}} Source */
 
@@ -134,15 +134,11 @@ export async function waysPart(name, result) {
    * @param {"state" | "runs"} way
    * @param {string} then
    */
-  const prepare = (accelerometer, way, then) => async () => {
-    try {
-      const made = await send("POST", "way", { name, result, accelerometer, way });
-      say(then);
-      location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
+  const prepare = (accelerometer, way, then) => () => attempt(place, async () => {
+    const made = await send("POST", "way", { name, result, accelerometer, way });
+    say(then);
+    location.hash = made.key ? descriptionAddress(made.name, `f-${made.key}`) : campaignAddress(made.name);
+  });
   const lines = told.ways.flatMap((/** @type {any} */ { accelerometer, stated, runs }) => {
     const of = told.ways.length > 1 ? ` of ${accelerometer}` : "";
     const found = runs ? [make("li", {},
@@ -162,13 +158,7 @@ export async function waysPart(name, result) {
   if (!told.searched && told.has_runs) {
     box.append(make("button", {
       type: "button",
-      onclick: async () => {
-        try {
-          follow(await send("POST", "ways", { name }), place, again);
-        } catch (error) {
-          place.replaceChildren(warning(/** @type {Error} */ (error).message));
-        }
-      },
+      onclick: carryOut(place, () => send("POST", "ways", { name }), again),
     }, "Look for runs in another attitude"));
   }
   box.append(place);

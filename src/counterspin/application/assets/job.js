@@ -2,7 +2,7 @@
 // Jobs that go on while the page is used: progress, and what came of them.
 
 import { get, send } from "./api.js";
-import { make, say, warning } from "./dom.js";
+import { attempt, make, say, submitting, warning } from "./dom.js";
 
 /** @typedef {{number: number, campaign: string, output: string, command: string, kind: string,
  *   state: string, progress: [number, number], error: string, seconds: number}} Job */
@@ -18,6 +18,33 @@ const WORDS = /** @type {Record<string, [string, string]>} */ ({
 });
 
 const PAUSE = 250;
+
+/** @param {Job} job */
+const goesOn = ({ state }) => state === "waiting" || state === "running";
+
+/**
+ * Follow the job of a kind that goes on already, if there is one.
+ * @param {Job[]} jobs
+ * @param {string} kind
+ * @param {HTMLElement} place
+ * @param {(job: Job) => void} done
+ */
+export function followRunning(jobs, kind, place, done) {
+  const running = jobs.find((job) => job.kind === kind && goesOn(job));
+  if (running) follow(running, place, () => done(running));
+}
+
+/**
+ * What begins a job, and follows it to its end; what goes wrong is said in its place.
+ * @param {HTMLElement} place
+ * @param {() => Promise<Job>} begin
+ * @param {(job: Job) => void} done
+ * @returns {(event?: Event) => Promise<void>} for a form that is sent, or a button
+ */
+export const carryOut = (place, begin, done) => submitting(place, async () => {
+  const job = await begin();
+  follow(job, place, () => done(job));
+});
 
 /**
  * Follow a job to its end.
@@ -51,25 +78,21 @@ export function follow(job, place, done) {
     if (doing.textContent !== what) doing.textContent = what;
     numbers.textContent = `${!waits && all && read < all ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s`;
   };
-  const ask = async () => {
+  const ask = () => attempt(place, async () => {
     if (!place.isConnected && asked++ > 4) return;
-    try {
-      /** @type {Job[]} */
-      const jobs = await get("jobs");
-      const now = jobs.find(({ number }) => number === job.number);
-      if (now && (now.state === "waiting" || now.state === "running")) {
-        show(now);
-        setTimeout(ask, PAUSE);
-      } else if (now?.state === "done") {
-        if (now.output) say(`Wrote ${now.output}.`);
-        done();
-      } else {
-        place.replaceChildren(warning(now?.error || `The ${job.kind} was stopped.`));
-      }
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    /** @type {Job[]} */
+    const jobs = await get("jobs");
+    const now = jobs.find(({ number }) => number === job.number);
+    if (now && goesOn(now)) {
+      show(now);
+      setTimeout(ask, PAUSE);
+    } else if (now?.state === "done") {
+      if (now.output) say(`Wrote ${now.output}.`);
+      done();
+    } else {
+      place.replaceChildren(warning(now?.error || `The ${job.kind} was stopped.`));
     }
-  };
+  });
   let asked = 0;
   show(job);
   setTimeout(ask, PAUSE);

@@ -2,33 +2,43 @@
 // Plans: limits as sliders, and the best plan's uncertainty while they move.
 
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, oneAtATime, symbols, warning } from "./dom.js";
+import { attempt, commandLine, labelled, make, oneAtATime, submitting, symbols } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
-import { follow } from "./job.js";
+import { editorOf } from "./editor.js";
+import { carryOut } from "./job.js";
 import { fill } from "./result.js";
+
+/** @param {string} name */
+const planAddress = (name) => `#/plan/${encodeURIComponent(name)}`;
 
 /** The list of plans. */
 export async function plansView() {
   const folder = await get("folder");
+  const wrong = make("div");
+  const name = make("input", { required: true, autocomplete: "off", value: "PLAN.toml" });
+  const example = make("select", {},
+    make("option", { value: "records" }, "Records of a double turntable"),
+    make("option", { value: "poses" }, "Poses of three accelerometers"));
+  const form = make("form", {
+    class: "row",
+    onsubmit: submitting(wrong, async () => {
+      await send("POST", "plan", { name: name.value.trim(), example: example.value });
+      location.hash = planAddress(name.value.trim());
+    }),
+  }, labelled("File of the example", name), labelled("What is planned", example), make("button", {}, "Write an example"));
   return {
     title: "Plans",
     content: [
       make("h1", {}, "Plans"),
       make("p", { class: "quiet" }, "A plan chooses the runs' rates, lengths and attitudes that lead to the smallest uncertainty ",
-        "within limits of time and machine, or to a wanted one in the shortest time."),
+        "within the limits of time and machine, or to a target uncertainty in the shortest time. A plan of readings chooses ",
+        "positions, rates or poses in the same way."),
       folder.plans.length
-        ? make("ul", { class: "cards" }, ...folder.plans.map(/** @param {string} name */ (name) =>
-          make("li", { class: "card" }, make("h2", {},
-            make("a", { href: `#/plan/${encodeURIComponent(name)}` }, name)))))
+        ? make("ul", { class: "cards" }, ...folder.plans.map(/** @param {{name: string, title: string}} plan */ ({ name, title }) =>
+          make("li", { class: "card" }, make("h2", {}, make("a", { href: planAddress(name) }, title || name)),
+            title ? make("p", { class: "quiet" }, name) : null)))
         : make("p", {}, "There is no plan in this folder yet."),
-      ...(folder.plans.includes("PLAN.toml") ? [] : [make("button", {
-        type: "button",
-        class: folder.plans.length ? null : "main",
-        onclick: async () => {
-          await send("POST", "plan", { name: "PLAN.toml" });
-          location.hash = "#/plan/PLAN.toml";
-        },
-      }, "Write an example, PLAN.toml")]),
+      make("h2", {}, "Begin a plan"), form, wrong,
     ],
   };
 }
@@ -78,13 +88,48 @@ function timeField(id, limit, moved) {
 }
 
 /**
+ * A table whose cells are texts; the first of each row names it.
+ * @param {string[]} heads
+ * @param {string[][]} rows
+ * @param {boolean[]} right whether a column's cells stand at the right
+ */
+const table = (heads, rows, right) => make("table", {},
+  make("thead", {}, make("tr", {}, ...heads.map((words, i) => make("th", { scope: "col", class: right[i] ? "right" : null }, words)))),
+  make("tbody", {}, ...rows.map(([first, ...others]) => make("tr", {}, make("th", { scope: "row" }, first),
+    ...others.map((cell, i) => make("td", { class: right[i + 1] ? "right" : null }, cell))))));
+
+/**
+ * The runs of a plan, with rates in the unit of its file.
+ * @param {{rate: number, seconds: number, attitude: string}[]} runs
+ * @param {{unit: string, factor: number}} rate
+ */
+const runTable = (runs, rate) => table(["Run", `Rate, ${rate.unit}`, "Duration", "Attitude"],
+  runs.map((run, i) => [String(i + 1), short(run.rate / rate.factor).replace("-", "−"), duration(run.seconds), run.attitude]),
+  [false, true, true, false]);
+
+/**
+ * The readings of a plan, each with how often it is taken.
+ * @param {{name: string, number: number}[]} readings
+ */
+const readingTable = (readings) => table(["Reading", "How often"],
+  readings.map(({ name, number }) => [name.replaceAll("-", "−"), String(number)]), [false, true]);
+
+/**
+ * How many runs or readings a plan has, and how long they take.
+ * @param {any} told
+ */
+const extent = (told) => told.runs ? `${told.runs.length} runs in ${duration(told.time)}`
+  : `${told.readings.reduce((/** @type {number} */ sum, /** @type {any} */ { number }) => sum + number, 0)} readings`
+    + (told.time ? ` in ${duration(told.time)}` : "");
+
+/**
  * The page of a plan.
  * @param {string} name
  */
 export async function planView(name) {
   const plan = await get("plan", { name });
   const answer = make("div", { "aria-live": "polite" });
-  const runs = make("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": "Runs" });
+  const runs = make("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": "What is planned" });
   const wrong = make("div");
   /** @type {Record<string, number>} */
   const moved = {};
@@ -100,15 +145,8 @@ export async function planView(name) {
         make("strong", {}, ...symbols(`Uncertainty of ${line.name}: ${line.text}`)), " ",
         make("span", {}, line.text === first.u[i].text ? "as with the limits of the file"
           : `${short(line.u / first.u[i].u)} times that with the limits of the file`))),
-    make("p", {}, `${told.runs.length} runs in ${duration(told.time)}`));
-    runs.replaceChildren(make("table", {},
-      make("thead", {}, make("tr", {}, ...["Run", "Rate, rad/s", "Duration", "Attitude"].map((words) =>
-        make("th", { scope: "col" }, words)))),
-      make("tbody", {}, ...told.runs.map(/** @type {(run: any, i: number) => Node} */ (run, i) =>
-        make("tr", {}, make("th", { scope: "row" }, String(i + 1)),
-          make("td", { class: "right" }, short(run.rate).replace("-", "−")),
-          make("td", { class: "right" }, duration(run.seconds)),
-          make("td", {}, run.attitude))))));
+    make("p", {}, extent(told)));
+    runs.replaceChildren(told.runs ? runTable(told.runs, plan.rate) : readingTable(told.readings));
   };
   /**
    * Ask until there is an answer; whoever leaves the page, or stops, asks no more.
@@ -138,17 +176,19 @@ export async function planView(name) {
   const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
     const id = `limit-${limit.key}`;
     // The slider itself says its value.
-    const words = make("output", { for: id, "aria-live": "off" }, `${short(limit.value)} ${limit.unit}`);
+    const shown = (/** @type {number} */ value) => `${short(value)} ${limit.unit}`.trimEnd();
+    const words = make("output", { for: id, "aria-live": "off" }, shown(limit.value / limit.factor));
     if (limit.key === "total_time") return timeField(id, limit, (seconds) => {
       moved[limit.key] = seconds;
       ask();
     });
     const range = make("input", {
-      id, type: "range", min: limit.low, max: limit.high, step: limit.whole ? 1 : "any", value: limit.value,
+      id, type: "range", min: limit.low / limit.factor, max: limit.high / limit.factor, step: limit.whole ? 1 : "any",
+      value: limit.value / limit.factor,
       "aria-valuetext": words.textContent,
       oninput: () => {
-        moved[limit.key] = Number(range.value);
-        words.textContent = `${short(Number(range.value))} ${limit.unit}`;
+        moved[limit.key] = Number(range.value) * limit.factor;
+        words.textContent = shown(Number(range.value));
         range.setAttribute("aria-valuetext", words.textContent);
         ask();
       },
@@ -159,27 +199,31 @@ export async function planView(name) {
   const written = make("div");
   const form = make("form", {
     class: "row",
-    onsubmit: async (/** @type {Event} */ event) => {
-      event.preventDefault();
-      try {
-        const job = await send("POST", "planned", { name, moved, folder: folder.value });
-        follow(job, written, () => { location.hash = campaignAddress(job.output); });
-      } catch (error) {
-        written.replaceChildren(warning(/** @type {Error} */ (error).message));
-      }
-    },
+    onsubmit: carryOut(written, () => send("POST", "planned", { name, moved, folder: folder.value }),
+      (job) => { location.hash = campaignAddress(job.output); }),
   }, labelled("Folder of the planned campaign", folder),
   make("button", { class: "main" }, "Write these limits and the campaign"));
   const whole = make("div");
   const forecast = make("details", {
     ontoggle: () => { if (forecast.open && !whole.childNodes.length) fill(whole, "plan", [name]); },
   }, make("summary", {}, "The complete plan, with its forecast"), whole);
+  const edited = make("div");
+  const file = make("details", {
+    ontoggle: () => {
+      if (!file.open || edited.childNodes.length) return;
+      attempt(edited, async () => {
+        // What is planned is another plan then.
+        const saved = () => dispatchEvent(new HashChangeEvent("hashchange"));
+        edited.replaceChildren(editorOf(await get("plan-text", { name }), { saved }).element);
+      });
+    },
+  }, make("summary", {}, "The plan's file: goal, limits and what is known"), edited);
   ask();
   return {
     title: plan.title,
     content: [
       make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
-      make("div", { class: "sliders" }, ...sliders), wrong, answer, runs, forecast,
+      make("div", { class: "sliders" }, ...sliders), wrong, answer, runs, forecast, file,
       make("h2", {}, "Make it"), form, written, commandLine(plan.command),
     ],
   };

@@ -2,7 +2,7 @@
 // A result: the report's own blocks.
 
 import { get, getText, getTextNow, save } from "./api.js";
-import { commandLine, make, say, warning } from "./dom.js";
+import { attempt, commandLine, make, say } from "./dom.js";
 import { consistsOf, waysPart } from "./improving.js";
 import { follow } from "./job.js";
 
@@ -53,7 +53,7 @@ export async function pagePart(kind, names, term) {
 }
 
 /**
- * Draw a part into a place, or say why not.
+ * Draw a part into a place, or say why not; return what was told of it.
  * @param {HTMLElement} place
  * @param {string} kind
  * @param {string[]} names
@@ -61,18 +61,17 @@ export async function pagePart(kind, names, term) {
  */
 export async function fill(place, kind, names, term) {
   place.replaceChildren(make("p", { class: "quiet" }, "Working."));
-  try {
+  return attempt(place, async () => {
     const { told, part } = await pagePart(kind, names, term);
     if (!part) {
       follow(told.job, place, () => fill(place, kind, names, term));
-      return;
+      return told;
     }
     part.querySelector("h1")?.remove();
     place.replaceChildren(part, commandLine(told.command));
     globalThis.counterspin.draw(part);
-  } catch (error) {
-    place.replaceChildren(warning(/** @type {Error} */ (error).message));
-  }
+    return told;
+  });
 }
 
 /**

@@ -2,8 +2,8 @@
 // The runs of a campaign, and their records through a window of time.
 
 import { get, Refused, send } from "./api.js";
-import { commandLine, labelled, make, warning } from "./dom.js";
-import { follow } from "./job.js";
+import { attempt, commandLine, labelled, make, warning } from "./dom.js";
+import { carryOut } from "./job.js";
 import { campaignTabs } from "./tabs.js";
 
 const HEIGHT = 190;
@@ -74,19 +74,13 @@ class RecordPlots {
     this.window = [...window];
     const mine = ++this.asked;
     const [low, high] = window;
-    let told;
-    try {
-      told = await get("record", {
-        name: this.name, run: this.run, low, high,
-        parts: Math.max(this.element.clientWidth, 300),
-        fit: this.together > 1,
-      });
-    } catch (error) {
-      this.words.replaceChildren(warning(/** @type {Error} */ (error).message));
-      return;
-    }
+    const told = await attempt(this.words, () => get("record", {
+      name: this.name, run: this.run, low, high,
+      parts: Math.max(this.element.clientWidth, 300),
+      fit: this.together > 1,
+    }));
     // A later look has overtaken this one.
-    if (mine !== this.asked) return;
+    if (!told || mine !== this.asked) return;
     if (!this.charts.length) this.make();
     this.charts.forEach((chart, i) => {
       chart.batch(() => {
@@ -147,28 +141,17 @@ export async function runsView(name) {
       `${run.name}, ${Number(run.rate.toPrecision(4))} rad/s`)));
   const judgement = make("div");
   let turn = 0;
-  const check = async () => {
+  const check = () => attempt(judgement, async () => {
     judgement.replaceChildren(make("p", { class: "quiet" }, "Checking."));
-    try {
-      const told = await get("check", { name, run: select.value });
-      const part = make("div");
-      // Escaped by the report's own templates.
-      part.innerHTML = told.html;
-      part.querySelector("h1")?.remove();
-      judgement.replaceChildren(part, commandLine(told.command));
-      globalThis.counterspin.draw(part);
-    } catch (error) {
-      judgement.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
+    const told = await get("check", { name, run: select.value });
+    const part = make("div");
+    // Escaped by the report's own templates.
+    part.innerHTML = told.html;
+    part.querySelector("h1")?.remove();
+    judgement.replaceChildren(part, commandLine(told.command));
+    globalThis.counterspin.draw(part);
+  });
   const fitted = make("input", { type: "checkbox" });
-  const fitFirst = async () => {
-    try {
-      follow(await send("POST", "fit", { name }), place, show);
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
   const show = async () => {
     const mine = ++turn;
     judgement.replaceChildren();
@@ -188,7 +171,7 @@ export async function runsView(name) {
     } catch (error) {
       if (mine !== turn) return;
       // Once fitted, all runs are.
-      if (fitted.checked && error instanceof Refused && error.status === 404) fitFirst();
+      if (fitted.checked && error instanceof Refused && error.status === 404) carryOut(place, () => send("POST", "fit", { name }), show)();
       else place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   };

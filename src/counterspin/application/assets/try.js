@@ -2,9 +2,9 @@
 // A campaign before it is recorded: its forecast, a study of many trials, simulated records.
 
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, warning } from "./dom.js";
-import { campaignAddress } from "./addresses.js";
-import { follow } from "./job.js";
+import { commandLine, labelled, make } from "./dom.js";
+import { campaignAddress, descriptionAddress } from "./addresses.js";
+import { carryOut, followRunning } from "./job.js";
 import { fill } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
@@ -19,24 +19,14 @@ import { campaignTabs } from "./tabs.js";
  */
 function jobForm(campaign, kind, label, words, begin, done) {
   const place = make("div");
-  const running = campaign.jobs.find(/** @param {any} job */ (job) =>
-    job.kind === kind && (job.state === "waiting" || job.state === "running"));
-  if (running) follow(running, place, () => done(running));
+  const end = (/** @type {any} */ job) => {
+    place.replaceChildren(commandLine(job.command));
+    done(job);
+  };
+  followRunning(campaign.jobs, kind, place, end);
   const form = make("form", {
     class: "row",
-    onsubmit: async (/** @type {Event} */ event) => {
-      event.preventDefault();
-      try {
-        const job = await begin();
-        follow(job, place, () => {
-          place.replaceChildren(commandLine(job.command));
-          done(job);
-        });
-      } catch (error) {
-        place.replaceChildren(warning(/** @type {Error} */ (error).message),
-          make("p", {}, make("a", { href: `#/description/${encodeURIComponent(campaign.name)}` }, "Open the description")));
-      }
-    },
+    onsubmit: carryOut(place, begin, end),
   }, label, make("button", { class: "main" }, words));
   return [form, place];
 }
@@ -61,8 +51,9 @@ export async function tryView(name) {
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "try"),
       make("section", {}, make("h2", {}, "Study"),
-        make("p", { class: "quiet" }, "Simulated many times with the true values of the description, and analysed "
-          + "each time: do the uncertainties hold? A thousand trials take seconds."),
+        make("p", { class: "quiet" }, "The campaign is simulated many times with the true values of its ",
+          make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
+          " and calibrated each time, which shows whether the stated uncertainties hold. A thousand trials take seconds."),
         ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
