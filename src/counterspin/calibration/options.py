@@ -16,26 +16,16 @@ Method = Literal["joint", "two-stage"]
 
 @frozen
 class TwoStageOptions:
-    """How the paper's method is applied.
+    """How the paper's method is applied."""
 
-    Attributes
-    ----------
-    model
-        ``exact`` or ``as-printed``.
-    weighted
-        Whether the second stage weights runs by sigma(b2); the paper does not.
-    ripple
-        As printed: the ripple's ``amplitude`` or its ``ratio`` to the rate is common to the runs.
-    fit_bias
-        Whether K_F is estimated, with its prior, or taken as known.
-    from_residuals
-        Whether sigma is taken from the residuals even where the campaign states it.
-    """
-
-    model: Literal["exact", "as-printed"] = "exact"
+    model: Literal["exact", "as-printed"] = "exact"  #: ``exact`` or ``as-printed``.
+    #: Whether the second stage weights runs by sigma(b2); the paper does not.
     weighted: bool = True
+    #: As printed: the ripple's ``amplitude`` or its ``ratio`` to the rate is common to the
+    #: runs.
     ripple: RippleModel = "amplitude"
-    fit_bias: bool = True
+    fit_bias: bool = True  #: Whether K_F is estimated, with its prior, or taken as known.
+    #: Whether sigma is taken from the residuals even where the campaign states it.
     from_residuals: bool = False
 
 

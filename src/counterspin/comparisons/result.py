@@ -91,31 +91,18 @@ _COLUMNS: Final = (
 
 
 class ResultComparison(ShownResult):
-    """Results beside each other; what one is compared with is `reference`.
-
-    Attributes
-    ----------
-    gravity
-        Of the g-units, m/s^2: that of the first result.
-    results
-        In the order in which they were given.
-    coefficients
-        Of all accelerometers that more than one result has.
-    agreements
-        Each later result with the first that has the accelerometer.
-    changes
-        What is not the same: files, terms, noise, options, versions.
-    """
+    """Results beside each other; what one is compared with is `reference`."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     KIND: ClassVar[str] = "comparison"
 
-    gravity: float  #: Of the g-units, m/s^2: the first result's.
-    results: list[ComparedResult]  #: What is compared.
-    coefficients: list[ComparedCoefficient]  #: Each coefficient through all results.
+    gravity: float  #: Of the g-units, m/s^2: that of the first result.
+    results: list[ComparedResult]  #: Those compared, in the order in which they were given.
+    #: Each through all results, of all accelerometers that more than one result has.
+    coefficients: list[ComparedCoefficient]
     #: Each later result with the first that has the accelerometer.
     agreements: list[AgreementOfTwo]
-    changes: list[Change]  #: What is not the same.
+    changes: list[Change]  #: What is not the same: files, terms, noise, options, versions.
 
     def reference(self, accelerometer: str) -> ComparedResult:
         """Return the first result that has an accelerometer: the others are compared with it."""
@@ -177,39 +164,22 @@ class RepeatedCoefficient(ResultPart):
 
 
 class RepeatedCalibration(ShownResult):
-    """A result and the same calibration made again.
-
-    Attributes
-    ----------
-    result
-        What was repeated: its file or title.
-    same
-        Whether every estimate, u and judgement is the same within `limit`.
-    limit
-        Largest `relative` of what counts as the same.
-    largest, largest_in_u
-        Of all coefficients: the largest `relative`, and the largest size of `in_u`; None where
-        one has a number that the other lacks, or there is no u.
-    coefficients
-        All that either has.
-    state_before, state_now
-        Whether the result may be relied on, as it was judged and as it is.
-    changes
-        What is not the same beside the numbers: inputs by their checksums, versions, environment.
-    moved
-        Inputs that were found under another name: name in the result -> where.
-    """
+    """A result and the same calibration made again."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeat_blocks"
     KIND: ClassVar[str] = "repeat of a result"
 
-    result: str  #: What was repeated.
-    same: bool  #: Whether every number is the same within ``limit``, and the judgement too.
-    limit: float  #: Largest ``relative`` of what is the same.
-    largest: float | None  #: The largest ``relative``; None where there are other coefficients.
-    largest_in_u: float | None  #: The largest change in u; None where there is no u.
-    coefficients: list[RepeatedCoefficient]  #: Each of accelerometers, platform and runs.
+    result: str  #: What was repeated: its file or title.
+    same: bool  #: Whether every estimate, u and judgement is the same within `limit`.
+    limit: float  #: Largest `relative` of what counts as the same.
+    #: The largest `relative` of all coefficients; None where one has a number that the other lacks.
+    largest: float | None
+    largest_in_u: float | None  #: The largest size of `in_u`; None where there is no u.
+    coefficients: list[RepeatedCoefficient]  #: All that either result has.
     state_before: str | None  #: Whether the result may be relied on, as it was judged.
     state_now: str | None  #: The same now.
-    changes: list[Change]  #: What is not the same beside the numbers.
-    moved: dict[str, str] = {}  #: Inputs found by checksum under another name, by their first.
+    #: What is not the same beside the numbers: inputs by their checksums, versions,
+    #: environment.
+    changes: list[Change]
+    #: Inputs that were found under another name: name in the result -> where.
+    moved: dict[str, str] = {}

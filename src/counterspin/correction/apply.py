@@ -58,37 +58,21 @@ Force = npt.ArrayLike | str
 
 @frozen(eq=False)
 class Correction:
-    """Corrected specific force along an accelerometer's input axis.
+    """Corrected specific force along an accelerometer's input axis."""
 
-    Attributes
-    ----------
-    corrected
-        Specific force, shape (n,); NaN where something was missing.
-    u
-        Its standard uncertainty (k = 1) from coefficients and constants, shape (n,). The noise
-        of the indication itself is no part of it.
-    indicated
-        Indicated specific force by the nominal sensitivity and zero, shape (n,).
-    unit
-        Of all three: that of the indication, or g where that is no unit of a specific force.
-    dof
-        The fewest effective degrees of freedom of a coefficient that was applied; infinite
-        where the noise was given.
-    notes
-        What was applied, in sentences.
-    warnings
-        What was not, and where the model is stretched.
-    others
-        The same of each accelerometer of `ApplyOptions.others`, by name.
-    """
-
-    corrected: Array
+    corrected: Array  #: Specific force, shape (n,); NaN where something was missing.
+    #: Its standard uncertainty (k = 1) from coefficients and constants, shape (n,). The noise
+    #: of the indication itself is no part of it.
     u: Array
-    indicated: Array
+    indicated: Array  #: Indicated specific force by the nominal sensitivity and zero, shape (n,).
+    #: Of all three: that of the indication, or g where that is no unit of a specific force.
     unit: str
+    #: The fewest effective degrees of freedom of a coefficient that was applied; infinite
+    #: where the noise was given.
     dof: float
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    notes: tuple[str, ...]  #: What was applied, in sentences.
+    warnings: tuple[str, ...]  #: What was not, and where the model is stretched.
+    #: The same of each accelerometer of `ApplyOptions.others`, by name.
     others: Mapping[str, Correction] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -103,35 +87,25 @@ class Correction:
 
 @frozen(eq=False)
 class ApplyOptions:
-    """How a result is applied.
+    """How a result is applied."""
 
-    Attributes
-    ----------
-    unit
-        Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
-        every other array, and of what is returned. Or that of the accelerometers' outputs, such as
-        ``count`` or ``mA``, as the result states them: then all else is in g.
-    pendulous, output_axis
-        Specific force along the pendulous and the output axis: shape (n,), one number, or text
-        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
-    temperature
-        Of each row in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; in a file,
-        a column or such a text. Slopes with temperature need it.
-    others
-        Indications of other accelerometers of the result on the same platform, shape (n,), or
-        their columns, by name; a_P and a_O then follow from all of them, corrected as well.
-    force
-        Whether a result of the equations as printed, with half the K_II, may be applied.
-    dialect
-        How a file is written, as far as it does not show: as [records] of a campaign says it.
-    """
-
+    #: Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
+    #: every other array, and of what is returned. Or that of the accelerometers' outputs,
+    #: such as ``count`` or ``mA``, as the result states them: then all else is in g.
     unit: str = "g"
+    #: Specific force along the pendulous and the output axis: shape (n,), one number, or text
+    #: such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
     pendulous: Force | None = None
     output_axis: Force | None = None
+    #: Of each row in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; in a
+    #: file, a column or such a text. Slopes with temperature need it.
     temperature: npt.ArrayLike | str | None = None
+    #: Indications of other accelerometers of the result on the same platform, shape (n,), or
+    #: their columns, by name; a_P and a_O then follow from all of them, corrected as well.
     others: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
+    #: Whether a result of the equations as printed, with half the K_II, may be applied.
     force: bool = False
+    #: How a file is written, as far as it does not show: as [records] of a campaign says it.
     dialect: Dialect = TO_BE_FOUND
 
 

@@ -158,27 +158,7 @@ class UnusedResult(ResultPart):
 
 
 class History(ShownResult):
-    """The history of all instruments.
-
-    Attributes
-    ----------
-    term, unit
-        The coefficient and its unit.
-    gravity
-        Of the g-units, m/s^2: that of the latest result.
-    converted
-        Whether results of another gravity were converted to it.
-    instruments
-        By serial number.
-    left_out
-        Results that cannot be used: without a date or serial number, or duplicates.
-    damaged
-        Files that cannot be read.
-    passed_over
-        Files in the folders that are not results.
-    notes
-        Further remarks about the files, in sentences.
-    """
+    """The history of all instruments."""
 
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     KIND: ClassVar[str] = "history"
@@ -186,13 +166,14 @@ class History(ShownResult):
     #: The coefficient; or ``offset``, ``sensitivity`` or ``angle`` of triads, an angle less 90 deg.
     term: str
     unit: str  #: Of every value; of a drift, per year.
-    gravity: float  #: Of the g-units, m/s^2.
-    converted: bool  #: Whether results of another gravity were converted.
+    gravity: float  #: Of the g-units, m/s^2: that of the latest result.
+    converted: bool  #: Whether results of another gravity were converted to it.
     instruments: list[InstrumentHistory]  #: One for each serial number.
-    left_out: list[UnusedResult]  #: Results without a place, and why.
+    #: Results that cannot be used: without a date or serial number, or duplicates.
+    left_out: list[UnusedResult]
     damaged: list[UnusedResult]  #: Files that cannot be read, and why.
-    passed_over: list[str]  #: JSON files in the folders that are no results.
-    notes: list[str]  #: Results that share records.
+    passed_over: list[str]  #: JSON files in the folders that are not results.
+    notes: list[str]  #: Further remarks about the files, in sentences.
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -18,17 +19,13 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, RecordError
 from counterspin.exports.guessing import STANDARD_GRAVITY, FileGuess, converts, guess_file
 from counterspin.exports.looking import FileColumn, Look, look
-from counterspin.inference.noise.even import sample_spectrum
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.rest import Band, RestRecord, RestSignal, at_rest
-from counterspin.inference.noise.spectrum import Line, allan_points, spectrum
+from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
 from counterspin.monitoring.result import (
-    AllanValue,
-    NoiseLineFound,
     NoiseResult,
     NoiseSize,
     SignalNoise,
-    SpectrumValue,
     shown_unit,
 )
 from counterspin.physics import observation
@@ -248,20 +245,8 @@ def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
     _, longest = stretches.longest
     own = kind.means
     force = np.diff(longest, n=own) / stretches.step**own
-    points = spectrum(force, stretches.step)
-    angle = 2.0 * math.pi * stretches.step * np.array([point.frequency for point in points])
-    expected = np.asarray(rest.variances) @ sample_spectrum(angle, stretches.step, kind)
     seconds = stretches.step * sum(part.size for _, part in stretches.parts)
-    lines = [
-        NoiseLineFound(
-            frequency=line.frequency,
-            u_frequency=line.u_frequency,
-            amplitude=line.amplitude,
-            u=line.u,
-            name=_line_name(line, 1.0 / step, turning),
-        )
-        for line in analysis.lines
-    ]
+    lines = [replace(line, name=_line_name(line, 1.0 / step, turning)) for line in analysis.lines]
     stated = SignalNoise(
         name=signal.name,
         column=signal.column,
@@ -278,20 +263,14 @@ def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
         drift=rest.drift,
         u_drift=rest.u_drift,
         lines=lines,
-        allan=[
-            AllanValue(**vars(point))
-            for point in allan_points(analysis.velocity, step, kind, rest.variances)
-        ],
-        spectrum=[
-            SpectrumValue(**vars(point), expected=float(own))
-            for point, own in zip(points, expected * stretches.step, strict=True)
-        ],
+        allan=allan_values(analysis.velocity, step, kind, rest.variances),
+        spectrum=spectrum(force, stretches.step, kind, rest.variances),
         remarks=[],
     )
     return stated.model_copy(update={"remarks": list(_remarks(stated, found))})
 
 
-def _line_name(line: Line, sampling: float, turning: float | None) -> str | None:
+def _line_name(line: SpectralLine, sampling: float, turning: float | None) -> str | None:
     """Return what a line may be: mains or the spindle, or one that the sampling folds down."""
     close = 3.0 * line.u_frequency
     spindle = None if turning is None else turning / (2.0 * math.pi)

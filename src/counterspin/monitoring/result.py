@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Final, Literal
 
+from counterspin.inference.noise.spectrum import AllanValue, SpectralLine, SpectrumValue
 from counterspin.reports.publication import ShownResult
 from counterspin.results import ResultPart
 
@@ -85,25 +86,7 @@ class GoalState(ResultPart):
 
 
 class WatchState(ShownResult):
-    """A campaign whose records grow, at one moment.
-
-    Attributes
-    ----------
-    title
-        The campaign's.
-    runs
-        In the order of the description.
-    coefficients
-        K_II of each accelerometer, all of a triad in poses, and what goals name.
-    goals
-        What is wanted.
-    events
-        What happened to files since the state before, in sentences.
-    trouble
-        Why the records that are there cannot be fitted together; None if they can.
-    complete
-        Whether every run is read and as long as the campaign states.
-    """
+    """A campaign whose records grow, at one moment."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
     KIND: ClassVar[str] = "watch"
@@ -113,9 +96,10 @@ class WatchState(ShownResult):
     #: K_II of each accelerometer, all of a triad in poses, and what goals name.
     coefficients: list[ReachedCoefficient]
     goals: list[GoalState]  #: What is wanted.
-    events: list[str]  #: What happened to files since the state before.
-    trouble: str | None  #: Why the records cannot be fitted together; None if they can.
-    complete: bool  #: Whether every run is read and as long as is stated.
+    events: list[str]  #: What happened to files since the state before, in sentences.
+    #: Why the records that are there cannot be fitted together; None if they can.
+    trouble: str | None
+    complete: bool  #: Whether every run is read and as long as the campaign states.
 
     @property
     def met(self) -> bool:
@@ -124,36 +108,20 @@ class WatchState(ShownResult):
 
 
 class CheckedRun(ShownResult):
-    """One record, judged.
-
-    Attributes
-    ----------
-    run
-        What it shows, fitted by itself.
-    remarks
-        What is wrong or odd, in sentences; empty if nothing is.
-    good
-        Whether it may be kept as it is.
-    others
-        The other runs of the campaign whose records are there.
-    reached
-        Coefficients by this record and those others.
-    expected
-        What the whole campaign will know, its other runs being made as described.
-    why_not
-        Why that cannot be said; None if it can.
-    """
+    """One record, checked."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
     KIND: ClassVar[str] = "check"
 
     run: RunState  #: What it shows, fitted by itself.
-    remarks: list[str]  #: What is wrong or odd.
-    good: bool  #: Whether it may be kept.
-    others: list[str]  #: Other runs whose records are there.
-    reached: list[ReachedCoefficient]  #: Coefficients by this record and those.
-    expected: list[ReachedCoefficient]  #: u of the whole campaign; values are None.
-    why_not: str | None = None  #: Why that cannot be said.
+    remarks: list[str]  #: What is wrong or odd, in sentences; empty if nothing is.
+    good: bool  #: Whether it may be kept as it is.
+    others: list[str]  #: The other runs of the campaign whose records are there.
+    reached: list[ReachedCoefficient]  #: Coefficients by this record and those others.
+    #: The u that the whole campaign will reach if its other runs are made as described; values are
+    #: None.
+    expected: list[ReachedCoefficient]
+    why_not: str | None = None  #: Why that cannot be said; None if it can.
 
 
 #: SI unit -> the unit of what is recorded in g, and how many of it are 1 g of the former.
@@ -185,38 +153,6 @@ class NoiseSize(ResultPart):
     unit: str  #: Of all three.
 
 
-class NoiseLineFound(ResultPart):
-    """A wave in the record."""
-
-    frequency: float  #: Hz.
-    u_frequency: float  #: Its standard uncertainty.
-    amplitude: float  #: Of the specific force, m/s^2.
-    u: float  #: Standard uncertainty of the amplitude.
-    name: str | None  #: What it may be, such as ``50 Hz mains, harmonic 3``; None: nothing known.
-
-
-class AllanValue(ResultPart):
-    """The overlapping Allan deviation at one averaging time."""
-
-    tau: float  #: Averaging time, s.
-    deviation: float  #: m/s^2.
-    low: float  #: Lower end of its 95 % interval, by chi-square.
-    high: float  #: Upper end.
-    dof: float  #: Equivalent degrees of freedom, of the noise that was found.
-    expected: float  #: What the components found make of it, m/s^2.
-
-
-class SpectrumValue(ResultPart):
-    """The power spectral density of the specific force at one frequency, two-sided."""
-
-    frequency: float  #: Hz.
-    density: float  #: (m/s^2)^2/Hz; white noise of coefficient N has N^2.
-    low: float  #: Lower end of its 95 % interval, by chi-square.
-    high: float  #: Upper end.
-    dof: float  #: Degrees of freedom.
-    expected: float  #: What the components found make of it.
-
-
 class SignalNoise(ResultPart):
     """The noise of one column."""
 
@@ -236,30 +172,14 @@ class SignalNoise(ResultPart):
     components: dict[str, NoiseSize]
     drift: float  #: Straight line of the bias, m/s^2 a second.
     u_drift: float  #: Its standard uncertainty, by the components that show.
-    lines: list[NoiseLineFound]  #: Waves, the largest against its neighbourhood first.
+    lines: list[SpectralLine]  #: Waves, the largest against its neighbourhood first.
     allan: list[AllanValue]  #: Overlapping Allan deviation, without the lines.
     spectrum: list[SpectrumValue]  #: Power spectral density, lines and all.
     remarks: list[str]  #: What to know before these figures are used.
 
 
 class NoiseResult(ShownResult):
-    """The noise of a record at rest.
-
-    Attributes
-    ----------
-    record
-        The file.
-    checksum
-        SHA-256 of it; None of a record in memory.
-    gravity
-        By which g and m/s^2 are converted, m/s^2.
-    signals
-        One for each column.
-    unused
-        Columns that are no displacement, velocity or specific force.
-    table
-        The ``[noise]`` table, to be pasted into ``campaign.toml``.
-    """
+    """The noise of a record at rest."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"
     KIND: ClassVar[str] = "noise"

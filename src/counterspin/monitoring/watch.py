@@ -35,17 +35,10 @@ _COMPLETE_PART: Final = 1.0 - 1e-3
 
 @frozen
 class Pace:
-    """How often files are looked at, and how much of the processor is taken.
+    """How often files are looked at, and how much of the processor is taken."""
 
-    Attributes
-    ----------
-    interval
-        Seconds between two looks.
-    share
-        Part of one core that fits may take: the longer one takes, the later the next one.
-    """
-
-    interval: float = 1.0
+    interval: float = 1.0  #: Seconds between two looks.
+    #: Part of one core that fits may take: the longer one takes, the later the next one.
     share: float = 0.02
 
     def __post_init__(self) -> None:

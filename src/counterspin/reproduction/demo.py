@@ -31,26 +31,13 @@ _AS_PRINTED: Final = TwoStageOptions(model="as-printed", weighted=False)
 
 @frozen
 class Demonstration:
-    """One simulated campaign with a single accelerometer, calibrated three ways.
+    """One simulated campaign with a single accelerometer, calibrated three ways."""
 
-    Attributes
-    ----------
-    campaign
-        The paper's plan, truth included.
-    records
-        The record files.
-    joint
-        All samples in one fit.
-    two_stage
-        The paper's method with exact equations.
-    as_printed
-        The paper's method with its equations as printed: K_II is half the truth.
-    """
-
-    campaign: Campaign
-    records: tuple[Path, ...]
-    joint: AccelerometerResult
-    two_stage: TwoStageOutcome
+    campaign: Campaign  #: The paper's plan, truth included.
+    records: tuple[Path, ...]  #: The record files.
+    joint: AccelerometerResult  #: All samples in one fit.
+    two_stage: TwoStageOutcome  #: The paper's method with exact equations.
+    #: The paper's method with its equations as printed: K_II is half the truth.
     as_printed: TwoStageOutcome
 
     @property

@@ -61,21 +61,13 @@ class PaperSection:
 
 
 class Reproduction(ShownResult):
-    """The result of `reproduce`.
-
-    Attributes
-    ----------
-    inputs
-        What the paper states and what it leaves open, with units.
-    sections
-        The rows, grouped in the order of the paper.
-    """
+    """The result of `reproduce`."""
 
     BLOCKS: ClassVar[str] = "counterspin.reproduction.page:reproduction_blocks"
     KIND: ClassVar[str] = "reproduction"
 
-    inputs: dict[str, Any]
-    sections: tuple[PaperSection, ...]
+    inputs: dict[str, Any]  #: What the paper states and what it leaves open, with units.
+    sections: tuple[PaperSection, ...]  #: The rows, grouped in the order of the paper.
 
     @property
     def rows(self) -> tuple[Row, ...]:

@@ -42,44 +42,22 @@ class AnalysisResult(ResultPart):
 
 
 class StudyResult(ShownResult):
-    """A study.
-
-    Attributes
-    ----------
-    title
-        Of the campaign.
-    trials, trials_asked
-        Trials done and asked for.
-    complete
-        Whether all trials were done.
-    seed
-        Of the random numbers.
-    varying
-        What varied, in words.
-    levels
-        Of the intervals whose coverage is given.
-    analyses
-        The competitors, by name.
-    verdict
-        Which of them to trust, and why not the others.
-    provenance
-        ``version`` of the program.
-    """
+    """A study."""
 
     BLOCKS: ClassVar[str] = "counterspin.studies.page:study_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.studies.page:report_blocks"
     KIND: ClassVar[str] = "study's result"
 
-    title: str
-    trials: int
-    trials_asked: int
-    complete: bool
-    seed: int
-    varying: list[str]
-    levels: tuple[float, ...] = LEVELS
-    analyses: dict[str, AnalysisResult]
-    verdict: list[str]
-    provenance: dict[str, str]
+    title: str  #: Of the campaign.
+    trials: int  #: How many were done.
+    trials_asked: int  #: How many were asked for.
+    complete: bool  #: Whether all trials were done.
+    seed: int  #: Of the random numbers.
+    varying: list[str]  #: What varied, in words.
+    levels: tuple[float, ...] = LEVELS  #: Of the intervals whose coverage is given.
+    analyses: dict[str, AnalysisResult]  #: The competitors, by name.
+    verdict: list[str]  #: Which of them to trust, and why not the others.
+    provenance: dict[str, str]  #: ``version`` of the program.
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw how each coefficient's error over its u is distributed."""

@@ -47,28 +47,16 @@ class CheckedCase(ResultPart):
 
 
 class Dossier(ShownResult):
-    """What `validate` returns.
-
-    Attributes
-    ----------
-    passed
-        Whether no case failed and no file of the installation is altered or missing.
-    installation
-        What is installed.
-    cases
-        All of them.
-    not_covered
-        What no case says anything about, in sentences.
-    """
+    """What `validate` returns."""
 
     BLOCKS: ClassVar[str] = "counterspin.validation.page:summary_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.validation.page:dossier_blocks"
     KIND: ClassVar[str] = "validation dossier"
 
-    passed: bool  #: Whether no case failed and no file is altered or missing.
+    passed: bool  #: Whether no case failed and no file of the installation is altered or missing.
     installation: Installation  #: What is installed.
     cases: list[CheckedCase]  #: All cases.
-    not_covered: list[str]  #: What no case says anything about.
+    not_covered: list[str]  #: What no case says anything about, in sentences.
 
     @property
     def identifier(self) -> str:

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from counterspin.inference.noise.even import SampleKind
-from counterspin.inference.noise.spectrum import allan_deviation, allan_points, moments
+from counterspin.inference.noise.spectrum import allan_deviation, allan_values, moments
 
 WHITE, FLICKER, WALK = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 
@@ -86,7 +86,7 @@ def test_moments_are_those_of_a_dense_covariance(size, count):
 
 def test_intervals_are_those_of_chi_square():
     velocity = integral(np.random.default_rng(1).standard_normal(300))
-    points = allan_points(velocity, 1.0, SampleKind(1, 0), WHITE)
+    points = allan_values(velocity, 1.0, SampleKind(1, 0), WHITE)
     assert [point.tau for point in points][:4] == [1.0, 2.0, 3.0, 4.0]
     assert points[-1].tau <= 100.0
     for point in points:

@@ -23,7 +23,7 @@ from counterspin.inference.noise.even import EvenData, EvenRecord, SampleKind
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
 from counterspin.inference.noise.model import COMPONENTS, SPECIFIC_FORCE, WANTED, Noise
 from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
-from counterspin.inference.noise.spectrum import Line, find_lines
+from counterspin.inference.noise.spectrum import SpectralLine, find_lines
 from counterspin.inference.noise.wander import Variances
 from counterspin.records.spikes import find_spikes
 
@@ -79,7 +79,7 @@ class RestAnalysis:
     """What a record says of its noise."""
 
     noise: RestNoise
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     step: float  #: Of the samples that it rests on, s.
     velocity: Array  #: Integral of the specific force of the longest part, without lines, m/s.
     kind: SampleKind
@@ -193,7 +193,7 @@ def analyse(stretches: Stretches, order: int) -> RestAnalysis:
     kind = SampleKind(max(order, 1), order)
     noise_order = kind.order
     records: list[EvenData] = []
-    lines: list[Line] = []
+    lines: list[SpectralLine] = []
     velocity = np.zeros(0)
     first = 1
     for start, part in stretches.parts:

@@ -69,33 +69,41 @@ _LOW, _HIGH = 0.025, 0.975
 
 
 @frozen
-class SpectrumPoint:
-    """The two-sided power spectral density of the specific force in a band."""
+class SpectrumValue:
+    """The power spectral density of the specific force at one frequency, two-sided."""
 
-    frequency: float  #: Of its middle, Hz.
-    density: float  #: (m/s^2)^2/Hz.
-    low: float  #: Ends of its 95 % interval.
-    high: float
+    frequency: float  #: Hz.
+    density: float  #: (m/s^2)^2/Hz; white noise of coefficient N has N^2.
+    low: float  #: Lower end of its 95 % interval, by chi-square.
+    high: float  #: Upper end.
     dof: float  #: Degrees of freedom.
+    expected: float  #: What the components found make of it.
 
 
 @frozen
-class Line:
-    """A wave in a record."""
+class SpectralLine:
+    """A wave in the record."""
 
     frequency: float  #: Hz.
-    u_frequency: float
-    amplitude: float  #: m/s^2.
-    u: float  #: Of the amplitude.
+    u_frequency: float  #: Its standard uncertainty.
+    amplitude: float  #: Of the specific force, m/s^2.
+    u: float  #: Standard uncertainty of the amplitude.
+    #: What it may be, such as ``50 Hz mains, harmonic 3``; None: nothing known.
+    name: str | None = None
 
 
-def spectrum(force: Array, step: float) -> list[SpectrumPoint]:
-    """Return the spectrum of a record, from its lowest frequencies to half the sampling rate."""
+def spectrum(
+    force: Array, step: float, kind: SampleKind, variances: Variances
+) -> list[SpectrumValue]:
+    """Return the spectrum of a record, from its lowest frequencies to half the sampling rate.
+
+    variances: Of the noise found.
+    """
     from scipy.signal import welch
     from scipy.stats import chi2
 
     length = max(_FEWEST_IN_SEGMENT, force.size // _SEGMENTS)
-    points: list[SpectrumPoint] = []
+    values: list[SpectrumValue] = []
     above = 0.0
     # Shorter segments, of which there are more, serve higher frequencies.
     while length >= _FEWEST_IN_SEGMENT:
@@ -116,14 +124,16 @@ def spectrum(force: Array, step: float) -> list[SpectrumPoint]:
             dof = each * max(1.0, _INDEPENDENT * np.count_nonzero(own))
             low, high = (float(mean * dof / chi2.ppf(part, dof)) for part in (0.975, 0.025))
             middle = float(np.exp(np.mean(np.log(frequency[inside][own]))))
-            points.append(SpectrumPoint(middle, mean, low, high, dof))
+            angle = np.array([2.0 * math.pi * step * middle])
+            expected = step * float((np.asarray(variances) @ sample_spectrum(angle, step, kind))[0])
+            values.append(SpectrumValue(middle, mean, low, high, dof, expected))
         if last:
             break
         above, length = upper, length // _SHORTER
-    return points
+    return values
 
 
-def find_lines(force: Array, step: float) -> tuple[list[Line], Array]:
+def find_lines(force: Array, step: float) -> tuple[list[SpectralLine], Array]:
     """Return the lines of a record, the largest against its noise first, and it without them."""
     n = force.size
     if n < _FEWEST:
@@ -158,7 +168,7 @@ def find_lines(force: Array, step: float) -> tuple[list[Line], Array]:
         # Rife and Boorstyn, IEEE Trans. Inf. Theory 20 (1974) 591, for the window's weights.
         u = math.sqrt(2.0 * _AMPLITUDE_LOSS) * spread
         u_frequency = math.sqrt(6.0 * _FREQUENCY_LOSS) * spread / (math.pi * n * step * abs(wave))
-        lines.append(Line(frequency, u_frequency, abs(wave), u))
+        lines.append(SpectralLine(frequency, u_frequency, abs(wave), u))
     return lines, rest + force.mean()
 
 
@@ -204,16 +214,15 @@ def _background(power: Array) -> Array:
 
 
 @frozen
-class AllanPoint:
-    """One averaging time."""
+class AllanValue:
+    """The overlapping Allan deviation at one averaging time."""
 
-    tau: float  #: s.
+    tau: float  #: Averaging time, s.
     deviation: float  #: m/s^2.
-    #: Ends of its 95 % interval, by chi-square.
-    low: float
-    high: float
-    dof: float  #: Equivalent degrees of freedom.
-    expected: float  #: Of the noise that was found, m/s^2.
+    low: float  #: Lower end of its 95 % interval, by chi-square.
+    high: float  #: Upper end.
+    dof: float  #: Equivalent degrees of freedom, of the noise that was found.
+    expected: float  #: What the components found make of it, m/s^2.
 
 
 def allan_deviation(velocity: Array, step: float, count: int) -> float:
@@ -226,9 +235,9 @@ def allan_deviation(velocity: Array, step: float, count: int) -> float:
     return math.sqrt(float(np.mean(second**2)) / 2.0) / (count * step) if second.size else math.nan
 
 
-def allan_points(
+def allan_values(
     velocity: Array, step: float, kind: SampleKind, variances: Variances
-) -> list[AllanPoint]:
+) -> list[AllanValue]:
     """Return the deviation at averaging times up to a third of a record.
 
     variances: Of the noise found.
@@ -243,7 +252,7 @@ def allan_points(
         deviation = allan_deviation(velocity, step, count)
         expected, dof = moments(n, step, kind, variances, count)
         low, high = (deviation * math.sqrt(dof / chi2.ppf(part, dof)) for part in (_HIGH, _LOW))
-        points.append(AllanPoint(count * step, deviation, low, high, dof, expected))
+        points.append(AllanValue(count * step, deviation, low, high, dof, expected))
     return points
 
 
