@@ -15,6 +15,7 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.readings import solve_readings
 
+FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 #: g.
 NOISE = 3e-4
 
@@ -131,9 +132,9 @@ def _few(model, generator):
 
 
 def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
-    # They cannot tell their noise beside 16 combinations of terms. Of 60 triads, 4 standard
-    # deviations of how often the nine 50 % intervals of one hold.
-    generator, trials = np.random.default_rng(5), 60
+    # They cannot tell their noise beside 16 combinations of terms. Four standard deviations of how
+    # often the nine 50 % intervals of one triad hold.
+    generator, trials = np.random.default_rng(5), 300 if FULL else 30
     z, dof = np.empty((trials, 9)), np.empty((trials, 9))
     for trial in range(trials):
         poses = _few(beside_unstated_terms, generator)
@@ -200,7 +201,7 @@ def test_z_of_the_parameters_are_normal():
 
 
 #: Triads at each number of poses; in full those of issue and documentation.
-TRIADS = 300 if os.environ.get("COUNTERSPIN_FULL") else 30
+TRIADS = 300 if FULL else 30
 
 
 @pytest.mark.parametrize(

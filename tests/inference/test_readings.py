@@ -315,10 +315,10 @@ CASES = {
 def test_unbiased_and_covers(case, stated):
     tests, asked, more = CASES[case]
     everything = [*asked.unknowns, *asked.considered]
-    trials = FULL or (10 if len(everything) > 8 else 20)
+    trials = FULL or 7
     rng = np.random.default_rng(sum(map(ord, case)))
     own = {u.symbol: TRUTH.get(u.symbol, 0.0) for u in asked.unknowns if u.symbol in TERMS}
-    z, t = [], []
+    z, t, square = [], [], 0.0
     for _ in range(trials):
         drawn = {u.symbol: rng.normal(0.0, u.prior[1]) for u in everything if u.symbol not in TERMS}
         machine = {s: size for s, size in drawn.items() if s not in SLOPES}
@@ -335,8 +335,10 @@ def test_unbiased_and_covers(case, stated):
         fit = solve_readings(groups, asked)
         wanted = np.array([own.get(u.symbol, drawn.get(u.symbol)) for u in asked.unknowns])
         nominal = np.array([u.nominal for u in asked.unknowns])
-        z.append((fit.solution.estimate + nominal - wanted) / fit.solution.u)
+        off = fit.solution.estimate + nominal - wanted
+        z.append(off / fit.solution.u)
         t.append(stdtrit(effective_dof(fit), 0.975))
+        square += off @ np.linalg.solve(fit.solution.covariance, off)
     z = np.array(z)
     # Four standard errors of a mean, and of a share of 95 %, of so many trials.
     assert np.abs(z.mean(axis=0)).max() < 4.0 * 1.1 / math.sqrt(trials)
@@ -344,6 +346,10 @@ def test_unbiased_and_covers(case, stated):
     share = np.mean(np.abs(z) < (1.96 if stated else np.array(t)), axis=0)
     if stated:
         assert np.abs(share - 0.95).max() < slack
+        # Together they are chi-square: one in 10,000 is outside, and so is a u that is twice too
+        # large or too small.
+        low, high = stats.chi2.ppf([5e-5, 1.0 - 5e-5], z.size)
+        assert low < square < high
     else:
         # Welch and Satterthwaite's intervals cover at least, and no more than a normal one less
         # what its few degrees of freedom add.

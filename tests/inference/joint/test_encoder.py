@@ -212,7 +212,7 @@ def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
     noise = Noise(1e-2 if observable == "displacement" else 1e-4)
     # Who takes the rotation as exact need not look for the noise: once is enough.
     compared = observable != "displacement" and request_.white is not WANTED
-    trials = 2000 if FULL else 40 if compared else 12
+    trials = 2000 if FULL else 40 if compared else 8
     inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
     for _ in range(trials):
         size = hidden(encoder_noise, 385)

@@ -56,7 +56,7 @@ def bound(series, noise):
 @pytest.mark.parametrize(
     ("noise", "request_", "trials"),
     [
-        (WHITE, Noise(WANTED, 0.0), 4000 if FULL else 50),
+        (WHITE, Noise(WANTED, 0.0), 4000 if FULL else 30),
         (MIXED, Noise(WANTED, WANTED), 4000 if FULL else 10),
         (MIXED, Noise(0.01, WANTED), 4000 if FULL else 8),
     ],

@@ -66,7 +66,7 @@ def test_runs_of_their_own_noise_are_weighed_with_it(clean):
 
 def test_time_stamps_that_scatter_are_told_by_the_slope(clean):
     rng = np.random.default_rng(2)
-    trials, z, sizes = 10, [], []
+    trials, z, sizes = 6, [], []
     for _ in range(trials):
         # One row in 400 is taken for an outlier before the weights are known, and 2 % of the size.
         found = estimate(by_slope(clean, rng), MODEL, WANT, reject=False)

@@ -22,7 +22,7 @@ def found(recorded, kind, step=STEP):
     return find_rest_noise([EvenData.of(recorded, step, kind, time[:, None], 1)])
 
 
-def force(seed, n=2000, walk=0.0):
+def force(seed, n=1200, walk=0.0):
     rng = np.random.default_rng([7, seed])
     time = np.arange(n) * STEP
     return N / math.sqrt(STEP) * rng.standard_normal(n) + bias_wander(rng, time, B, walk, 0)

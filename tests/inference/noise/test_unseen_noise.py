@@ -142,7 +142,7 @@ def clean():
 def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, walk):
     """Whole estimates; at 1.2e-4 half of the records show the walk, and half do not."""
     rng = np.random.default_rng([3, int(1e6 * walk)])
-    trials = 1000 if FULL else 10
+    trials = 1000 if FULL else 6
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
         drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
