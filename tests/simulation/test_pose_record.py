@@ -167,6 +167,6 @@ def test_a_study_reads_the_poses_of_a_record_one_by_one(tmp_path, unit):
     x, y, z = along.T
     felt = np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
     u = NOISE / np.sqrt(300.0) * np.sqrt(np.diag(np.linalg.inv(felt.T @ felt))[0])
-    found = study(studied, trials=200).analyses["joint"].coefficients["X.K_F"]
-    assert found.sd == pytest.approx(u, rel=5.0 / np.sqrt(2.0 * 200.0))
+    found = study(studied, trials=60).analyses["joint"].coefficients["X.K_F"]
+    assert found.sd == pytest.approx(u, rel=5.0 / np.sqrt(2.0 * 60.0))
     assert found.u == pytest.approx(u, rel=0.1)

@@ -107,7 +107,7 @@ STUDIES = {
     "both, noise stated": (BOTH, tumble() + arm(rates=(7.0, 14.0))),
     "both, noise estimated": (BOTH + NOISE, tumble("", 8) + arm("", (7.0, 14.0))),
 }
-TRIALS = 1000 if os.environ.get("COUNTERSPIN_FULL") else 24
+TRIALS = 1000 if os.environ.get("COUNTERSPIN_FULL") else 16
 
 
 def described(folder, *parts):
