@@ -2,7 +2,8 @@
 # first use (from the package index, once) and works offline afterwards.
 
 PYTHON ?= python3
-JOBS ?= 2
+# One more than the two cores of a small machine: a test waits a quarter of its time.
+JOBS ?= 3
 DOCUMENTS ?= 20000
 RECORDS ?= 400
 KILLS ?= 40
@@ -69,7 +70,7 @@ bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the s
 
 docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	@echo "Building the site, which takes a minute."
-	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j $$((4 * $(JOBS))) docs build/site
+	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j 8 docs build/site
 	@echo "Open build/site/index.html."
 
 docs-tests: docs ## Try the site: its examples, its links, a browser that goes through it

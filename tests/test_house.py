@@ -31,8 +31,9 @@ SOURCES = {path.relative_to(PACKAGE).as_posix(): path.read_text("utf-8") for pat
 
 
 @cache
-def tree_of(source):
-    return ast.parse(source)
+def nodes_of(source):
+    """Return all nodes of a module's tree, the module first."""
+    return list(ast.walk(ast.parse(source)))
 
 
 def offences(look, among=SOURCES):
@@ -46,7 +47,7 @@ def offences(look, among=SOURCES):
 
 def test_every_module_says_what_it_is_for():
     def silent(_, source):
-        docstring = ast.get_docstring(tree_of(source)) or ""
+        docstring = ast.get_docstring(nodes_of(source)[0]) or ""
         return len(docstring.partition("\n")[0].split()) < 3
 
     assert offences(silent) == {}
@@ -73,7 +74,7 @@ MANY_PARAMETERS = {
 
 def functions_with_many_parameters(source):
     found = []
-    for node in ast.walk(tree_of(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             given = node.args
             named = [*given.posonlyargs, *given.args, *given.kwonlyargs]
@@ -97,7 +98,7 @@ def test_what_cannot_be_changed_is_made_by_frozen():
 def test_a_class_name_has_one_meaning():
     places = {}
     for name, source in SOURCES.items():
-        for node in ast.walk(tree_of(source)):
+        for node in nodes_of(source):
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(name)
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
@@ -136,9 +137,7 @@ def terms_listed(literal):
 def lists_of_terms(source):
     """Return every literal of a module that lists three or more terms."""
     literals = (
-        node
-        for node in ast.walk(tree_of(source))
-        if isinstance(node, ast.Tuple | ast.List | ast.Set)
+        node for node in nodes_of(source) if isinstance(node, ast.Tuple | ast.List | ast.Set)
     )
     return [listed for literal in literals if len(listed := terms_listed(literal)) >= 3]
 
@@ -276,7 +275,7 @@ def flags_named(source):
     """Return the texts of a module, docstrings too, that name an option of the command line."""
     return [
         node.value
-        for node in ast.walk(tree_of(source))
+        for node in nodes_of(source)
         if isinstance(node, ast.Constant)
         and isinstance(node.value, str)
         and FLAG.search(node.value)
@@ -298,7 +297,7 @@ def test_one_place_knows_the_description_s_name():
     named = [
         name
         for name, source in SOURCES.items()
-        for node in ast.walk(tree_of(source))
+        for node in nodes_of(source)
         if isinstance(node, ast.Constant) and node.value == "campaign.toml"
     ]
     assert named == ["campaign/documents.py"]

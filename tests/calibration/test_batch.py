@@ -212,5 +212,6 @@ def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
     )
     assert first == alone(folders[0])
     assert "connection with the Dask scheduler was lost" in second.error
+    monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 0.5)
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
         calibrate_many([folders[0]], workers=Workers(cluster=address))
