@@ -114,6 +114,10 @@ def test_every_key_has_an_example_that_its_schema_takes(name):
     assert shown > 3
 
 
+def test_a_quantity_is_written_as_text():
+    assert "Quantity" not in SCHEMAS["campaign"]["$defs"]
+
+
 def test_quantities_have_their_unit():
     site = SCHEMAS["campaign"]["$defs"]["SiteSettings"]["properties"]
     assert site["latitude"]["x-unit"] == "rad"

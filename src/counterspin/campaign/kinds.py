@@ -132,6 +132,20 @@ class Quantities(PlainValidator):
         return TypeAdapter(self.json_schema_input_type).json_schema()
 
 
+class _IsQuantity:
+    """What no document can hold, so that schemas do not name it."""
+
+    def __get_pydantic_core_schema__(
+        self, source_type: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Return that it is a `Quantity`."""
+        return core_schema.is_instance_schema(Quantity)
+
+
+#: A number of a table, which has its unit already.
+ReadAlready = Annotated[Quantity, _IsQuantity()]
+
+
 def known(unit: str, usual: str | None = None) -> PlainValidator:
     """Return the validator of a quantity with its uncertainty; `usual` as of `parse`."""
     return Quantities(partial(_parsed, unit, usual=usual), _written(unit, uncertain=True))

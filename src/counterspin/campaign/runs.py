@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, PrivateAttr
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems, Section
@@ -17,6 +17,7 @@ from counterspin.campaign.documents import KeyPath, patched
 from counterspin.campaign.kinds import (
     Contradiction,
     PositiveRatio,
+    ReadAlready,
     RecordFile,
     Seconds,
     SettingsSection,
@@ -29,7 +30,7 @@ from counterspin.campaign.kinds import (
     read_exactly,
     with_units,
 )
-from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
+from counterspin.campaign.quantity import UNKNOWN, of_platform, read_attitude
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -60,7 +61,7 @@ def sample_count(duration: float, sampling_rate: float) -> int:
 
 
 #: What was read, as it is written; a number of a table has its unit already.
-_Read = Text | InstanceOf[Quantity]
+_Read = Text | ReadAlready
 #: A reading, or repeats of one at the same setting.
 Written = _Read | Annotated[list[_Read], Field(min_length=1)]
 #: That of the one accelerometer there is, or of several by name.
