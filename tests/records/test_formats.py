@@ -21,7 +21,12 @@ from counterspin.records.record import ColumnSpec
     [
         ("run.csv.gz", "the file is packed; unpack it, and give the file inside."),
         ("runs.ZIP", "the file is packed; unpack it"),
-        ("run.doc", "a record file ends in one of .csv, .txt,"),
+        ("run.doc", "save its table as .xlsx or .csv in the program that wrote it."),
+        ("run.NPY", 'NumPy writes it as text: savetxt("NAME.csv", load("NAME.npy"), delimiter'),
+        ("run.npz", "NumPy writes its arrays as text: savetxt("),
+        ("run.json", "this is no table; write its rows to a .csv file, a line for each time."),
+        ("run.pkl", "how its bytes are arranged is not stated; export text,"),
+        ("run.odd", "a record file ends in one of .csv, .txt,"),
     ],
 )
 def test_a_file_of_another_kind_is_refused_with_what_to_do(name, words, tmp_path):
@@ -58,7 +63,7 @@ def test_missing_file_directory_and_unknown_kind(tmp_path):
     assert "file not found" in refusal(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     assert "directory" in refusal(tmp_path / "folder.csv")
-    assert ".parquet" in refusal(tmp_path / "run.docx")
+    assert ".parquet" in refusal(tmp_path / "run.odd")
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.h5", "run.mat"])

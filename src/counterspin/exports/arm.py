@@ -353,7 +353,8 @@ def _statements(look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -
     if table.rate is not None and (step := table.rate_step()) > _LARGE_STEP:
         yield (
             f"column '{table.rate.name}' has so few digits that the last one changes the force by "
-            f"{100.0 * step:.1g} %; if it was measured better, write more"
+            f"{100.0 * step:.1g} %; give more digits if there are any. A stated uncertainty of the "
+            "readings must include this rounding; without one, the residuals show it"
         )
     rests = int(table.rests.sum())
     if table.rate is not None:

@@ -86,6 +86,27 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
 _PACKED: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")
 
 
+#: Ending of a file that is no record, though it may hold one -> what to do with it.
+_INSTEAD: Final[Mapping[str, str]] = {
+    ".npy": 'NumPy writes it as text: savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
+    ".npz": 'NumPy writes its arrays as text: savetxt("NAME.csv", load("NAME.npz")["ARRAY"], '
+    'delimiter=",").',
+    **dict.fromkeys(
+        (".json", ".jsonl", ".xml", ".yaml", ".yml", ".toml", ".db", ".sqlite"),
+        "this is no table; write its rows to a .csv file, a line for each time.",
+    ),
+    **dict.fromkeys(
+        (".ods", ".numbers", ".doc", ".docx", ".rtf", ".pdf"),
+        "save its table as .xlsx or .csv in the program that wrote it.",
+    ),
+    **dict.fromkeys(
+        (".bin", ".raw", ".pkl", ".pickle"),
+        "how its bytes are arranged is not stated; export text, such as .csv, from the program "
+        "that wrote it.",
+    ),
+}
+
+
 def wrong_ending(path: Path) -> str:
     """Return why a file is no record by its ending, and what to do; empty if it may be one."""
     ending = path.suffix.lower()
@@ -93,6 +114,8 @@ def wrong_ending(path: Path) -> str:
         return ""
     if ending in _PACKED:
         return "the file is packed; unpack it, and give the file inside."
+    if ending in _INSTEAD and not path.is_dir():
+        return _INSTEAD[ending]
     kind = "this is a folder" if path.is_dir() else "this one does not"
     return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
 

@@ -208,7 +208,9 @@ def tumble() -> Canvas:
     canvas.text((view.at(1.3 * UP)[0], view.at(1.3 * UP)[1] - 6), "0°", "middle", "muted")
     arc = [view.at(0.62 * _turned(NORTH, UP, a)) for a in np.linspace(0.0, angle, 17)]
     canvas.arrow(arc, "ink", 1.8)
-    canvas.text((arc[8][0] + 3, arc[8][1] - 6), "angle", "start")
+    # Between the two axes, above the arrow.
+    x, y = view.at(0.86 * _turned(NORTH, UP, 0.5 * angle))
+    canvas.text((x, y), "angle", "middle")
     x, y = view.at((0, 0, 0))
     canvas.line([(x + 8 * math.cos(a), y + 8 * math.sin(a)) for a in np.linspace(0, 6.2832, 33)])
     canvas.line([(x - 5.6, y - 5.6), (x + 5.6, y + 5.6)])

@@ -9,7 +9,7 @@ import {
 import { answersTo, asTable, lookUntilSettled, tipOf } from "./exports.js";
 import { knownTo, named, percent, size } from "./improving.js";
 import { carryOut, follow, followRunning } from "./job.js";
-import { columnsOf, withPoint } from "./live.js";
+import { columnsOf, stepsAround, withPoint } from "./live.js";
 import { inUnit } from "./plan.js";
 
 const KEY = "counterspin-key";
@@ -158,6 +158,14 @@ test("what was reached is one point for each amount of records, the newest last"
   assert.deepEqual(columnsOf(seen), [[1, 2], [null, 2]]);
   // Records that are made anew begin again.
   assert.deepEqual(columnsOf(withPoint(seen, at(0.5, 9))), [[0.5], [9]]);
+});
+
+test("an axis of uncertainties has steps of 1, 2 and 5 about its range", () => {
+  assert.deepEqual(stepsAround(2.426, 3.2), [2, 5]);
+  assert.deepEqual(stepsAround(0.03, 1.5), [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]);
+  assert.deepEqual(stepsAround(2, 5), [2, 5]);
+  assert.deepEqual(stepsAround(2, 2), [2, 5]);
+  assert.deepEqual(stepsAround(7, 8), [5, 10]);
 });
 
 test("a listener listens, and a value is a property", () => {

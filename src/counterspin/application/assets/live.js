@@ -29,6 +29,8 @@ class UncertaintyChart {
 
   /** @param {Reached} reached */
   add(reached) {
+    // Before anything is determined there is nothing to draw.
+    if (!this.seen.length && !reached.u.some(({ u }) => u)) return;
     this.seen = withPoint(this.seen, reached);
     // A point alone is said in the table.
     if (this.seen.length < 2) return;
@@ -43,12 +45,35 @@ class UncertaintyChart {
       width: this.box.clientWidth,
       height: HEIGHT,
       cursor: { y: false },
-      scales: { x: { time: false }, y: { distr: 3, range: (/** @type {any} */ _, /** @type {number} */ low, /** @type {number} */ high) => [low / 1.2, high * 1.2] } },
-      axes: [axis("recorded, min", 34), axis("u", 70)],
+      scales: { x: { time: false }, y: { distr: 3, range: (/** @type {any} */ _, /** @type {number} */ low, /** @type {number} */ high) => {
+        const steps = stepsAround(low, high);
+        return [steps[0], steps[steps.length - 1]];
+      } } },
+      axes: [axis("recorded, min", 34), {
+        ...axis("standard uncertainty", 70),
+        splits: (/** @type {any} */ _, /** @type {number} */ __, /** @type {number} */ low, /** @type {number} */ high) => stepsAround(low, high),
+        filter: (/** @type {any} */ _, /** @type {number[]} */ steps) => steps,
+        values: (/** @type {any} */ _, /** @type {number[]} */ steps) => steps.map(String),
+      }],
       series: [{ label: "recorded, min" }, ...this.seen[0].u.map(({ name }, place) =>
         ({ label: name, stroke: () => colour(`--series-${(place % 6) + 1}`), width: 2 }))],
     }, columnsOf(this.seen), this.box);
   }
+}
+
+/**
+ * The steps 1, 2, 5, 10, and so on, from the last one below a range to the first one above it.
+ * @param {number} low
+ * @param {number} high
+ */
+export function stepsAround(low, high) {
+  const steps = [];
+  for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power += 1) {
+    for (const digit of [1, 2, 5]) steps.push(Number(`${digit}e${power}`));
+  }
+  const first = steps.findLastIndex((step) => step <= low);
+  const last = steps.findIndex((step) => step > low && step >= high);
+  return steps.slice(first, last + 1);
 }
 
 /**

@@ -53,7 +53,7 @@ export async function tryView(name) {
       make("section", {}, make("h2", {}, "Study"),
         make("p", { class: "quiet" }, "The campaign is simulated many times with the true values of its ",
           make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
-          " and calibrated each time, which shows whether the stated uncertainties hold. A thousand trials take seconds."),
+          " and calibrated each time, which shows whether the stated uncertainties hold. A thousand trials take from seconds to some minutes."),
         ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
