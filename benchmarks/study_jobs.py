@@ -32,8 +32,8 @@ from counterspin.physics.observation import columns
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import read_study
 from counterspin.studies.draws import Draws, stream
-from counterspin.studies.tally import summarise
-from counterspin.studies.two_stage_engine import TwoStageEngine
+from counterspin.studies.result import summarise
+from counterspin.studies.shortcuts import TwoStageEngine
 from counterspin.studies.work import Ledger, StudyEngine, run_batches
 from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 

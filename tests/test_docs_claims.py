@@ -44,7 +44,7 @@ from counterspin.physics.observation import columns, parabola
 from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
 from counterspin.records import column_file, reduction, spikes
 from counterspin.reproduction import plan as paper
-from counterspin.studies import two_stage_engine
+from counterspin.studies import strobed_effects
 from counterspin.studies.result import FEWEST_TRIALS
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check
@@ -193,7 +193,7 @@ NUMBERS = [
         "the residuals among {} neighbours",
         [column_file._PIECE_ROWS, spikes.WINDOW_SAMPLES],
     ),
-    ("benchmarks", "a polynomial of degree {}", [two_stage_engine.DEGREE]),
+    ("benchmarks", "a polynomial of degree {}", [strobed_effects.DEGREE]),
     ("physics", "to have risen evenly by {} K from", [conditions.UNKNOWN_WARMING]),
     ("physics", "{} arcmin are ${}$ of K_I", [3, 0.5 * (3 * 60 * ARCSEC) ** 2]),
     (

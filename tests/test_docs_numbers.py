@@ -32,7 +32,7 @@ from counterspin.planning import design, faults, limits, plan_file
 from counterspin.records import clock, reading, reduction, table_files
 from counterspin.reproduction import plan as paper
 from counterspin.simulation import simulable
-from counterspin.studies import description, draws, result, study, tally, two_stage_engine, validity
+from counterspin.studies import choice, description, draws, result, strobed_effects, study
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
@@ -95,13 +95,13 @@ ROWS = {
     ],
     "study": [
         ("known with an uncertainty, and {} analyses compete", len(description._DEFAULT)),
-        ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in tally.LEVELS)),
+        ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
         ("contain the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
         ("must not exceed {} of the stated u", result._LARGEST_BIAS),
-        ("a polynomial of the {} degree", two_stage_engine.DEGREE),
-        ("inside a box of {} rad of drift a run", two_stage_engine._DRIFT_ANGLE),
-        ("and a ripple ratio of {}, checked", two_stage_engine._RIPPLE_RATIO),
-        ("as linear: to {} of itself", validity._LARGEST_PART),
+        ("a polynomial of the {} degree", strobed_effects.DEGREE),
+        ("inside a box of {} rad of drift a run", strobed_effects._DRIFT_ANGLE),
+        ("and a ripple ratio of {}, checked", strobed_effects._RIPPLE_RATIO),
+        ("as linear: to {} of itself", choice._LARGEST_PART),
         ("at {} standard deviations. Inputs", draws._VALID_SDS),
         ("by the same factor, down to {}.", math.sqrt(0.5)),
         ("A study that will take {} an hour or more", study._LONG_HOURS),

@@ -11,11 +11,10 @@ from campaigns import changed, write
 from counterspin.calibration.calibrate import calibrate
 from counterspin.errors import CampaignError
 from counterspin.simulation.simulate import simulate
-from counterspin.studies.choice import choose_engine
+from counterspin.studies.choice import analyses_of, choose_engine
 from counterspin.studies.description import read_study
 from counterspin.studies.draws import StudyTruth, stream
 from counterspin.studies.study import study
-from counterspin.studies.validity import analyses_of
 from counterspin.studies.world import world_of
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))

@@ -13,8 +13,13 @@ from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS, term
-from counterspin.studies.strobed_effects import StrobedMotion, effects, obstacle
-from counterspin.studies.two_stage_engine import Surrogate, box_of
+from counterspin.studies.strobed_effects import (
+    StrobedMotion,
+    Surrogate,
+    box_of,
+    effects,
+    obstacle,
+)
 
 SITE = Site(9.8, 0.8)
 SMOOTH = tuple(symbol for symbol in (*TERMS, *PLATFORM_TERMS) if not obstacle(symbol))

@@ -44,7 +44,7 @@ from counterspin.simulation.simulable import (
     unfit_readings,
 )
 from counterspin.studies.draws import NOISE_LEVELS, OTHERS, WHITE, VariedQuantity
-from counterspin.studies.recorded_poses import with_noise_of_poses, with_poses_read
+from counterspin.studies.world import with_noise_of_poses, with_poses_read
 
 #: Kinds of distribution, as they are written.
 _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")

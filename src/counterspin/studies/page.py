@@ -21,8 +21,7 @@ from counterspin.reports.blocks import (
 )
 from counterspin.reports.charts import reserve_figures, save
 from counterspin.reports.numbers import field_unit, format_number
-from counterspin.studies.result import CoefficientResult, StudyResult
-from counterspin.studies.tally import LEVELS, Z_BINS, Z_EDGE
+from counterspin.studies.result import LEVELS, Z_BINS, Z_EDGE, CoefficientResult, StudyResult
 
 #: What every figure of one says that it is.
 FIGURE: Final = "a figure of a study"

@@ -1,14 +1,125 @@
-"""The result of a study: figures for each analysis and coefficient, a verdict, JSON."""
+"""The result of a study: what many trials amount to, a verdict, JSON.
+
+Bias, spread, stated uncertainty and coverage of each coefficient. Trials are summed up batch by
+batch in arrays of fixed shape, which are put together in the order of the batches. So the result
+does not depend on who computed which batch.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, ClassVar, Final
 
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.reports.publication import ShownResult, load_function, on_axes
 from counterspin.results import ResultPart
-from counterspin.studies.tally import LEVELS, Summary
-from counterspin.studies.work import ReportedCoefficient
+
+LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
+
+#: The histogram of z = error/u: bins of 0.2 from -6 to 6, and what is beyond at both ends.
+Z_EDGE: Final = 6.0
+Z_BINS: Final = 60
+
+#: Bins of a quantity against which the bias is shown.
+DRIVER_BINS: Final = 10
+
+#: Entries of the table of Student's t over 1/dof.
+_STEPS: Final = 4000
+
+_MOMENTS: Final = 5  # n, mean and squares of the error, sums of truth and u
+_COVERED: Final = slice(_MOMENTS, _MOMENTS + len(LEVELS))
+_HISTOGRAM: Final = slice(_MOMENTS + len(LEVELS), _MOMENTS + len(LEVELS) + Z_BINS + 2)
+_FIRST_DRIVER: Final = _HISTOGRAM.stop
+
+
+@frozen
+class Driver:
+    """A varying quantity against which the bias is shown."""
+
+    symbol: str  #: Which.
+    #: Between which values it is divided into bins.
+    low: float
+    high: float
+
+
+@frozen
+class Tally:
+    """What is counted of each coefficient."""
+
+    drivers: tuple[Driver, ...]  #: Quantities against which the bias is shown.
+
+    @property
+    def width(self) -> int:
+        """Numbers kept of a coefficient and a batch."""
+        return _FIRST_DRIVER + 3 * DRIVER_BINS * len(self.drivers)
+
+    def count(
+        self, estimate: Array, truth: Array, u: Array, dof: Array, driven: Sequence[Array]
+    ) -> Array:
+        """Sum up one coefficient in one batch of n trials.
+
+        estimate, truth, u, dof: Shape (n,).
+        driven: The drivers' values, each of shape (n,).
+        Returns: shape (width,).
+        """
+        kept = np.zeros(self.width)
+        error = estimate - truth
+        mean = error.mean()
+        kept[0] = error.size
+        kept[1] = mean
+        kept[2] = np.sum((error - mean) ** 2)
+        kept[3] = truth.sum()
+        kept[4] = u.sum()
+        z = error / u
+        size = np.abs(z)
+        # Between the least and the greatest factor lie a few trials only.
+        extremes = np.array([dof.max(), dof.min()])
+        for place, level in enumerate(LEVELS, _COVERED.start):
+            low, high = coverage_factor(extremes, level)
+            kept[place] = np.count_nonzero(size <= low)
+            if low < high:
+                open_ = np.flatnonzero((size > low) & (size <= high))
+                factor = coverage_factor(dof[open_], level)
+                kept[place] += np.count_nonzero(size[open_] <= factor)
+        scaled = (z + Z_EDGE) * (Z_BINS / (2.0 * Z_EDGE)) + 1.0
+        bins = np.clip(scaled, 0.0, Z_BINS + 1.0).astype(np.intp)
+        kept[_HISTOGRAM] = np.bincount(bins, minlength=Z_BINS + 2)
+        start = _FIRST_DRIVER
+        for driver, values in zip(self.drivers, driven, strict=True):
+            scaled = (values - driver.low) * (DRIVER_BINS / (driver.high - driver.low))
+            chosen = np.clip(scaled, 0, DRIVER_BINS - 1).astype(np.intp)
+            for weights in (np.ones_like(error), error, error**2):
+                kept[start : start + DRIVER_BINS] = np.bincount(
+                    chosen, weights=weights, minlength=DRIVER_BINS
+                )
+                start += DRIVER_BINS
+        return kept
+
+
+@lru_cache(maxsize=8)
+def _quantiles(level: float) -> tuple[Array, Array]:
+    from scipy.special import stdtrit
+
+    inverse = np.arange(_STEPS + 1) / _STEPS
+    with np.errstate(divide="ignore"):
+        dof = np.where(inverse > 0.0, 1.0 / np.maximum(inverse, 1e-12), 1e12)
+    quantile: Array = np.asarray(stdtrit(dof, 0.5 * (1.0 + level)), dtype=np.float64)
+    return quantile, np.append(np.diff(quantile), 0.0)
+
+
+def coverage_factor(dof: Array, level: float) -> Array:
+    """Return Student's t for a two-sided level, any number of degrees of freedom from 1 up."""
+    quantile, slope = _quantiles(level)
+    # The table is even, so that no search is needed.
+    place = _STEPS / np.maximum(dof, 1.0)
+    index = place.astype(np.intp)
+    return np.asarray(quantile[index] + (place - index) * slope[index])
+
 
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
 _GOOD_COVERAGE: Final = (0.94, 0.96)
@@ -20,9 +131,29 @@ FEWEST_TRIALS: Final = 200
 _LARGEST_BIAS: Final = 0.2
 
 
-class CoefficientResult(Summary):
-    """One coefficient of one analysis."""
+class BiasAgainst(ResultPart):
+    """Bias against a quantity that varied, bin by bin; null where a bin has no trials."""
 
+    value: list[float]  #: Centres of the bins.
+    trials: list[float]  #: The number in each.
+    bias: list[float | None]  #: Of estimate less truth.
+    se_bias: list[float | None]  #: Its standard error.
+
+
+class CoefficientResult(ResultPart):
+    """What the trials of one coefficient of one analysis amount to."""
+
+    trials: int  #: How many.
+    truth: float  #: Mean of what was true.
+    bias: float  #: Mean of estimate less truth.
+    se_bias: float  #: Its standard error.
+    sd: float  #: Standard deviation of estimate less truth.
+    mse: float  #: Its mean square.
+    u: float  #: Mean of the standard uncertainty claimed.
+    covered: tuple[float, ...]  #: Share of trials whose interval held the truth, for each level.
+    intervals: tuple[tuple[float, float], ...]  #: The binomial 95 % interval of each share.
+    histogram: list[int]  #: Trials in each bin of z, those beyond the ends first and last.
+    against: dict[str, BiasAgainst]  #: By what varied: the bias against it.
     unit: str  #: Of the coefficient.
     bound: float | None  #: The Cramer-Rao bound of the standard uncertainty, or None.
     #: The bound's variance over the mean square error; None without a bound.
@@ -64,23 +195,75 @@ class StudyResult(ShownResult):
         return on_axes(list(load_function("counterspin.studies.page:z_plots")(self)), axes)
 
 
-def coefficient_result(
-    reported: ReportedCoefficient, unit: str, summary: Summary
+def summarise(
+    tally: Tally, batches: Array, symbol: str = "", unit: str = "", bound: float | None = None
 ) -> CoefficientResult:
-    """Return the figures of one coefficient."""
-    trustworthy, finding = trust_in(reported, summary)
-    bound = reported.bound
-    return CoefficientResult(
-        **vars(summary),
+    """Put the batches of one coefficient together.
+
+    batches: Shape (batches, width), in the order of the batches.
+    bound: The Cramer-Rao bound of its standard uncertainty, where there is one.
+    """
+    counts = batches[:, 0]
+    n = float(counts.sum())
+    mean = float(counts @ batches[:, 1] / n)
+    squares = float(batches[:, 2].sum() + counts @ (batches[:, 1] - mean) ** 2)
+    sd = math.sqrt(squares / (n - 1.0)) if n > 1.0 else math.nan
+    total = batches.sum(axis=0)
+    covered = tuple(float(value) / n for value in total[_COVERED])
+    against = {}
+    for index, driver in enumerate(tally.drivers):
+        start = _FIRST_DRIVER + 3 * DRIVER_BINS * index
+        each, sums, sums_of_squares = total[start : start + 3 * DRIVER_BINS].reshape(3, -1)
+        edges = np.linspace(driver.low, driver.high, DRIVER_BINS + 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bias = sums / each
+            spread = np.sqrt(np.maximum(sums_of_squares / each - bias**2, 0.0) / each)
+        against[driver.symbol] = BiasAgainst(
+            value=(0.5 * (edges[1:] + edges[:-1])).tolist(),
+            trials=each.tolist(),
+            bias=_numbers(bias),
+            se_bias=_numbers(spread),
+        )
+    mse = squares / n + mean**2
+    summed = CoefficientResult(
+        trials=int(n),
+        truth=float(total[3]) / n,
+        bias=mean,
+        se_bias=sd / math.sqrt(n),
+        sd=sd,
+        mse=mse,
+        u=float(total[4]) / n,
+        covered=covered,
+        intervals=tuple(binomial_interval(share * n, n) for share in covered),
+        histogram=total[_HISTOGRAM].astype(np.int64).tolist(),
+        against=against,
         unit=unit,
         bound=bound,
-        efficiency=None if bound is None or summary.mse == 0.0 else bound**2 / summary.mse,
-        trustworthy=trustworthy,
-        finding=finding,
+        efficiency=None if bound is None or mse == 0.0 else bound**2 / mse,
+        trustworthy=None,
+        finding="",
     )
+    trustworthy, finding = trust_in(symbol, summed)
+    return summed.model_copy(update={"trustworthy": trustworthy, "finding": finding})
 
 
-def trust_in(reported: ReportedCoefficient, summary: Summary) -> tuple[bool | None, str]:
+def _numbers(values: Array) -> list[float | None]:
+    """Return numbers that JSON can hold: a bin without trials has no bias."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
+    """Return the 95 % Clopper-Pearson interval of a share (Biometrika 26, 404, 1934)."""
+    from scipy.special import betaincinv
+
+    tail = 0.025
+    hits = round(hits)
+    low = 0.0 if hits == 0 else float(betaincinv(hits, trials - hits + 1.0, tail))
+    high = 1.0 if hits >= trials else float(betaincinv(hits + 1.0, trials - hits, 1.0 - tail))
+    return low, high
+
+
+def trust_in(symbol: str, summary: CoefficientResult) -> tuple[bool | None, str]:
     """Return whether a coefficient's uncertainty holds, and why; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
@@ -88,24 +271,23 @@ def trust_in(reported: ReportedCoefficient, summary: Summary) -> tuple[bool | No
     )
     covered = f"its 95 % intervals contain the truth in {100.0 * share:.4g} % of the trials"
     if summary.trials < FEWEST_TRIALS:
-        return None, f"{reported.symbol}: {covered}"
+        return None, f"{symbol}: {covered}"
     if low <= _GOOD_COVERAGE[1] and high >= _GOOD_COVERAGE[0] and not biased:
-        return True, f"{reported.symbol} is unbiased, and {covered}"
+        return True, f"{symbol} is unbiased, and {covered}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
         times = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
         return False, (
-            f"{reported.symbol} is biased by {abs(summary.bias) / summary.u:.3g} standard "
+            f"{symbol} is biased by {abs(summary.bias) / summary.u:.3g} standard "
             f"uncertainties{times}, and {covered}"
         )
     ratio = summary.sd / summary.u
     if high < _GOOD_COVERAGE[0]:
         return False, (
-            f"{reported.symbol}: the scatter is {ratio:.3g} times the stated uncertainty, and "
-            f"{covered}"
+            f"{symbol}: the scatter is {ratio:.3g} times the stated uncertainty, and {covered}"
         )
     return True, (
-        f"{reported.symbol}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
+        f"{symbol}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
         f"(conservative), and {covered}"
     )
 

@@ -23,10 +23,9 @@ from counterspin.studies.result import (
     AnalysisResult,
     CoefficientResult,
     StudyResult,
-    coefficient_result,
+    summarise,
     verdict_of,
 )
-from counterspin.studies.tally import summarise
 from counterspin.studies.work import Ledger, StudyEngine, expected_duration, run_batches, work
 from counterspin.workers import ALONE, Workers, one_blas_thread, worker_pool
 
@@ -179,8 +178,9 @@ def _result(
         words.setdefault(name, part.words)
         undetermined.setdefault(name, []).extend(part.lost)
         for reported in part.reported:
-            coefficients.setdefault(name, {})[reported.name] = coefficient_result(
-                reported, unit_of(reported.symbol), summarise(engine.tally, sums[:, row])
+            unit = unit_of(reported.symbol)
+            coefficients.setdefault(name, {})[reported.name] = summarise(
+                engine.tally, sums[:, row], reported.symbol, unit, reported.bound
             )
             row += 1
     analyses = {

@@ -40,10 +40,8 @@ from counterspin.simulation.readings import (
     true_poses,
 )
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
-from counterspin.studies.recorded_poses import noise_of_mean
-from counterspin.studies.validity import JointRequest
-from counterspin.studies.work import Trials
-from counterspin.studies.world import World
+from counterspin.studies.work import JointRequest, Trials
+from counterspin.studies.world import World, noise_of_mean
 
 
 @frozen

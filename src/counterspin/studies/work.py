@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import nullcontext
@@ -21,8 +21,11 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.terms import OWN_TERMS
 from counterspin.studies.draws import DRIFT, NOISE_STREAM, TRUTH_STREAM, Draws, StudyTruth, stream
-from counterspin.studies.tally import Driver, Tally
+from counterspin.studies.result import Driver, Tally
 from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
 
 #: What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with it the
@@ -59,6 +62,28 @@ class Engine(Protocol):
 
 
 @frozen
+class JointRequest:
+    """What is asked of the joint fit."""
+
+    model: Unknowns  #: Unknowns, considered terms, uncertain inputs.
+    noise: Mapping[str, Noise]  #: Accelerometer -> its noise, given or to be estimated.
+
+    @property
+    def reported(self) -> list[int]:
+        """Places of the unknowns that a study reports: those asked for that the runs share."""
+        return [
+            place
+            for place, unknown in enumerate(self.model.unknowns)
+            if unknown.asked
+            and not (unknown.unstated and unknown.prior[1] >= unknown.limit)
+            and (
+                unknown.symbol in OWN_TERMS
+                or (not unknown.owner and unknown.symbol not in ROTATION)
+            )
+        ]
+
+
+@frozen
 class ReportedCoefficient:
     """One coefficient of one analysis."""
 
@@ -90,14 +115,6 @@ class EnginePart:
 
 
 @frozen
-class Batch:
-    """What one batch of trials gives."""
-
-    sums: Array  #: For each reported coefficient, shape (c, width).
-    values: Array | None  #: Truth, estimate and u of each, shape (c, 3, n), or None.
-
-
-@frozen
 class StudyEngine:
     """Everything that a worker needs."""
 
@@ -116,11 +133,13 @@ class StudyEngine:
         """All that is reported, in the order of a batch's rows."""
         return tuple(coefficient for part in self.parts for coefficient in part.reported)
 
-    def batch(self, number: int, trials: int, *, keep: bool = False) -> Batch:
+    def batch(self, number: int, trials: int, *, keep: bool = False) -> tuple[Array, Array | None]:
         """Do the trials of one batch.
 
         number: Of the batch, from 0.
         keep: Whether each trial is returned too.
+        Returns: sums of each of c reported coefficients, shape (c, width); truth, estimate and u
+            of each trial, shape (c, 3, n), or None.
         """
         draws = self.truth.draw(stream(self.seed, number, TRUTH_STREAM), self.batch_size)
         driven = [_driven(draws, driver)[:trials] for driver in self.tally.drivers]
@@ -137,7 +156,7 @@ class StudyEngine:
                 sums.append(self.tally.count(estimate, truth, u, dof, driven))
                 if keep:
                     values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
-        return Batch(np.array(sums), np.array(values) if keep else None)
+        return np.array(sums), np.array(values) if keep else None
 
 
 def _driven(draws: Draws, driver: Driver) -> Array:
@@ -234,7 +253,7 @@ def work(engine: bytes, first: int, trials: tuple[int, ...], keep: bool) -> tupl
     """Do a task: neighbouring batches, the numbers of whose trials are given."""
     study = _unpack(engine)
     batches = [study.batch(first + i, n, keep=keep) for i, n in enumerate(trials)]
-    return np.array([batch.sums for batch in batches]), [batch.values for batch in batches if keep]
+    return np.array([sums for sums, _ in batches]), [values for _, values in batches if keep]
 
 
 def run_batches(

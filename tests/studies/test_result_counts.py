@@ -6,7 +6,7 @@ from scipy import stats
 
 from counterspin.physics.spindle import Spindle
 from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity, stream
-from counterspin.studies.tally import (
+from counterspin.studies.result import (
     LEVELS,
     Driver,
     Tally,
