@@ -12,7 +12,7 @@ from counterspin.calibration.pages.verdict import conformity_blocks
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.specification import resolve_specifications
-from counterspin.inference.conformity import DecisionRule, Specification, judge
+from counterspin.inference.conformity import DecisionRule, Specification, decide
 from counterspin.simulation.simulate import simulate
 
 # K_II of Qx is 27 and of Qy -32 ug/g^2, u below 0.4 by either method; K_PO is not in the model.
@@ -61,7 +61,7 @@ def test_verdict_is_that_of_the_estimate(found):
     k_ii = found.accelerometers["Qx"].coefficients["K_II"]
     verdict = found.accelerometers["Qx"].conformity["K_II"]
     limits = Specification(verdict.specification, verdict.low, verdict.high, "g/g^2")
-    assert verdict == judge(k_ii.value, k_ii.u, k_ii.dof, limits, DecisionRule("guarded"))
+    assert verdict == decide(k_ii.value, k_ii.u, k_ii.dof, limits, DecisionRule("guarded"))
     assert (verdict.low, verdict.high) == (pytest.approx(-50e-6), pytest.approx(50e-6))
     assert (verdict.rule, verdict.unit, verdict.reason) == ("guarded", "g/g^2", None)
 

@@ -1,4 +1,4 @@
-"""What speaks against a result: decided once, ranked, and with its consequences."""
+"""What speaks against a result: decided once, rank, and with its consequences."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from results import result
 import counterspin as cs
 from certificates import write_lab
 from counterspin import cli
-from counterspin.calibration.findings import Cause, judge_result, lack_of_fit, ranked, refusal
+from counterspin.calibration.findings import Cause, judge_result, lack_of_fit, rank, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
 from counterspin.inference.distributions import chi_square_tail
@@ -109,10 +109,10 @@ def test_the_cause_that_explains_most_comes_first_whatever_lies_below_it():
     above = small.model_copy(update={"explains": [Finding(code="jump", subject="Qx", text="It.")]})
     large = Finding(code="term-missing", subject="Qx.K_4", text="Term.", size=18.0)
     causes = [Cause(large, ("Qx",), {}), Cause(small, ("Qx",), {})]
-    assert ranked([above, large], causes) == [large, above]
-    assert ranked([large, above]) == [above, large]  # where nobody says which are causes
+    assert rank([above, large], causes) == [large, above]
+    assert rank([large, above]) == [above, large]  # where nobody says which are causes
     grave = above.model_copy(update={"contradicts": True})
-    assert ranked([large, grave], causes) == [grave, large]
+    assert rank([large, grave], causes) == [grave, large]
 
 
 def test_one_cause_is_one_finding():

@@ -2,7 +2,7 @@
 
 from results import result
 
-from counterspin.calibration.findings import Cause, below_causes, judge_result, merged
+from counterspin.calibration.findings import Cause, below_causes, judge_result, merge_shared
 from counterspin.calibration.result_parts import Finding
 
 MISFIT = Finding(code="lack-of-fit", subject="Qx", text="Large.", size=8.0, contradicts=True)
@@ -50,7 +50,7 @@ def test_a_cause_is_as_grave_as_what_it_accounts_for():
 
 def test_of_two_accelerometers_a_cause_is_one():
     own = below_causes("Qx", [MISFIT], [cause()])
-    (both,) = merged([*own, HEAD.model_copy(update={"explains": [RUN]})])
+    (both,) = merge_shared([*own, HEAD.model_copy(update={"explains": [RUN]})])
     assert [other.code for other in both.explains] == ["lack-of-fit", "run-disagrees"]
 
 

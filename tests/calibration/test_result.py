@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_file import upgraded
+from counterspin.calibration.result_file import upgrade
 from counterspin.errors import RecordError
 
 K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}
@@ -127,7 +127,7 @@ def kept(old, new):
 def test_results_of_earlier_versions_are_read_whole(path):
     old = json.loads(path.read_text(encoding="utf-8"))
     read = Result.read(path)
-    said = old if old["schema"] == Result.newest_schema() else upgraded(old)
+    said = old if old["schema"] == Result.newest_schema() else upgrade(old)
     # Written anew it has what came since, as null, and so a seal of its own.
     said = {key: value for key, value in said.items() if key != "seal"}
     assert kept(said, json.loads(read.to_json()))

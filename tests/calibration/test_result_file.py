@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_file import upgraded
+from counterspin.calibration.result_file import upgrade
 from counterspin.errors import RecordError
 
 FROZEN = Path(__file__).parents[1] / "frozen"
@@ -35,7 +35,7 @@ def pairs_of(old, new):
 @pytest.mark.parametrize("path", [*FILES, REPEAT], ids=lambda path: path.stem)
 def test_the_parts_of_u_have_their_new_names(path):
     old = document_of(path)
-    new = upgraded(copy.deepcopy(old))
+    new = upgrade(copy.deepcopy(old))
     pairs = list(pairs_of(old, new))
     assert len(pairs) >= 2
     for before, after in pairs:
@@ -55,7 +55,7 @@ def test_the_parts_of_u_have_their_new_names(path):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_every_line_of_a_budget_says_its_kind(path):
     old = document_of(path)
-    new = upgraded(copy.deepcopy(old))
+    new = upgrade(copy.deepcopy(old))
     seen = set()
     for name, own in old["accelerometers"].items():
         for symbol, lines in own.get("budget", {}).items():
@@ -73,7 +73,7 @@ def test_inputs_and_rotations_were_not_adjusted_by_the_data():
     document = document_of(FILES[0])
     lines = document["accelerometers"]["Qx"]["budget"]["K_II"]
     lines[0]["source"], lines[1]["source"] = "centrifuge.radius (input)", "run1.angle (encoder)"
-    new = upgraded(document)["accelerometers"]["Qx"]["budget"]["K_II"]
+    new = upgrade(document)["accelerometers"]["Qx"]["budget"]["K_II"]
     found = [(line["source"], line["kind"]) for line in new[:2]]
     assert found == [("centrifuge.radius", "held"), ("run1.angle", "noise")]
 
@@ -138,4 +138,4 @@ def test_a_damaged_one_is_told(path, owner, key, value, words, tmp_path):
 def test_a_left_out_part_that_is_none_is_no_matter(value):
     document = document_of(REPEAT)
     document["accelerometers"]["A"]["left_out"] = value
-    assert upgraded(document)["assumed"] == []
+    assert upgrade(document)["assumed"] == []

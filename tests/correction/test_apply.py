@@ -20,7 +20,7 @@ import counterspin as cs
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.notebook.instrument import instrument_of
-from counterspin.calibration.result import described
+from counterspin.calibration.result import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -413,7 +413,7 @@ def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
     file = tmp_path / "campaign.toml"
     text = file.read_text(encoding="utf-8").replace('# K_III = "0', 'K_OO = "2e-6')
     file.write_text(text.replace("g/g^3", "g/g^2", 1), encoding="utf-8")
-    parts = described(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
+    parts = own_description(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
     assert parts["known"] == {"K_OO": coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
     found = found_of(**parts)
     assert found.axes == list(QX.axes)

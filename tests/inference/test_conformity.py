@@ -14,8 +14,8 @@ from counterspin.inference.conformity import (
     Specification,
     acceptance_limits,
     conformance_probability,
+    decide,
     expanded_uncertainty,
-    judge,
     nonconformance_probability,
 )
 from counterspin.validation.cases import cases
@@ -143,20 +143,20 @@ def test_guard_band_bounds_the_risk(u, dof, between, factor):
         return
     value = high if high is not None else low
     assert value is not None
-    judged = judge(value, u, dof, between_limits(*between), DecisionRule("guarded", factor))
-    assert judged.verdict == "pass"
+    decision = decide(value, u, dof, between_limits(*between), DecisionRule("guarded", factor))
+    assert decision.verdict == "pass"
     tail = float(stats.norm.sf(w / u) if dof is None else stats.t.sf(w / u, dof))
-    assert judged.risk is not None
+    assert decision.risk is not None
     # The limits are rounded, which moves w by an ulp of them.
-    assert tail * (1 - 1e-9) - 1e-12 <= judged.risk <= 2.0 * tail * (1 + 1e-9) + 1e-12
+    assert tail * (1 - 1e-9) - 1e-12 <= decision.risk <= 2.0 * tail * (1 + 1e-9) + 1e-12
 
 
 def test_w_equal_to_u_gives_two_and_a_half_per_cent():
     for dof in (None, 4.0):
         w = expanded_uncertainty(1.0, dof)
-        judged = judge(10.0 - w, 1.0, dof, between_limits(None, 10.0), DecisionRule("guarded"))
-        assert judged.guard_band == w
-        assert judged.risk == pytest.approx(0.025, rel=1e-9)
+        decision = decide(10.0 - w, 1.0, dof, between_limits(None, 10.0), DecisionRule("guarded"))
+        assert decision.guard_band == w
+        assert decision.risk == pytest.approx(0.025, rel=1e-9)
 
 
 # The rules
@@ -182,34 +182,34 @@ def test_verdicts_across_a_limit(value, simple, guarded, probability):
     wanted = dict(zip(RULES, (simple, guarded, probability), strict=True))
     rules = map(DecisionRule, RULES)
     limits = between_limits(-10.0, 10.0)
-    judged = {rule.name: judge(value, 1.0, None, limits, rule).verdict for rule in rules}
-    assert judged == wanted
+    decision = {rule.name: decide(value, 1.0, None, limits, rule).verdict for rule in rules}
+    assert decision == wanted
 
 
 def test_guard_bands_may_leave_nothing_to_accept():
     limits, rule = between_limits(-1.0, 1.0), DecisionRule("guarded")
     for value in np.linspace(-3.0, 3.0, 61):
-        assert judge(value, 1.0, None, limits, rule).verdict != "pass"
+        assert decide(value, 1.0, None, limits, rule).verdict != "pass"
 
 
 @given(values, spreads, freedoms, limits(), st.sampled_from(RULES), st.floats(0.51, 0.999))
 def test_risk_is_the_probability_of_the_contrary(value, u, dof, between, rule, needed):
-    judged = judge(value, u, dof, between_limits(*between), DecisionRule(rule, needed=needed))
-    contrary = {"pass": 1.0 - judged.probability, "fail": judged.probability}
-    if judged.verdict == "undecided":
-        assert judged.risk is None
+    decision = decide(value, u, dof, between_limits(*between), DecisionRule(rule, needed=needed))
+    contrary = {"pass": 1.0 - decision.probability, "fail": decision.probability}
+    if decision.verdict == "undecided":
+        assert decision.risk is None
     else:
-        assert judged.risk == pytest.approx(contrary[judged.verdict], abs=1e-12)
-    if rule == "probability" and judged.risk is not None:
-        assert judged.risk <= 1.0 - needed + 1e-12
+        assert decision.risk == pytest.approx(contrary[decision.verdict], abs=1e-12)
+    if rule == "probability" and decision.risk is not None:
+        assert decision.risk <= 1.0 - needed + 1e-12
     if rule == "simple":
-        assert judged.verdict != "undecided"
+        assert decision.verdict != "undecided"
 
 
 @given(values, spreads, freedoms, limits(), st.floats(0.0, 2.0))
 def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, between, factor):
     narrow, wide = (
-        judge(value, u, dof, between_limits(*between), DecisionRule("guarded", f)).verdict
+        decide(value, u, dof, between_limits(*between), DecisionRule("guarded", f)).verdict
         for f in (factor, factor + 0.5)
     )
     assert (narrow, wide) in {
@@ -223,8 +223,8 @@ def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, betwee
 
 def test_no_guard_band_is_simple_acceptance():
     for value in (-1.1, -1.0, 0.0, 1.0, 1.1):
-        bare = judge(value, 0.3, 5.0, between_limits(-1.0, 1.0), DecisionRule("guarded", 0.0))
-        simple = judge(value, 0.3, 5.0, between_limits(-1.0, 1.0), DecisionRule("simple"))
+        bare = decide(value, 0.3, 5.0, between_limits(-1.0, 1.0), DecisionRule("guarded", 0.0))
+        simple = decide(value, 0.3, 5.0, between_limits(-1.0, 1.0), DecisionRule("simple"))
         assert replace(bare, rule="simple") == simple
 
 
@@ -235,12 +235,12 @@ def test_risk_is_how_often_the_verdict_is_wrong():
     for dof in (None, 3.0):
         noise = rng.standard_normal(n) if dof is None else rng.standard_t(dof, n)
         for value in (0.4, 1.8, 2.5):
-            judged = judge(value, 1.0, dof, between_limits(0.0, 2.0), DecisionRule("simple"))
+            decision = decide(value, 1.0, dof, between_limits(0.0, 2.0), DecisionRule("simple"))
             truth = value + noise
             conforms = (truth >= 0.0) & (truth <= 2.0)
-            wrong = float(np.mean(~conforms if judged.verdict == "pass" else conforms))
-            spread = math.sqrt(judged.risk * (1.0 - judged.risk) / n)
-            assert abs(wrong - judged.risk) < 4.5 * spread
+            wrong = float(np.mean(~conforms if decision.verdict == "pass" else conforms))
+            spread = math.sqrt(decision.risk * (1.0 - decision.risk) / n)
+            assert abs(wrong - decision.risk) < 4.5 * spread
 
 
 @pytest.mark.parametrize("wrong", [{"guard_factor": -0.1}, {"needed": 0.5}, {"needed": 1.0}])

@@ -12,7 +12,7 @@ from counterspin.inference.conformity import (
     Conformity,
     DecisionRule,
     Specification,
-    judge,
+    decide,
     undecided,
 )
 
@@ -80,5 +80,5 @@ def _verdict(
     elif general is not None:
         reason = general
     else:
-        return judge(coefficient.value, coefficient.u, coefficient.dof, specification, rule)
+        return decide(coefficient.value, coefficient.u, coefficient.dof, specification, rule)
     return undecided(specification, rule, reason)

@@ -23,7 +23,7 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     Comparison,
     Finding,
-    KindOfTest,
+    MethodAgreement,
     Residual,
     State,
 )
@@ -78,15 +78,15 @@ def judge_result(
         kept where the result is contradicted.
     """
     if result.state is not None:
-        return result if result.sealed and not result.assumes_all else _judged_again(result)
+        return result if result.sealed and not result.assumes_all else _with_worst_state(result)
     accelerometers = {
-        name: _judge(name, accelerometer, result, causes)
+        name: _with_state(name, accelerometer, result, causes)
         for name, accelerometer in result.accelerometers.items()
     }
-    own = [finding for judged in accelerometers.values() for finding in judged.findings]
+    own = [finding for one in accelerometers.values() for finding in one.findings]
     # What has just been calibrated was held to what its campaign says is credible.
     shared = [*result.findings, *(_not_credible(result) if result.assumes_all else ())]
-    everything = ranked(merged([*below_causes("", shared, causes), *own]), causes)
+    everything = rank(merge_shared([*below_causes("", shared, causes), *own]), causes)
     state = state_of(everything)
     return result.model_copy(
         update={
@@ -99,7 +99,7 @@ def judge_result(
     )
 
 
-def _judged_again(result: Result) -> Result:
+def _with_worst_state(result: Result) -> Result:
     """Return a result with the worst state of what speaks against it.
 
     Its own state nobody vouches for, or it is of a version that knew of no credible sizes.
@@ -113,7 +113,7 @@ def _judged_again(result: Result) -> Result:
             found += _of_the_whole(name, stated, result)
             found += from_numbers(name, stated, gravity, fits)
         new = [finding for finding in found if (finding.code, finding.subject) not in known]
-        findings = ranked([*stated.findings, *new])
+        findings = rank([*stated.findings, *new])
         accelerometers[name] = stated.model_copy(
             update={
                 "findings": findings,
@@ -121,11 +121,11 @@ def _judged_again(result: Result) -> Result:
                 "warnings": [*stated.warnings, *(f"{name}: {finding.text}" for finding in new)],
             }
         )
-    own = [finding for judged in accelerometers.values() for finding in judged.findings]
+    own = [finding for one in accelerometers.values() for finding in one.findings]
     known = {(f.code, f.subject) for f in _with_explained(result.findings)}
     shared = [f for f in _not_credible(result) if (f.code, f.subject) not in known]
-    everything = ranked(merged([*result.findings, *shared, *own]))
-    states = (judged.state for judged in accelerometers.values())
+    everything = rank(merge_shared([*result.findings, *shared, *own]))
+    states = (one.state for one in accelerometers.values())
     state = _worst_state(result.state, state_of(everything), *states)
     return result.model_copy(
         update={"accelerometers": accelerometers, "findings": everything, "state": state}
@@ -142,7 +142,7 @@ def _worst_state(*states: State | None) -> State:
     return max((state for state in states if state is not None), key=_STATES.index)
 
 
-def _judge(
+def _with_state(
     name: str, accelerometer: AccelerometerResult, result: Result, causes: Sequence[Cause]
 ) -> AccelerometerResult:
     # An earlier version has sentences only.
@@ -158,7 +158,7 @@ def _judge(
     ]
     if result.assumes_all:
         found += incredible(widest_limit, name, accelerometer.coefficients)
-    findings = ranked(below_causes(name, found, causes), causes)
+    findings = rank(below_causes(name, found, causes), causes)
     return accelerometer.model_copy(
         update={
             "findings": findings,
@@ -169,7 +169,7 @@ def _judge(
     )
 
 
-def ranked(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
+def rank(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
     """Return findings, contradictions first, then wrong equations, causes, and the rest by size.
 
     causes: In the order in which they were found, the one that explains most first.
@@ -394,9 +394,9 @@ def _rarity(line: Jackknife) -> float:
 # What speaks for a result
 
 
-def level_of_kinds(kinds: Sequence[KindOfTest]) -> float:
-    """Return the probability below which a test of the kinds fails; all share the significance."""
-    return SIGNIFICANCE / sum(1 + len(kind.without) for kind in kinds)
+def level_of_methods(methods: Sequence[MethodAgreement]) -> float:
+    """Return the probability below which test methods disagree: all tests share a level."""
+    return SIGNIFICANCE / sum(1 + len(method.without) for method in methods)
 
 
 def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
@@ -459,7 +459,7 @@ def below_causes(name: str, found: Iterable[Finding], causes: Sequence[Cause]) -
     return [*heads, *left]
 
 
-def merged(found: Iterable[Finding]) -> list[Finding]:
+def merge_shared(found: Iterable[Finding]) -> list[Finding]:
     """Return findings with those that several accelerometers share once."""
     known: dict[tuple[str, str, str], Finding] = {}
     for finding in found:

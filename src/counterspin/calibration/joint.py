@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.diagnosis.agreement import Kinds, compare_kinds
+from counterspin.calibration.diagnosis.agreement import MethodComparison, compare_methods
 from counterspin.calibration.diagnosis.limits import (
     beyond_typical,
     incredible,
@@ -23,7 +23,11 @@ from counterspin.calibration.diagnosis.reading_findings import (
     outliers_of_means,
 )
 from counterspin.calibration.diagnosis.search import causes_of
-from counterspin.calibration.diagnosis.statements import other_mountings, unseen_axes, untested
+from counterspin.calibration.diagnosis.statements import (
+    other_mountings,
+    unseen_axes,
+    untested_statements,
+)
 from counterspin.calibration.findings import (
     not_determined,
 )
@@ -51,7 +55,7 @@ from counterspin.calibration.readings import (
     results_of,
     with_readings,
 )
-from counterspin.calibration.result import described
+from counterspin.calibration.result import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -91,7 +95,7 @@ def joint(problem: JointProblem) -> Outcome:
         AccelerometerView(problem, estimated, assessment, name).with_parts(read.parts)
         for name in campaign.accelerometers
     ]
-    kinds = compare_kinds(views)
+    compared = compare_methods(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.asked)
@@ -107,7 +111,7 @@ def joint(problem: JointProblem) -> Outcome:
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
     accelerometers = {
-        view.name: _accelerometer(view, kinds[view.name], read.means) for view in views
+        view.name: _accelerometer(view, compared[view.name], read.means) for view in views
     }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
@@ -141,7 +145,7 @@ def joint(problem: JointProblem) -> Outcome:
         causes=causes_of(views, accelerometers, mountings),
         remarks=(
             *unseen_axes(mountings),
-            *untested(views),
+            *untested_statements(views),
             *no_more_than_rounded(views),
             *hidden_walk(views),
             *other_noise(views),
@@ -176,7 +180,7 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
 
 def _accelerometer(
     view: AccelerometerView,
-    kinds: Kinds,
+    compared: MethodComparison,
     means: Mapping[tuple[str, str], RecordMean],
 ) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
@@ -194,7 +198,7 @@ def _accelerometer(
         coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
         correlation=correlation(view),
         confounded=confounded(view),
-        residual=residual(kinds.judged),
+        residual=residual(compared.residual_view),
         noise=noise_lines(view),
         budget=budgets,
         what_if=what_if(estimated.fit, view.places, budgets, name),
@@ -202,17 +206,17 @@ def _accelerometer(
         two_stage=compare(view) if view.problem.observed else None,
         traces=traces(view),
         readings=[line for part in view.readings for line in results_of(part, means)],
-        kinds=kinds.results,
+        kinds=compared.results,
         output=in_output_units(view.campaign, name, own),
         findings=[
-            *kinds.findings,
-            *residual_findings(kinds.judged),
+            *compared.findings,
+            *residual_findings(compared.residual_view),
             *outliers_of_means(name, means),
             *unseen_ripple(view),
             *_undetermined(view, own),
             *incredible(view.campaign.limit_of, name, own),
         ],
-        **described(view.accelerometer, own),
+        **own_description(view.accelerometer, own),
     )
 
 

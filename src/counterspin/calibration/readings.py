@@ -207,13 +207,13 @@ def residual_of(parts: Sequence[FittedReadings]) -> Residual:
     stated = [part for part in parts if math.isinf(part.dof)]
     chi2 = sum(part.squares for part in stated)
     freedom = sum(part.freedom for part in stated)
-    judged = len(stated) == len(parts) and freedom > 0.5
+    testable = len(stated) == len(parts) and freedom > 0.5
     return Residual(
         rms=float(np.sqrt(np.mean(left**2))),
         unit="g",
         dof=round(sum(part.freedom for part in parts), 9),  # of as many readings as unknowns: 0
-        chi2=chi2 if judged else None,
-        lack_of_fit_p=chi_square_tail(freedom, chi2) if judged else None,
+        chi2=chi2 if testable else None,
+        lack_of_fit_p=chi_square_tail(freedom, chi2) if testable else None,
     )
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from counterspin.calibration.notebook.forms import Covariance, StatedGravity
-from counterspin.calibration.result_file import faults_of, matrix_faults, upgraded
+from counterspin.calibration.result_file import faults_of, matrix_faults, upgrade
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -107,7 +107,7 @@ class Result(ShownResult):
     def _of_schema_1(cls, document: Any, read: ModelWrapValidatorHandler[Self]) -> Self:
         """Read what earlier versions have written."""
         earlier = isinstance(document, dict) and document.get("schema") == 1
-        result = read(upgraded(document) if earlier else document)
+        result = read(upgrade(document) if earlier else document)
         if earlier:
             result._assumes_all = True
         return result
@@ -385,7 +385,7 @@ read_result = Result.read
 write_result = Result.write
 
 
-def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
+def own_description(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
     """Return what is needed of an accelerometer's description to apply its result without it."""
     output = accelerometer.output
     return {

@@ -28,7 +28,7 @@ _FARTHEST_QUANTILE: Final = 30.0
 _FEWEST_DOF: Final = 0.1
 
 
-def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
+def upgrade(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document of a result of schema 1 as one of schema 2, with what it assumed.
 
     document: As it was read; what is not as schema 1 has it is left for the checks to find.

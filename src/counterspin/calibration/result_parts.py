@@ -243,7 +243,7 @@ class Trace(ResultPart):
     time: list[float]  #: Middle of each stretch, s from the start of the run.
     low: list[float]  #: Smallest residual in it, in the observable's unit.
     high: list[float]  #: Largest residual in it, in the observable's unit.
-    #: Time and residual of samples judged outliers, the largest ones if there are many.
+    #: Time and residual of samples taken for outliers, the largest ones if there are many.
     left_out: list[tuple[float, float]] = []
     by_angle: Fold | None = None  #: The residuals over the revolution.
     spectrum: Spectrum | None = None  #: Of the whitened residuals.
@@ -389,17 +389,17 @@ class Shift(ResultPart):
     z: float  #: Shift over its u.
 
 
-class KindOfTest(ResultPart):
-    """What one kind of test says of an accelerometer, and how far it agrees with the others."""
+class MethodAgreement(ResultPart):
+    """What one test method says of an accelerometer, and how far it agrees with the others."""
 
     kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
     count: int  #: Of its records and readings.
-    #: By this kind alone, with all that is known beforehand, without `dof`; None where it does not
-    #: determine one.
+    #: By this method alone, with all that is known beforehand, without `dof`; None where it does
+    #: not determine one.
     coefficients: dict[str, Coefficient]
-    #: By coefficient that the others determine: how far it moves when this kind is left out.
+    #: By coefficient that the others determine: how far it moves when this method is left out.
     without: dict[str, Shift] = {}
-    chi2: float  #: Squares of what the kind says less what the others predict, over variances.
+    chi2: float  #: Squares of what the method says less what the others predict, over variances.
     dof: int  #: In how many directions both know something.
     p: float | None  #: Probability of more if they agree; None where the others predict nothing.
 
@@ -435,8 +435,8 @@ class AccelerometerResult(ResultPart):
     conformity: dict[str, Conformity] = {}  #: By term: where the campaign states a specification.
     traces: dict[str, Trace] = {}  #: By run: residuals thinned for pictures, joint method.
     readings: list[ReadingResult] = []  #: Single values, at rest, on an arm or on a turntable.
-    #: Each kind of test beside the others; empty where there is one kind only.
-    kinds: list[KindOfTest] = []
+    #: Each test method beside the others; empty where there is one only.
+    kinds: list[MethodAgreement] = []
     #: ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     output: dict[str, Coefficient] = {}
     #: By what its readings, and an output such as a current, were taken for a specific force; null

@@ -23,7 +23,7 @@ from counterspin.calibration.outcome import (
     record_noise,
     run_result,
 )
-from counterspin.calibration.result import described
+from counterspin.calibration.result import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -106,7 +106,7 @@ def two_stage(
             *findings(view, second, coefficients, options.model),
             *incredible(campaign.limit_of, name, {**coefficients, "K_I": _shown_by_waves(records)}),
         ],
-        **described(accelerometer, coefficients),
+        **own_description(accelerometer, coefficients),
     )
     parabolas = {
         part.run: _parabola(parabola)

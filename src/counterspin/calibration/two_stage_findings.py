@@ -162,11 +162,11 @@ def _wrong_priors(view: AccelerometerView) -> Iterator[Finding]:
     if size <= agreement_of(held.tested):
         return
     value, u = float(held.value[place]), float(held.u[place])
-    told = Explanation(view.campaign, relaxed, priors[place], value, u).described()
+    wording = Explanation(view.campaign, relaxed, priors[place], value, u).wording()
     yield Finding(
-        code=told.code,
-        subject=told.subject,
-        text=told.text,
+        code=wording.code,
+        subject=wording.subject,
+        text=wording.text,
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )

@@ -16,7 +16,7 @@ from counterspin.calibration.notebook.instrument import (
     HYSTERESIS,
     acts,
     covariance_of,
-    determined,
+    determined_terms,
     instrument_of,
     is_possible,
     terms_of,
@@ -309,7 +309,7 @@ def _accepted(result: Result) -> list[str]:
 
 def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a warning where the result states a covariance that no coefficients could have."""
-    if is_possible(covariance_of(accelerometer, determined(accelerometer))):
+    if is_possible(covariance_of(accelerometer, determined_terms(accelerometer))):
         return []
     return [
         f"{name}: the correlations in the result are inconsistent, a fault "
@@ -346,7 +346,7 @@ def _needed(
 
 
 def _note(name: str, accelerometer: AccelerometerResult) -> str:
-    terms = determined(accelerometer)
+    terms = determined_terms(accelerometer)
     estimated = ", ".join(s for s, c in terms.items() if c.estimated)
     beforehand = ", ".join(s for s, c in terms.items() if not c.estimated)
     parts = [f"as estimated: {estimated}"] if estimated else []

@@ -123,10 +123,10 @@ def acceptance_limits(
     )
 
 
-def judge(
+def decide(
     value: float, u: float, dof: float | None, specification: Specification, rule: DecisionRule
 ) -> Conformity:
-    """Judge one item by a decision rule; `value`, `u` and `dof` as for the probability."""
+    """Decide on one item by a decision rule; `value`, `u` and `dof` as for the probability."""
     low, high = specification.low, specification.high
     inside = conformance_probability(value, u, dof, low, high)
     outside = nonconformance_probability(value, u, dof, low, high)

@@ -1,4 +1,4 @@
-"""`counterspin check`: one record, judged while there is still time to make it again."""
+"""`counterspin check`: one record, checked while there is still time to make it again."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def check(
     *,
     run: str | None = None,
 ) -> CheckedRun:
-    """Judge the record of one run: clock, angle, rate, residuals, resulting uncertainty.
+    """Check the record of one run: clock, angle, rate, residuals, resulting uncertainty.
 
     Parameters
     ----------
@@ -78,24 +78,24 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
         table: MemoryTable = memory_table(f"{own.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, own.record: table})
     campaign = _with_recorded(campaign, lambda run: own if run is meant else run)
-    judged = _by_itself(campaign, own)
-    if judged.fit is None and judged.state.poses is None:
+    own_check = _by_itself(campaign, own)
+    if own_check.fit is None and own_check.state.poses is None:
         return CheckedRun(
-            run=judged.state,
-            remarks=judged.remarks,
+            run=own_check.state,
+            remarks=own_check.remarks,
             good=False,
             others=[],
             reached=[],
             expected=[],
             why_not="the record cannot be used as it is",
         )
-    others, found = _with_the_others(campaign, own, judged.fit)
-    expected, why_not = _expected(campaign, own, judged)
+    others, found = _with_the_others(campaign, own, own_check.fit)
+    expected, why_not = _expected(campaign, own, own_check)
     return CheckedRun(
-        run=judged.state,
-        remarks=judged.remarks,
+        run=own_check.state,
+        remarks=own_check.remarks,
         # Poses that are too few by themselves may be enough with others.
-        good=judged.good or (judged.fit is None and any(c.u is not None for c in found)),
+        good=own_check.good or (own_check.fit is None and any(c.u is not None for c in found)),
         others=others,
         reached=found,
         expected=expected,
@@ -221,20 +221,20 @@ def _with_the_others(
 
 
 def _expected(
-    campaign: Campaign, run: Recorded, judged: _RecordCheck
+    campaign: Campaign, run: Recorded, own_check: _RecordCheck
 ) -> tuple[list[ReachedCoefficient], str | None]:
     """Return what the whole campaign will know, its other runs being made as described."""
     if not campaign.runs:
         return [], None
     whole, rate = campaign, None
-    if judged.observed is not None and judged.fit is not None:
-        seconds = float(judged.observed.record.time[-1])
-        rate = 1.0 / judged.observed.record.report.step
+    if own_check.observed is not None and own_check.fit is not None:
+        seconds = float(own_check.observed.record.time[-1])
+        rate = 1.0 / own_check.observed.record.report.step
         runs = (
             r.model_copy(update={"duration": seconds}) if r is run else r for r in campaign.runs
         )
-        noise = noise_of_fit(judged.fit.estimate.fit)
-        whole = as_recorded(replace(campaign, runs=tuple(runs)), [judged.observed], noise)
+        noise = noise_of_fit(own_check.fit.estimate.fit)
+        whole = as_recorded(replace(campaign, runs=tuple(runs)), [own_check.observed], noise)
     unknown = [r.name for r in whole.runs if r.duration is None]
     if unknown:
         return [], f"the description does not state how long {', '.join(unknown)} will last"

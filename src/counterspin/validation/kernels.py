@@ -190,11 +190,11 @@ def _acceptance_limits(module: Any, given: Given) -> Found:
     return {"low": low, "high": high}
 
 
-def _judge(module: Any, given: Given) -> Found:
+def _decide(module: Any, given: Given) -> Found:
     """Verdict as a number: 1 pass, 0 undecided, -1 fail."""
     limits = module.Specification("", given["low"], given["high"], "")
     item = (given[key] for key in ("value", "u", "dof"))
-    answer = module.judge(*item, limits, module.DecisionRule(**given["rule"]))
+    answer = module.decide(*item, limits, module.DecisionRule(**given["rule"]))
     verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[answer.verdict]
     rest = {} if answer.risk is None else {"risk": answer.risk}
     return {"verdict": verdict, "guard_band": answer.guard_band, **rest}
@@ -358,7 +358,7 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "conformance_probability": _number("conformance_probability", "p"),
     "nonconformance_probability": _number("nonconformance_probability", "p"),
     "acceptance_limits": _acceptance_limits,
-    "judge": _judge,
+    "decide": _decide,
     "calibrate": files.fitted,
     "forecast": _forecast,
     "certificate": files.numbers,

@@ -4,8 +4,8 @@ import pytest
 from results import accelerometer, bare_result, coefficient, run
 
 from counterspin.calibration.pages.methods import (
-    kind_blocks,
     lines_of_tests,
+    method_blocks,
     reading_blocks,
     table_of_tests,
 )
@@ -102,5 +102,5 @@ def kinds(p):
 
 @pytest.mark.parametrize(("p", "verdict"), [(0.0013, "agrees"), (0.0012, "does not agree")])
 def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
-    (words,) = [b.text for b in kind_blocks(kinds(p)) if isinstance(b, Paragraph)]
+    (words,) = [b.text for b in method_blocks(kinds(p)) if isinstance(b, Paragraph)]
     assert words.startswith(f"Each test method against the others: at rest: {verdict} (chi")

@@ -7,9 +7,9 @@ from results import coefficient, result
 from counterspin.calibration.pages.document import answer_blocks
 from counterspin.calibration.pages.uncertainty import (
     assumption,
+    decisive_lines,
     dominance,
     knowledge_blocks,
-    telling,
 )
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.budget import BudgetLine
@@ -76,11 +76,11 @@ def test_where_noise_or_what_is_stated_decides_there_is_nothing_to_say():
 
 def test_lines_that_add_next_to_nothing_are_said_together():
     lines = [BudgetLine(**line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
-    shown, rest = telling(lines)
+    shown, rest = decisive_lines(lines)
     # Shares are 1, 1e-2, 1e-4 and then less: of four lines it pays to say how many they are.
     assert [one.source for one in shown] == ["K_0", "K_1", "K_2"]
     assert len(rest) == 4
-    assert telling(lines[:6]) == (lines[:6], ())
+    assert decisive_lines(lines[:6]) == (lines[:6], ())
 
 
 def test_what_is_assumed_is_named():

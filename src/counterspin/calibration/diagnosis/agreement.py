@@ -1,4 +1,4 @@
-"""Kinds of test of one accelerometer beside each other: at rest, on the arm, double turntable."""
+"""The test methods of one accelerometer beside each other: at rest, arm, double turntable."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     RESIDUAL_RATIO_LIMIT,
     equivalent_deviations,
-    level_of_kinds,
+    level_of_methods,
 )
 from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.model import SQUARES
 from counterspin.calibration.readings import residual_of
-from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTest, Shift
+from counterspin.calibration.result_parts import Coefficient, Finding, MethodAgreement, Shift
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.agreement import OfOneKind, agreements
+from counterspin.inference.joint.agreement import OneMethod, agreements
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.least_squares import Solution
 from counterspin.reports.numbers import field_unit, format_number
 
-#: What the kinds are called, by motion.
+#: What the methods are called, by motion.
 _NAMES: Final[Mapping[str, str]] = {
     "counter-rotating": "double turntable",
     "arm": "arm",
@@ -37,36 +37,38 @@ _NAMES: Final[Mapping[str, str]] = {
 
 
 @frozen
-class Kinds:
-    """The kinds of test of one accelerometer."""
+class MethodComparison:
+    """The test methods of one accelerometer."""
 
     #: What each says alone, and how far it agrees with the others; empty where there is one only.
-    results: list[KindOfTest]
+    results: list[MethodAgreement]
     findings: list[Finding]  #: One where they do not agree.
-    #: The accelerometer as its residuals are to be judged: where the kinds disagree, by the fit of
-    #: each kind alone, since the disagreement is a finding of its own.
-    judged: AccelerometerView
+    #: The accelerometer as its residuals are to be tested: where the methods disagree, by the fit
+    #: of each method alone, since the disagreement is a finding of its own.
+    residual_view: AccelerometerView
 
 
-def compare_kinds(views: Sequence[AccelerometerView]) -> dict[str, Kinds]:
-    """Return by accelerometer what each kind of test says."""
+def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodComparison]:
+    """Return by accelerometer what each test method says."""
     compared = agreements(views[0].fit)
-    kinds = {}
+    methods = {}
     for view in views:
         own = _counts(view)
         if len(own) < 2:
-            kinds[view.name] = Kinds([], [], view)
+            methods[view.name] = MethodComparison([], [], view)
             continue
-        results = [_kind(view, motion, count, compared[motion]) for motion, count in own.items()]
+        results = [_method(view, motion, count, compared[motion]) for motion, count in own.items()]
         apart = view.with_parts(
             [part.under(compared[part.readings.motion].alone) for part in view.parts]
         )
         findings = _disagreement(view, results, _excess(apart))
-        kinds[view.name] = Kinds(results, findings, _apart(apart, compared) if findings else view)
-    return kinds
+        methods[view.name] = MethodComparison(
+            results, findings, _apart(apart, compared) if findings else view
+        )
+    return methods
 
 
-def _apart(view: AccelerometerView, compared: Mapping[str, OfOneKind]) -> AccelerometerView:
+def _apart(view: AccelerometerView, compared: Mapping[str, OneMethod]) -> AccelerometerView:
     """Return a view, whose readings are fitted apart, in which records are too."""
     if not view.fit.prepared:
         return view
@@ -85,12 +87,14 @@ def _counts(view: AccelerometerView) -> dict[str, int]:
     return counts
 
 
-def _kind(view: AccelerometerView, motion: str, count: int, compared: OfOneKind) -> KindOfTest:
+def _method(
+    view: AccelerometerView, motion: str, count: int, compared: OneMethod
+) -> MethodAgreement:
     alone, without = (_determined(view, s) for s in (compared.alone.solution, compared.without))
     if motion == "static" and not _squares_known(view):
         # At rest the squares' sum is that of gravity: what K_II seems to be is K_PP and K_OO too.
         alone["K_II"] = False
-    return KindOfTest(
+    return MethodAgreement(
         kind=_NAMES[motion],
         count=count,
         coefficients={
@@ -136,38 +140,38 @@ def _coefficient(
     )
 
 
-def _shift(compared: OfOneKind, place: int) -> Shift:
+def _shift(compared: OneMethod, place: int) -> Shift:
     shift, u = float(compared.shift[place]), float(compared.u_shift[place])
     return Shift(shift=shift, u=u, z=shift / u)
 
 
 def _disagreement(
-    view: AccelerometerView, kinds: Sequence[KindOfTest], excess: float
+    view: AccelerometerView, methods: Sequence[MethodAgreement], excess: float
 ) -> list[Finding]:
-    """Return a finding where the kinds of test do not agree; it names the one that is odd.
+    """Return a finding where the test methods do not agree; it names the one that is odd.
 
-    All tests of all kinds share the significance. Where residuals are far beyond the noise that was
-    stated, which is a finding of its own, the differences are taken to be too large by as much.
+    All tests of all methods share the significance. Where residuals are far beyond the stated
+    noise, which is a finding of its own, the differences are taken to be too large by as much.
     """
-    sizes = [abs(shift.z) / excess for kind in kinds for shift in kind.without.values()]
+    sizes = [abs(shift.z) / excess for method in methods for shift in method.without.values()]
     sizes += [
-        equivalent_deviations(chi_square_tail(kind.dof, kind.chi2 / excess**2))
-        for kind in kinds
-        if kind.p is not None
+        equivalent_deviations(chi_square_tail(method.dof, method.chi2 / excess**2))
+        for method in methods
+        if method.p is not None
     ]
     size = max(sizes, default=0.0)
-    if 2.0 * normal_cdf(-size) >= level_of_kinds(kinds):
+    if 2.0 * normal_cdf(-size) >= level_of_methods(methods):
         return []
     # Without the one of the largest chi-square the others are least at odds among themselves.
-    kind = max(kinds, key=lambda kind: kind.chi2)
-    moved = max(kind.without, key=lambda symbol: abs(kind.without[symbol].z), default="")
-    others = " and ".join(other.kind for other in kinds if other is not kind)
-    text = f"The test methods do not agree: {kind.kind} against {others}"
+    method = max(methods, key=lambda method: method.chi2)
+    moved = max(method.without, key=lambda symbol: abs(method.without[symbol].z), default="")
+    others = " and ".join(other.kind for other in methods if other is not method)
+    text = f"The test methods do not agree: {method.kind} against {others}"
     if moved:
         unit, factor = field_unit(unit_of(moved))
-        shift = kind.without[moved]
+        shift = method.without[moved]
         text += (
-            f". Without {kind.kind}, {moved} moves by {format_number(shift.shift * factor, 2)} "
+            f". Without {method.kind}, {moved} moves by {format_number(shift.shift * factor, 2)} "
             f"{unit}, {format_number(abs(shift.z), 2)} of the standard uncertainties of the shift"
         )
     return [

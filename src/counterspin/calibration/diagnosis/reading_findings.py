@@ -70,7 +70,7 @@ _MOST_NAMED: Final = 4
 
 
 def readings_fit(view: AccelerometerView) -> list[Finding]:
-    """Return a finding for each motion whose residuals are not noise, or cannot be judged.
+    """Return a finding for each motion whose residuals are not noise, or cannot be tested.
 
     Noise that was stated is what they are compared with; noise that was estimated shows a misfit
     where positions were read more than once. Beside that, whatever the noise, it is asked what the
@@ -80,11 +80,11 @@ def readings_fit(view: AccelerometerView) -> list[Finding]:
     parts = view.readings
     level = 0.5 * SIGNIFICANCE
     followed = {place: one for place, one in _followed(view) if one.p * one.tests < level}
-    unjudged_anyway = _none_left(view) or _few_left(view)
-    findings = [*unjudged_anyway]
+    too_few = _none_left(view) or _few_left(view)
+    findings = [*too_few]
     for place, part in enumerate(parts):
-        if part.dof < FEWEST_FREEDOM and not unjudged_anyway:
-            findings.append(unjudged(view.name, part))
+        if part.dof < FEWEST_FREEDOM and not too_few:
+            findings.append(too_few_to_test(view.name, part))
         residual = residual_of([part])
         stated = math.isinf(part.dof)
         p = residual.lack_of_fit_p if stated else part.misfit_of_positions
@@ -126,7 +126,7 @@ def _none_left(view: AccelerometerView) -> list[Finding]:
 
 
 def _few_left(view: AccelerometerView) -> list[Finding]:
-    """Return a finding where readings of stated noise leave too little to judge them by."""
+    """Return a finding where readings of stated noise leave too little to test them by."""
     stated = [part for part in view.readings if math.isinf(part.dof)]
     freedom = sum(part.freedom for part in stated)
     if any(any(part.readings.position) for part in stated):
@@ -171,8 +171,8 @@ def _noticed_from(freedom: float) -> str:
     return f", and residuals are noticed only above {least} times the stated uncertainty"
 
 
-def unjudged(name: str, part: FittedReadings) -> Finding:
-    """Return the finding that hardly any freedom is left to judge residuals by."""
+def too_few_to_test(name: str, part: FittedReadings) -> Finding:
+    """Return the finding that hardly any freedom is left to test residuals by."""
     text = (
         f"{part.readings.size} {part.words} without a stated uncertainty leave "
         f"{format_number(part.dof, 2)} degrees of freedom after the estimation: their residuals "
@@ -184,14 +184,14 @@ def unjudged(name: str, part: FittedReadings) -> Finding:
 def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     """Yield what the residuals of each motion follow most: its place, and what it is."""
     fit = relax(view.fit)
-    judged = {
+    testable = {
         place: part
         for place, part in enumerate(view.readings)
         if part.place_in(fit) is not None and min(part.dof, part.freedom) >= FEWEST_FREEDOM
     }
-    if not judged:
+    if not testable:
         return
-    groups = [group_of(part, part.place_in(fit) or 0) for part in judged.values()]
+    groups = [group_of(part, part.place_in(fit) or 0) for part in testable.values()]
     acting = [unknown for unknown in fit.model.unknowns if unknown.owner in (view.name, "")]
     own = [unknown for unknown in acting if unknown.owner]
     known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
@@ -200,7 +200,7 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
         for group in groups
         if isinstance(group.readings, Readings)
     ]
-    places = list(judged)
+    places = list(testable)
     for one in most_followed(fit, groups, columns):
         yield places[one.group], one
 
@@ -365,7 +365,7 @@ def pose_findings(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Findin
     findings = []
     for part, followed in zip(posed, _followed_by_poses(fit, posed), strict=True):
         if part.dof < FEWEST_FREEDOM:
-            findings.append(unjudged(TRIAD, part))
+            findings.append(too_few_to_test(TRIAD, part))
         elif part.freedom < FEWEST_FREEDOM:
             findings.append(_few_poses_left(part))
         residual = residual_of([part])
@@ -382,8 +382,8 @@ def _followed_by_poses(fit: JointFit, posed: Sequence[FittedReadings]) -> list[F
     """Return for each group of poses what its residuals follow, beyond chance."""
     found: list[Followed | None] = [None] * len(posed)
     fit = relax(fit)
-    judged = [k for k, part in enumerate(posed) if min(part.dof, part.freedom) >= FEWEST_FREEDOM]
-    groups = [group_of(posed[k], posed[k].place_in(fit) or 0) for k in judged]
+    testable = [k for k, part in enumerate(posed) if min(part.dof, part.freedom) >= FEWEST_FREEDOM]
+    groups = [group_of(posed[k], posed[k].place_in(fit) or 0) for k in testable]
     unknown = {(u.owner, u.symbol): u for u in fit.model.unknowns}
     known = {key for key, u in unknown.items() if math.isfinite(u.prior[1])}
     columns = [
@@ -391,9 +391,9 @@ def _followed_by_poses(fit: JointFit, posed: Sequence[FittedReadings]) -> list[F
         for group in groups
         if isinstance(group.readings, TriadPoses)
     ]
-    for one in most_followed(fit, groups, columns) if judged else ():
+    for one in most_followed(fit, groups, columns) if testable else ():
         if one.p * one.tests < 0.5 * SIGNIFICANCE:
-            found[judged[one.group]] = one
+            found[testable[one.group]] = one
     return found
 
 

@@ -23,7 +23,7 @@ from counterspin.calibration.diagnosis.noise import (
     wrong_noise,
 )
 from counterspin.calibration.diagnosis.statements import OtherMounting, better, wrong_mounting
-from counterspin.calibration.diagnosis.words import Described, Explanation
+from counterspin.calibration.diagnosis.words import Explanation, Wording
 from counterspin.calibration.findings import ACCOUNTABLE, CONTRADICTION_SIGMAS, Cause, from_numbers
 from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
@@ -157,7 +157,7 @@ def _causes(
         first = first or explained.size
         after, explained = _put_right(now, explained, views)
         if not given:
-            # Beside the noise that is left without it, other causes may be told from it.
+            # Beside the noise that is left without it, other causes may be wording from it.
             calmer = replace(now, fit=now.fit.with_noise(after.fit.noise))
             again = _best(calmer, priors, others, given)
             if again is not None:
@@ -168,10 +168,10 @@ def _causes(
             # At its own size, beyond first order, it is not what it seemed to be.
             others = [other for other in others if other != explained.head]
             continue
-        described = Explanation(
+        wording = Explanation(
             campaign, now.fit, explained.head, explained.value, explained.u
-        ).described()
-        causes.append(_cause(described, explained, views, now, after))
+        ).wording()
+        causes.append(_cause(wording, explained, views, now, after))
         now = after
     if given:
         seen = (replace(view, estimate=now) for view in views if view.has_records)
@@ -299,7 +299,7 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
 
 
 @frozen
-class _Explained:
+class _BestExplanation:
     """The best explanation, and those that are as good, each with the estimate of its parameter."""
 
     head: Alternative
@@ -314,7 +314,7 @@ class _Explained:
 
 def _best(
     now: Estimate, priors: Sequence[Alternative], others: Sequence[Alternative], given: bool
-) -> _Explained | None:
+) -> _BestExplanation | None:
     """Return what explains most, if it is more than chance; None if nothing does."""
     every = (*priors, *others)
     held = scores(now.fit, every, noise_given=given)
@@ -382,7 +382,7 @@ def _tests(held: Scores, place: int) -> int:
     return max(tests, 1)
 
 
-def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
+def _with_rivals(held: Scores, place: int, given: bool) -> _BestExplanation:
     every = held.alternatives
     least = _least_as_good(float(held.size[place]) ** 2)
     as_good = [
@@ -408,7 +408,7 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
         return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, weight, own, k
 
     first, *rivals = sorted(as_good, key=plausible)
-    return _Explained(
+    return _BestExplanation(
         every[first],
         float(held.value[first]),
         float(held.u[first]),
@@ -420,7 +420,7 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
     )
 
 
-def _is_clear(now: Estimate, explained: _Explained) -> bool:
+def _is_clear(now: Estimate, explained: _BestExplanation) -> bool:
     """Return whether a cause is more than chance with noise that the records do not show."""
     variance = explained.u**2
     if not explained.head.columns:
@@ -441,8 +441,8 @@ def _credible(held: Scores, place: int) -> bool:
 
 
 def _put_right(
-    now: Estimate, explained: _Explained, views: Sequence[AccelerometerView]
-) -> tuple[Estimate, _Explained]:
+    now: Estimate, explained: _BestExplanation, views: Sequence[AccelerometerView]
+) -> tuple[Estimate, _BestExplanation]:
     """Return the estimate with a cause allowed for, and the cause as it is then."""
     requests = views[0].problem.noise
     head = explained.head
@@ -480,15 +480,15 @@ def _again(now: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estim
 
 
 def _cause(
-    described: Described,
-    explained: _Explained,
+    wording: Wording,
+    explained: _BestExplanation,
     views: Sequence[AccelerometerView],
     before: Estimate,
     after: Estimate,
 ) -> Cause:
     campaign = views[0].campaign
     concerned = _concerned(explained.head, views, before)
-    text = described.text
+    text = wording.text
     moved = 0.0
     for view in views:
         for symbol, place in view.places.items():
@@ -497,7 +497,7 @@ def _cause(
             shift = float(after.fit.solution.estimate[place] - before.fit.solution.estimate[place])
             moved = max(moved, abs(shift) / float(view.fit.solution.u[place]))
     rivals = [
-        Explanation(campaign, before.fit, other, value, 1.0).described()
+        Explanation(campaign, before.fit, other, value, 1.0).wording()
         for other, value in explained.rivals
     ]
     if rivals:
@@ -509,8 +509,8 @@ def _cause(
     contradicts = far and (moved > 1.0 or explained.head.kind == "prior")
     return Cause(
         Finding(
-            code=described.code,
-            subject=described.subject,
+            code=wording.code,
+            subject=wording.subject,
             text=text,
             size=explained.size,
             contradicts=contradicts,

@@ -254,7 +254,7 @@ class _Thing:
     priors: Array
 
 
-def untested(views: Sequence[AccelerometerView]) -> Iterator[str]:
+def untested_statements(views: Sequence[AccelerometerView]) -> Iterator[str]:
     """Yield for each accelerometer what it rests on that its data cannot check."""
     fit = relax(views[0].fit)
     things = [*_statements(views[0].campaign, fit), *_clocks(fit)]

@@ -39,7 +39,7 @@ _RATIO_TOLERANCE: Final = 0.02
 
 
 @frozen
-class Described:
+class Wording:
     """An alternative in words."""
 
     #: As of a finding.
@@ -60,7 +60,7 @@ class Explanation:
     value: float
     u: float
 
-    def described(self) -> Described:
+    def wording(self) -> Wording:
         """Return it in words."""
         return {
             "prior": self._prior,
@@ -81,7 +81,7 @@ class Explanation:
     def _estimate(self, unit: str) -> str:
         return _shown(self.value, self.u, unit)
 
-    def _prior(self) -> Described:
+    def _prior(self) -> Wording:
         if self.other.symbol in INPUTS:
             return self._input()
         (index,) = self.other.priors
@@ -91,9 +91,9 @@ class Explanation:
         # The difference has the uncertainty of both.
         own = math.sqrt(max(self.u**2 - spread**2, 0.0)) or self.u
         text = conflict(name, (stated, spread), (found, own), abs(self.value) / self.u, unit)
-        return Described(code="prior-conflict", subject=name, text=text, name=name)
+        return Wording(code="prior-conflict", subject=name, text=text, name=name)
 
-    def _priors(self) -> Described:
+    def _priors(self) -> Wording:
         symbol = self.other.symbol
         unit = unit_of(self.fit.model.unknowns[next(iter(self.other.priors))].symbol)
         text = (
@@ -102,11 +102,11 @@ class Explanation:
             f"{self._estimate(unit)}, {abs(self.value) / self.u:.1f} standard uncertainties of the "
             "difference. Check the stated value."
         )
-        return Described(
+        return Wording(
             code="prior-conflict", subject=symbol, text=text, name=f"{symbol} of all runs"
         )
 
-    def _input(self) -> Described:
+    def _input(self) -> Wording:
         known = INPUTS[self.other.symbol]
         stated = inputs_of(self.campaign)[self.other.name].value
         whose = f" {self.other.owner}" if self.other.owner else ""
@@ -123,9 +123,9 @@ class Explanation:
             f"{'stated' if stated else 'taken'}. Check it."
         )
         name = f"{known.words}{whose}"
-        return Described(code="wrong-input", subject=self.other.name, text=text, name=name)
+        return Wording(code="wrong-input", subject=self.other.name, text=text, name=name)
 
-    def _term(self) -> Described:
+    def _term(self) -> Wording:
         name, limit = self.other.name, self.other.between[1]
         if not self.other.owner and term(self.other.symbol).per_run:
             name += " in all runs"
@@ -145,7 +145,7 @@ class Explanation:
             called += " and would be larger than is credible"
         else:
             text += "Add it to the terms, or state what is known of it."
-        return Described(code="term-missing", subject=self.other.name, text=text, name=called)
+        return Wording(code="term-missing", subject=self.other.name, text=text, name=called)
 
     @property
     def _place(self) -> str:
@@ -155,16 +155,16 @@ class Explanation:
             return f"{parts[0].accelerometer} in {parts[0].run}"
         return self.other.owner
 
-    def _scale(self) -> Described:
+    def _scale(self) -> Wording:
         text = (
             f"The record of {self._place} would fit if it were {format_number(1 - self.value, 6)} "
             f"times as large (u {format_number(self.u, 2)}): check its scale, its "
             "unit and the stated scale factor."
         )
         name = f"scale of the record of {self._place}"
-        return Described(code="wrong-scale", subject=self.other.owner, text=text, name=name)
+        return Wording(code="wrong-scale", subject=self.other.owner, text=text, name=name)
 
-    def _angle(self) -> Described:
+    def _angle(self) -> Wording:
         run = self.other.owner
         where = f" of {run}" if run else ""
         size = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
@@ -173,14 +173,14 @@ class Explanation:
             f"The records would fit if the angle{where} were {size} {way}: check its zero, and "
             "the time at which it is sampled."
         )
-        return Described(
+        return Wording(
             code="wrong-angle",
             subject=run or self.other.symbol,
             text=text,
             name=f"zero of the angle{where}",
         )
 
-    def _coriolis(self) -> Described:
+    def _coriolis(self) -> Wording:
         own = self.campaign.own_velocity
         whose, stated = ("the platform's", "platform") if own else ("its own", "own velocity")
         text = (
@@ -190,46 +190,46 @@ class Explanation:
             f'"{stated}" in [records].'
         )
         name = f"velocity in the Coriolis acceleration, {whose}"
-        return Described(code="own-velocity", subject=self.other.symbol, text=text, name=name)
+        return Wording(code="own-velocity", subject=self.other.symbol, text=text, name=name)
 
-    def _bias(self) -> Described:
+    def _bias(self) -> Wording:
         text = (
             f"{self._place} would fit with a bias of its own, {self._estimate('g')} more than in "
             "the other runs: the bias has changed, or the record has a slow error. "
             "Inspect the record."
         )
-        return Described(
+        return Wording(
             code="run-differs", subject=self.other.owner, text=text, name=f"bias of {self._place}"
         )
 
-    def _drift(self) -> Described:
+    def _drift(self) -> Wording:
         alone = len(self.other.columns) == 1
         when = "" if alone else " from the start of every run"
         text = (
             f"{self._place} would fit with a bias that drifts by {self._estimate('g/s')}{when}: "
             "warm-up, creep or another slow error. Inspect the records."
         )
-        return Described(
+        return Wording(
             code="bias-drifts",
             subject=self.other.owner,
             text=text,
             name=f"drift of the bias of {self._place}",
         )
 
-    def _bias_step(self) -> Described:
+    def _bias_step(self) -> Wording:
         text = (
             f"{self._place} would fit with a bias that changes by {self._estimate('g')} at about "
             f"{self.other.at:.4g} s: switching on, warm-up or another slow "
             "error. Leave out the part before that time, or the whole run."
         )
-        return Described(
+        return Wording(
             code="bias-drifts",
             subject=self.other.owner,
             text=text,
             name=f"change of the bias of {self._place}",
         )
 
-    def _step(self) -> Described:
+    def _step(self) -> Wording:
         (i,) = self.other.columns
         unit = OBSERVABLES[self.fit.prepared[i].series.observable]
         at = f"about {self.other.at:.4g} s"
@@ -238,7 +238,7 @@ class Explanation:
         else:
             change = format_estimate(self.value, self.u, f"{unit} a second")
             what, how = "slope", f"drifts from {at} on: its slope changes by {change}"
-        return Described(
+        return Wording(
             code="jump",
             subject=self.other.owner,
             text=f"The record of {self._place} {how}. Leave the run out, or record it again.",

@@ -97,7 +97,7 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
             ],
         )
     mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
-    terms = determined(accelerometer)
+    terms = determined_terms(accelerometer)
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
     if not values:
         raise CampaignError("apply", [f"the result has no coefficient of {name} with a value"])
@@ -125,7 +125,7 @@ def acts(symbol: str) -> bool:
     return symbol in TERMS if row is None else row.effect.condition == "temperature"
 
 
-def determined(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
+def determined_terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
     """Return those that have a value."""
     return {symbol: c for symbol, c in terms_of(accelerometer).items() if c.value is not None}
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.calibration.findings import methods_agree
-from counterspin.calibration.pages.methods import kind_blocks, table_of_tests
-from counterspin.calibration.pages.uncertainty import dominance, named, telling
+from counterspin.calibration.pages.methods import method_blocks, table_of_tests
+from counterspin.calibration.pages.uncertainty import decisive_lines, dominance, label_of
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -59,7 +59,7 @@ def accelerometer_blocks(
         yield Paragraph(_noise(accelerometer.noise, gravity))
     if accelerometer.output:
         yield Paragraph(_in_output_units(accelerometer))
-    yield from kind_blocks(accelerometer)
+    yield from method_blocks(accelerometer)
     if accelerometer.readings:
         yield table_of_tests(accelerometer.readings)
     yield from _readings(accelerometer.readings, details=details)
@@ -332,7 +332,7 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
             Column("moves with", wraps=True),
             Column("Correlation", "right"),
         ),
-        tuple((named(b), named(a), _correlation(r)) for a, b, r in pairs),
+        tuple((label_of(b), label_of(a), _correlation(r)) for a, b, r in pairs),
     )
 
 
@@ -343,7 +343,7 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
         unit, factor = field_unit(coefficient.unit if coefficient else "")
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))
-        shown, rest = telling(lines)
+        shown, rest = decisive_lines(lines)
         rows = [_budget_row(line, factor) for line in shown]
         if rest:
             size = math.hypot(*(line.contribution for line in rest))

@@ -7,13 +7,13 @@ import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.findings import level_of_kinds
+from counterspin.calibration.findings import level_of_methods
 from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
-    KindOfTest,
+    MethodAgreement,
     PoseResult,
     ReadingResult,
 )
@@ -288,41 +288,44 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def kind_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
-    """Yield each coefficient by all tests and by each kind alone, and whether the kinds agree."""
-    kinds = accelerometer.kinds
-    if not kinds:
+def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
+    """Yield each coefficient by all tests and by each method alone, and whether they agree."""
+    methods = accelerometer.kinds
+    if not methods:
         return
     symbols = [
         symbol
         for symbol, c in accelerometer.coefficients.items()
-        if c.estimated or any(_has(kind, symbol) for kind in kinds)
+        if c.estimated or any(_has(method, symbol) for method in methods)
     ]
     yield Table(
         columns=(
             Column("Coefficient"),
             Column("Unit"),
             Column("All tests", "right"),
-            *(Column(f"{kind.kind} alone ({kind.count})", "right", wraps=True) for kind in kinds),
+            *(
+                Column(f"{method.kind} alone ({method.count})", "right", wraps=True)
+                for method in methods
+            ),
         ),
         rows=tuple(
             (
                 symbol,
                 field_unit(accelerometer.coefficients[symbol].unit)[0],
                 _cell(accelerometer.coefficients[symbol]),
-                *(_cell(kind.coefficients.get(symbol)) for kind in kinds),
+                *(_cell(method.coefficients.get(symbol)) for method in methods),
             )
             for symbol in symbols
             if symbol in accelerometer.coefficients
         ),
     )
-    level = level_of_kinds(kinds)
-    words = "; ".join(_words(kind, level) for kind in kinds)
+    level = level_of_methods(methods)
+    words = "; ".join(_words(method, level) for method in methods)
     yield Paragraph("Each test method against the others: " + words + ".")
 
 
-def _has(kind: KindOfTest, symbol: str) -> bool:
-    return symbol in kind.coefficients and kind.coefficients[symbol].estimated
+def _has(method: MethodAgreement, symbol: str) -> bool:
+    return symbol in method.coefficients and method.coefficients[symbol].estimated
 
 
 def _cell(coefficient: Coefficient | None) -> str:
@@ -332,15 +335,15 @@ def _cell(coefficient: Coefficient | None) -> str:
     return format_compact(coefficient.value * factor, (coefficient.u or 0.0) * factor)
 
 
-def _words(kind: KindOfTest, level: float) -> str:
-    if kind.p is None:
-        return f"{kind.kind}: not predicted by the others"
-    verdict = "agrees" if kind.p >= level else "does not agree"
+def _words(method: MethodAgreement, level: float) -> str:
+    if method.p is None:
+        return f"{method.kind}: not predicted by the others"
+    verdict = "agrees" if method.p >= level else "does not agree"
     text = (
-        f"{kind.kind}: {verdict} (chi-square/dof {format_number(kind.chi2 / kind.dof, 3)}, "
-        f"p = {format_number(kind.p, 2)}"
+        f"{method.kind}: {verdict} (chi-square/dof {format_number(method.chi2 / method.dof, 3)}, "
+        f"p = {format_number(method.p, 2)}"
     )
-    moved = {symbol: abs(shift.z) for symbol, shift in kind.without.items()}
+    moved = {symbol: abs(shift.z) for symbol, shift in method.without.items()}
     if moved and math.isfinite(size := max(moved.values())):
         symbol = max(moved, key=lambda name: moved[name])
         text += f"; without it {symbol} moves most, by {format_number(size, 2)} of the shift's u"

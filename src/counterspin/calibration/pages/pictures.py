@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.uncertainty import named, telling
+from counterspin.calibration.pages.uncertainty import decisive_lines, label_of
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
@@ -38,13 +38,13 @@ def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | 
 
 def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_II") -> Bars | None:
     """Return u^2 of a coefficient as a stacked bar by source, in %; None without a budget."""
-    lines, rest = telling(accelerometer.budget.get(symbol, []))
+    lines, rest = decisive_lines(accelerometer.budget.get(symbol, []))
     coefficient = accelerometer.coefficients.get(symbol)
     if not lines or coefficient is None:
         return None
     unit, factor = field_unit(coefficient.unit)
     labels = [
-        line.source if line.kind == "noise" else f"{named(line.source)} ({line.kind})"
+        line.source if line.kind == "noise" else f"{label_of(line.source)} ({line.kind})"
         for line in lines
     ]
     colours = [_COLOUR_OF_KIND[line.kind] for line in lines]

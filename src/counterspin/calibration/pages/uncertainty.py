@@ -71,7 +71,9 @@ class HasAssumptions(Protocol):
         """What is taken as perfect."""
 
 
-def telling(lines: Sequence[BudgetLine]) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
+def decisive_lines(
+    lines: Sequence[BudgetLine],
+) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
     """Return the lines of a budget that make up u, and those that together add next to nothing."""
     count = next((k for k, line in enumerate(lines) if line.share < _LEAST_LINE), len(lines))
     return (lines, ()) if len(lines) - count <= _FEW_LINES else (lines[:count], lines[count:])
@@ -103,7 +105,7 @@ def dominance(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
     )
 
 
-def named(source: str) -> str:
+def label_of(source: str) -> str:
     """Return a term or source of uncertainty as a table names it: words and symbol."""
     words = words_of(source)
     return f"{words}, {source}" if words else source
@@ -111,7 +113,7 @@ def named(source: str) -> str:
 
 def in_words(source: str) -> str:
     """Return a term or source of uncertainty as a sentence names it."""
-    return f"the {named(source)}" if words_of(source) else source
+    return f"the {label_of(source)}" if words_of(source) else source
 
 
 def largest_part(accelerometer: HasAnswer, symbol: str = "K_II") -> str:

@@ -176,7 +176,7 @@ _ROUNDING: Final = 1e-9
 
 
 @frozen
-class OfOneKind:
+class OneMethod:
     """One kind of data against the others."""
 
     #: What it says by itself, and what the others say, each with all that is known beforehand.
@@ -192,13 +192,13 @@ class OfOneKind:
     dof: int
 
 
-def agreements(fit: JointFit) -> dict[str, OfOneKind]:
+def agreements(fit: JointFit) -> dict[str, OneMethod]:
     """Compare the data of each motion with all the others; empty where all are of one."""
     kinds = list(dict.fromkeys(one.motion for one in fit.observations))
     return {kind: _agreement(fit, kind) for kind in kinds} if len(kinds) > 1 else {}
 
 
-def _agreement(fit: JointFit, kind: str) -> OfOneKind:
+def _agreement(fit: JointFit, kind: str) -> OneMethod:
     model, whole = fit.model, fit.solution
     alone = fit.only([one.motion == kind for one in fit.observations])
     others = [
@@ -213,7 +213,7 @@ def _agreement(fit: JointFit, kind: str) -> OfOneKind:
     if whole.covariance_unseen is not None:
         spread = spread + np.diag(whole.covariance_unseen)
     chi2, dof = _surprise(alone.blocks, others, model)
-    return OfOneKind(
+    return OneMethod(
         alone=alone,
         without=without,
         shift=without.estimate - whole.estimate,
