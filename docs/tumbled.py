@@ -102,25 +102,25 @@ def world_of(violation: Violation | None, usual: str) -> str:
     return f"{usual}\n{violation.truth}"
 
 
-def calibrated(world: str) -> list[Result]:
-    """Return the calibrations of a tumble, with all assumed that is not stated, and nothing."""
+def calibrated(world: str) -> Iterator[Result]:
+    """Yield the calibrations of a tumble, with all assumed that is not stated, and nothing."""
     with tempfile.TemporaryDirectory() as folder:
-        campaign, results = Path(folder) / "campaign.toml", []
+        campaign = Path(folder) / "campaign.toml"
         (Path(folder) / "world.toml").write_text(world, encoding="utf-8")
         simulate(Path(folder) / "world.toml", folder, overwrite=True)
         stated = campaign.read_text(encoding="utf-8")
         for text in (replaced(stated, _ASSUMING), stated):
             campaign.write_text(text, encoding="utf-8")
-            results.append(calibrate(folder))
-        return results
+            yield calibrate(folder)
 
 
 def rows(way: str) -> Iterator[Row]:
     """Yield the rows of one of the ways to take a tumble."""
     usual = description(*WAYS[way])
-    clean = calibrated(usual)
+    clean = list(calibrated(usual))
     for violation in violations():
-        yield row_between(violation, way, clean, calibrated(world_of(violation, usual)))
+        found = list(calibrated(world_of(violation, usual)))
+        yield row_between(violation, way, clean, found)
 
 
 TABLE: Final = KeptTable("tumbled", DOCS / "violations.md", Row, lines_of)

@@ -43,7 +43,7 @@ def test_wherever_something_is_found_the_head_is_named(kept, way):
     for violation in STUDY["violations"]():
         if not kept[violation.name, way].codes:
             continue
-        assuming, _ = STUDY["calibrated"](STUDY["world_of"](violation, usual))
+        assuming = next(STUDY["calibrated"](STUDY["world_of"](violation, usual)))
         times = "once" if ".1." in violation.symbol else "twice"
         two = f"look like an error of the head {times} a turn"
         one = "An error of the head that varies with its angle"
