@@ -87,6 +87,29 @@ def test_one_more_term_differs_by_what_that_term_is(one):
     assert k_ii(back).u_difference == pytest.approx(k_ii(compared).u_difference, rel=1e-9)
 
 
+def test_noise_that_is_found_is_that_of_the_larger_model_in_both():
+    """The variances subtract once they are of one noise; then K_III decides alone, in K_II too."""
+    document = description()
+    document["centrifuge"]["radius"] = "2.5 m"
+    document["model"] = {"terms": TERMS, "assume": "all"}
+    qx = document["accelerometers"]["Qx"]
+    del qx["displacement"]
+    qx["specific_force"] = {"column": "force", "unit": "g"}
+    base = cs.make_campaign(document | {"noise": {"specific_force": "1e-5 g"}})
+    records = cs.simulate(base.change(seed=2)).change(noise=None)
+    small = cs.calibrate(records)
+    large = cs.calibrate(records.change(terms=[*TERMS, "K_III"]))
+    noise = [one.accelerometers["Qx"].noise["specific_force"].value for one in (small, large)]
+    ratio = noise[1] / noise[0]
+    assert abs(ratio - 1.0) > 1e-3
+    k_iii = large.coefficient("Qx.K_III")
+    for compared in (cs.compare(small, large), cs.compare(large, small)):
+        assert compared.agreements[0].chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-6)
+        u = [one.coefficient("Qx.K_II").u for one in (small, large)]
+        expected = math.sqrt(u[1] ** 2 - (ratio * u[0]) ** 2)
+        assert k_ii(compared).u_difference == pytest.approx(expected, rel=1e-6)
+
+
 def test_a_run_left_out_is_as_the_fit_itself_has_it(one):
     _, whole, _, part = one
     compared = cs.compare(whole, part)
