@@ -193,9 +193,10 @@ _OFFERED = {
         "NotIdentifiableError",
         "RecordError",
     ),
-    "inference.two_stage.first_stage": ("Parabola", "first_stage"),
-    "inference.two_stage.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
-    "inference.two_stage.request": ("TwoStageRequest",),
+    "inference.two_stage.first_stage": (
+        *("Parabola", "by_angle", "by_nominal_rate", "first_stage", "strobe_angle"),
+    ),
+    "inference.two_stage.model": ("TwoStageRequest",),
     "inference.two_stage.second_stage": ("SecondStage", "StrobedRun", "second_stage"),
     "physics.accelerometer": ("QX", "QY", "QZ", "Mounting", "indicated"),
     "physics.motion": ("Site", "Trajectory"),

@@ -35,7 +35,6 @@ from counterspin.campaign.model import (
 )
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.readings_table import take_readings
 from counterspin.campaign.resolution import DescriptionReader
 from counterspin.campaign.runs import (
     Run,
@@ -43,7 +42,6 @@ from counterspin.campaign.runs import (
 from counterspin.campaign.settings import (
     NoiseSettings,
 )
-from counterspin.campaign.specification import Specifications
 from counterspin.campaign.triad import Triad
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -56,6 +54,7 @@ from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 
 if TYPE_CHECKING:
+    from counterspin.campaign.specification import Specifications
     from counterspin.campaign.truth import Simulation
 
 
@@ -392,6 +391,8 @@ def make_campaign(
     document = dict(source.document)
     problems = Problems(document)
     if readings is not None:
+        from counterspin.campaign.readings_table import take_readings
+
         take_readings(document, readings, problems)
         if problems.lines:
             raise CampaignError(source.label, problems.lines)

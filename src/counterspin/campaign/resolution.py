@@ -28,7 +28,6 @@ from counterspin.campaign.model import (
 )
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Reading, positioned, resolve_readings
-from counterspin.campaign.readings_table import ReadingsSettings, read_table
 from counterspin.campaign.runs import (
     Run,
     is_pose,
@@ -46,16 +45,12 @@ from counterspin.campaign.settings import (
     NoiseSettings,
     SiteSettings,
 )
-from counterspin.campaign.specification import (
-    Specifications,
-    SpecificationSettings,
-    resolve_specifications,
-)
 from counterspin.campaign.triad import TriadSettings, resolve_triad, with_usual_axes
 from counterspin.physics.motion import Site
 from counterspin.records.record import ColumnSpec
 
 if TYPE_CHECKING:
+    from counterspin.campaign.specification import Specifications
     from counterspin.campaign.truth import Simulation
 
 
@@ -69,6 +64,21 @@ Accelerometers = Annotated[
     Section(dict[str, AccelerometerKeys]),  # type: ignore[valid-type]
 ]
 Runs = Annotated[list[Any], Section(list[Run])]
+
+
+# Classes of tables that few descriptions of a calibration have are loaded where one has them.
+
+
+def _readings() -> Any:
+    from counterspin.campaign.readings_table import ReadingsSettings
+
+    return ReadingsSettings
+
+
+def _specification() -> Any:
+    from counterspin.campaign.specification import SpecificationSettings
+
+    return SpecificationSettings
 
 
 def _simulation() -> Any:
@@ -116,7 +126,7 @@ class CampaignDocument(SettingsSection):
     model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = described(
         "[what is asked for, and what is known](#model)", {}, None, absent="the paper's terms"
     )
-    readings: Annotated[dict[str, Any] | None, Section(ReadingsSettings)] = described(
+    readings: Annotated[dict[str, Any] | None, Section(_readings)] = described(
         "[a table of single values](readings.md)", {}, None
     )
     runs: Runs = described(
@@ -125,7 +135,7 @@ class CampaignDocument(SettingsSection):
         [],
         kind="list of tables",
     )
-    specification: Annotated[dict[str, Any] | None, Section(SpecificationSettings)] = described(
+    specification: Annotated[dict[str, Any] | None, Section(_specification)] = described(
         "[limits that coefficients shall meet](#specification)", {}, None
     )
     simulation: Annotated[dict[str, Any] | None, Section(_simulation)] = described(
@@ -282,6 +292,8 @@ class DescriptionReader:
             (raw, ("runs", index)) for index, raw in self.parts["listed"] if is_reading(raw)
         ]
         if "readings" in self.raw:
+            from counterspin.campaign.readings_table import read_table
+
             outputs = self.accelerometers.outputs
             every = {name: outputs.get(name) for name in self.accelerometers.raw}
             folder, checksums = self.file.parent, self.table_checksums
@@ -322,6 +334,8 @@ class DescriptionReader:
     def _specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):
             return None
+        from counterspin.campaign.specification import resolve_specifications
+
         return resolve_specifications(
             self.raw["specification"],
             self.accelerometers.raw,
