@@ -8,8 +8,8 @@ records do not determine is named as such, and missing data of the laboratory is
 - `build`: the document, set by the template `assets/certificate.xml.jinja`
 - `statements`: its claims; `wording`: the sentences, and coverage factors; `front`: the pages
 - `schema`: the words and numbers of its XML, and validation
-- `conversion`: coefficients and a triad in SI, with what the uncertainty of g does there;
-  `capability`: no U is below what the laboratory can do
+- `conversion`: the numbers: in SI, with what the uncertainty of g does there, and no U below what
+  the laboratory can do
 - `evidence`: what bounds the terms that were taken as perfect
 - `amendment`: a certificate that another one replaces
 - `ledger`: the ledger of an instrument: what was found, certified and amended, one line each, only

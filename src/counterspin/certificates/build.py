@@ -26,7 +26,6 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import PROCEDURE
-from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import (
     certified_triad,
     covariance,
@@ -37,6 +36,7 @@ from counterspin.certificates.conversion import (
     parameter_line,
     title,
     triad_in_si,
+    with_capability,
 )
 from counterspin.certificates.lab import ITEM_STATES, Lab
 from counterspin.certificates.schema import DCC, NAMESPACES, Element, clean, factor, number

@@ -14,8 +14,8 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import amendment_lines
-from counterspin.certificates.capability import capability_lines, with_capability
 from counterspin.certificates.conversion import (
+    capability_lines,
     certified_triad,
     in_si,
     matrix_dof,
@@ -23,6 +23,7 @@ from counterspin.certificates.conversion import (
     output_table,
     shown_in_si,
     triad_lines,
+    with_capability,
 )
 from counterspin.certificates.conversion import (
     title as triad_title,

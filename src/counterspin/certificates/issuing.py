@@ -21,8 +21,7 @@ from counterspin.certificates.amendment import (
 )
 from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
-from counterspin.certificates.capability import with_capability
-from counterspin.certificates.conversion import output_table, with_exact_g
+from counterspin.certificates.conversion import output_table, with_capability, with_exact_g
 from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab

@@ -10,8 +10,12 @@ from typing import Final
 from counterspin.calibration.result import Result
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
-from counterspin.certificates.capability import capability_lines
-from counterspin.certificates.conversion import certified_triad, title, triad_lines
+from counterspin.certificates.conversion import (
+    capability_lines,
+    certified_triad,
+    title,
+    triad_lines,
+)
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.schema import ENGLISH

@@ -7,7 +7,7 @@ independent unless their covariance is given.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Final
 
@@ -330,3 +330,44 @@ def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[
         else:
             groups[name] = named
     return groups, not_told
+
+
+#: Correlations below this change nothing that is printed.
+_NEGLIGIBLE_CORRELATION: Final = 0.01
+
+#: What a result does not share is at least this part of its u.
+_LEAST_OWN_PART: Final = 1e-3
+
+
+@frozen
+class SharedInputs:
+    """What results share."""
+
+    names: tuple[str, ...]  #: What it is, such as ``centrifuge.radius``.
+    largest: float  #: The largest correlation of two results.
+    covariance: Array  #: Of the results, shape (n, n).
+
+
+def in_common(
+    u: Sequence[float], shared: Sequence[Mapping[tuple[str, str], float]]
+) -> SharedInputs | None:
+    """Return what results have in common; None where it is negligible."""
+    count: dict[tuple[str, str], int] = {}
+    for sources in shared:
+        for key in sources:
+            count[key] = count.get(key, 0) + 1
+    keys = [key for key, n in count.items() if n > 1]
+    moved = np.array([[sources.get(key, 0.0) for key in keys] for sources in shared])
+    total = np.asarray(u, dtype=np.float64)
+    own = total**2 - (moved**2).sum(axis=1)
+    covariance = moved @ moved.T
+    covariance[np.diag_indices(total.size)] += np.maximum(own, (_LEAST_OWN_PART * total) ** 2)
+    size = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(size, size) - np.eye(total.size))
+    if not keys or (largest := float(correlation.max())) < _NEGLIGIBLE_CORRELATION:
+        return None
+    weight = np.abs(moved / total[:, None]).max(axis=0)
+    names = dict.fromkeys(
+        key[0] for key, w in zip(keys, weight, strict=True) if w**2 >= 0.1 * _NEGLIGIBLE_CORRELATION
+    )
+    return SharedInputs(tuple(names), largest, covariance)

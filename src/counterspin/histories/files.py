@@ -17,12 +17,21 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
-from counterspin.histories.shared import shared_sources
 from counterspin.inference.conformity import Conformity
 from counterspin.inference.joint.budget import BudgetLine
 from counterspin.input import read_file
 from counterspin.physics.effects import Product
-from counterspin.physics.terms import TERMS, Term
+from counterspin.physics.terms import TERMS, Term, is_term, mounting_of, term
+
+#: How a budget names what is common: an input of the campaign -> where the result has its value.
+_INPUTS: Final = {
+    "site.gravity": "gravity",
+    "site.latitude": "latitude",
+    "centrifuge.radius": "radius",
+}
+
+#: The parts of a budget are no more than u^2, but for rounding.
+_MAX_BUDGET_SUM: Final = 1.01
 
 #: Kind of a triad's parameter -> a term of its unit, and of as many specific forces.
 KINDS: Final = {"offset": "K_F", "sensitivity": "K_I", "angle": "delta_O"}
@@ -97,7 +106,7 @@ class DatedResult:
     dof: float | None
     gravity: float  #: m/s^2.
     records: frozenset[str]  #: Checksums of the record files that it rests on.
-    #: As of `counterspin.histories.shared.shared_sources`.
+    #: As of `shared_sources`.
     shared: dict[tuple[str, str], float] = field(default_factory=dict)
     #: Specification: lower and upper limit, and its words; None without one.
     limits: tuple[float | None, float | None, str] | None = None
@@ -275,3 +284,36 @@ def _date(text: str | None) -> datetime | str:
     except ValueError:
         return f'its date "{text}" cannot be read; write it as 2026-03-01'
     return date.astimezone(UTC).replace(tzinfo=None) if date.tzinfo else date
+
+
+def shared_sources(
+    result: Result, u: float, lines: Sequence[BudgetLine]
+) -> dict[tuple[str, str], float]:
+    """Return what each source does that another result may have in common.
+
+    Two results share an input if both have the same value and uncertainty of it, and a term of the
+    accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
+    is then taken to be the same measurement, or the same lack of one. That of another accelerometer
+    must be of the same one. What belongs to a run or to a mounting is not shared.
+
+    u, lines: Of the coefficient, and its budget.
+    """
+    found: dict[tuple[str, str], float] = {}
+    if sum(line.contribution**2 for line in lines) > _MAX_BUDGET_SUM * u**2:
+        return found  # a budget of another uncertainty
+    for line in lines:
+        source = line.source
+        if line.kind == "noise" or line.u is None or line.sensitivity is None:
+            continue
+        owner, _, symbol = source.partition(".")
+        if source in _INPUTS:
+            identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
+        elif is_term(source) and not (term(source).per_run or mounting_of(source)):
+            identity = repr(line.u)
+        elif owner in result.accelerometers and is_term(symbol):
+            whose = result.accelerometers[owner].serial_number
+            identity = f"{line.u!r} of {whose or result.details.get('serial_number')}"
+        else:
+            continue
+        found[source, identity] = line.sensitivity * line.u
+    return found

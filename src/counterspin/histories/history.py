@@ -22,6 +22,7 @@ from counterspin.histories.consistency import (
     Mean,
     drift,
     en_score,
+    in_common,
     individuals,
     next_due,
     repeatability,
@@ -39,7 +40,6 @@ from counterspin.histories.result import (
     UnusedResult,
     Verdict,
 )
-from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.workers import one_blas_thread

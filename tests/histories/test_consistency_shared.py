@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from results import coefficient, result
 
-from counterspin.histories.consistency import drift, en_score, weighted_mean
-from counterspin.histories.shared import in_common, shared_sources
+from counterspin.histories.consistency import drift, en_score, in_common, weighted_mean
+from counterspin.histories.files import shared_sources
 
 V = np.array([[4.0, 1.5, 0.5], [1.5, 9.0, 2.0], [0.5, 2.0, 1.0]])
 X = np.array([1.0, 4.0, 2.0])
