@@ -4,7 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from counterspin.campaign.quantity import Quantity, last_digit, parse
+from counterspin.campaign.quantity import (
+    Quantity,
+    attitude_rows,
+    attitude_words,
+    last_digit,
+    parse,
+)
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.units import ADVICE, UNITS, unit_factor
 
@@ -190,3 +196,16 @@ def test_a_quantity_that_was_read_already_is_only_converted():
     ):
         with pytest.raises(ValueError, match=words):
             parse(wrong, "A")
+
+
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        ("level", "level"),
+        ("90 deg about east", "x east, y up, z south"),
+        ({"x": "north", "y": "west"}, "x north, y west, z up"),
+        ("30 deg about up", "x [0.866, 0.5, 0], y [-0.5, 0.866, 0], z up"),
+    ],
+)
+def test_an_attitude_is_told_by_where_its_axes_point(written, words):
+    assert attitude_words(attitude_rows(written)) == words

@@ -266,7 +266,8 @@ def attitude_words(rows: Array) -> str:
     words = []
     for axis, row in zip("xyz", rows, strict=True):
         near = [name for name, there in DIRECTIONS.items() if np.allclose(row, there)]
-        words.append(f"{axis} {near[0] if near else np.array2string(row, precision=4)}")
+        numbers = ", ".join(f"{round(float(part), 4) + 0.0:g}" for part in row)
+        words.append(f"{axis} {near[0] if near else f'[{numbers}]'}")
     return ", ".join(words)
 
 
