@@ -1,5 +1,9 @@
 """Results made by hand: with little in them, or every part filled; numbers easy to follow."""
 
+import copy
+import json
+from pathlib import Path
+
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Correlation
 
@@ -123,6 +127,28 @@ def result(**changes):
         },
         inputs={"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
     )
+
+
+#: A result of a real calibration, as an earlier version wrote it.
+FROZEN = json.loads(
+    (Path(__file__).parents[1] / "frozen" / "schema-1-joint.json").read_text(encoding="utf-8")
+)
+
+
+def dated(value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=5e-8, run=None, **changes):
+    """Return the frozen result's document, of Qx alone, with another K_II, date and records."""
+    made = copy.deepcopy(FROZEN) | changes
+    qx = made["accelerometers"]["Qx"]
+    qx["coefficients"]["K_II"] |= {"value": value, "u": u}
+    if serial is not None:
+        qx["serial_number"] = serial
+    made["accelerometers"] = {"Qx": qx}
+    made["details"] = {} if date is None else {"date": date}
+    made["provenance"]["inputs"] = {
+        "campaign.toml": "sha256:00",
+        "run1.csv": f"sha256:{run or f'{value}{date}'}",
+    }
+    return made
 
 
 def sealed(document):

@@ -1,12 +1,11 @@
 """Repeatability: what results vary by with turn-on, mounting and day."""
 
-import copy
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from results import dated
 
 import counterspin as cs
 from counterspin.calibration.result import Result
@@ -16,21 +15,14 @@ from counterspin.histories.result import History
 from counterspin.inference.variance_components import variance_components
 from counterspin.reports.blocks import Table
 
-FROZEN = Path(__file__).parents[1] / "frozen"
-BASE = json.loads((FROZEN / "schema-1-joint.json").read_text(encoding="utf-8"))
 U = 5e-8
 
 
 def result(value, date, **labels):
     """Return the frozen result's Qx with a K_II, a date, and names of mounting and turn-on."""
-    made = copy.deepcopy(BASE)
-    qx = made["accelerometers"]["Qx"]
-    qx["coefficients"]["K_II"] |= {"value": value, "u": U}
-    qx["serial_number"] = "Q-104"
-    qx["budget"] = {}
-    made["accelerometers"] = {"Qx": qx}
-    made["details"] = {"date": date, **labels}
-    made["provenance"]["inputs"] = {"run1.csv": f"sha256:{value}{date}{labels}"}
+    made = dated(value, date, u=U, run=f"{value}{date}{labels}")
+    made["accelerometers"]["Qx"]["budget"] = {}
+    made["details"] |= labels
     return Result.model_validate(made)
 
 

@@ -1,6 +1,5 @@
 """Results of instruments over time: which files count, what they say together, what is told."""
 
-import copy
 import json
 import math
 import os
@@ -8,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from results import FROZEN as FROZEN_RESULT
+from results import dated
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
@@ -22,25 +23,8 @@ from counterspin.reports.charts import save
 
 ROOT = Path(__file__).parents[2]
 FROZEN = ROOT / "tests" / "frozen"
-BASE = json.loads((FROZEN / "schema-1-joint.json").read_text(encoding="utf-8"))
 DATES = ("2022-03-01", "2023-03-01", "2024-03-01", "2025-03-01", "2026-03-01")
 U = 5e-8
-
-
-def result(value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=U, run=None, **changes):
-    """Return the frozen result's Qx with another K_II, date and serial number."""
-    made = copy.deepcopy(BASE) | changes
-    qx = made["accelerometers"]["Qx"]
-    qx["coefficients"]["K_II"] |= {"value": value, "u": u}
-    if serial is not None:
-        qx["serial_number"] = serial
-    made["accelerometers"] = {"Qx": qx}
-    made["details"] = {} if date is None else {"date": date}
-    made["provenance"]["inputs"] = {
-        "campaign.toml": "sha256:00",
-        "run1.csv": f"sha256:{run or f'{value}{date}'}",
-    }
-    return made
 
 
 def stored(folder, **results):
@@ -56,7 +40,7 @@ def series(folder, values, dates=DATES, **options):
     return stored(
         folder,
         **{
-            f"r{i}": result(v, d, **options)
+            f"r{i}": dated(v, d, **options)
             for i, (v, d) in enumerate(zip(values, dates, strict=False))
         },
     )
@@ -133,8 +117,8 @@ def test_false_alarms_are_as_rare_as_stated(tmp_path):
 
 
 def test_gravity_of_other_sites_is_converted(tmp_path):
-    there = result(2.7e-5, "2023-03-01") | {"inputs": BASE["inputs"] | {"gravity": 9.78}}
-    here = result(2.7e-5, "2024-03-01") | {"inputs": BASE["inputs"] | {"gravity": 9.83}}
+    there = dated(2.7e-5, "2023-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.78}}
+    here = dated(2.7e-5, "2024-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.83}}
     folder = stored(tmp_path, there=there, here=here)
     found = history([folder])
     assert found.gravity == 9.83
@@ -143,7 +127,7 @@ def test_gravity_of_other_sites_is_converted(tmp_path):
     assert only(found).points[0].value == pytest.approx(2.7e-5 * 9.83 / 9.78, rel=1e-12)
     assert only(found).points[1].value == 2.7e-5
     bias = only(history([folder], term="K_F")).points[0]
-    stated = BASE["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
+    stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
     assert bias.value == pytest.approx(stated * 9.78 / 9.83, rel=1e-12)
     told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
     assert "g = 9.83 m/s^2" in told
@@ -183,19 +167,19 @@ def test_a_campaign_s_serial_number_chooses_its_accelerometers():
 
 
 def without_estimate():
-    made = result()
+    made = dated()
     made["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"estimated": False}
     return made
 
 
 def without_term():
-    made = result()
+    made = dated()
     del made["accelerometers"]["Qx"]["coefficients"]["K_II"]
     return made
 
 
 def contradicted(**more):
-    made = result(**more)
+    made = dated(**more)
     made["accelerometers"]["Qx"]["residual"] |= {"chi2": 6400.0, "dof": 100.0, "lack_of_fit_p": 0}
     return made
 
@@ -203,7 +187,7 @@ def contradicted(**more):
 def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
     accepted = contradicted(state="contradicted", accepted_misfit="known play of the arm")
     accepted["accelerometers"]["Qx"] |= {"state": "contradicted"}
-    found = history([stored(tmp_path, good=result(run="1"), other=accepted)])
+    found = history([stored(tmp_path, good=dated(run="1"), other=accepted)])
     assert len(only(found).points) == 2
 
 
@@ -211,19 +195,19 @@ def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
     ("document", "reason"),
     [
         (contradicted(), "its records contradict it: The residuals are 8 times"),
-        (result(date=None), "has no date"),
-        (result(date="last spring"), 'its date "last spring" cannot be read'),
-        (result(serial=None), "has no serial number"),
-        (result(model="as-printed"), "which return half the true K_II"),
+        (dated(date=None), "has no date"),
+        (dated(date="last spring"), 'its date "last spring" cannot be read'),
+        (dated(serial=None), "has no serial number"),
+        (dated(model="as-printed"), "which return half the true K_II"),
         (without_estimate(), "does not determine K_II"),
         (without_term(), "has no K_II"),
-        (result(2.9e-5, run="same"), "uses the same records as"),
-        (result(2.8e-5, run="same", method="two-stage"), "uses the same records as"),
+        (dated(2.9e-5, run="same"), "uses the same records as"),
+        (dated(2.8e-5, run="same", method="two-stage"), "uses the same records as"),
         ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),
     ],
 )
 def test_what_has_no_place_is_told(tmp_path, document, reason):
-    folder = stored(tmp_path, good=result(run="same"), other=document)
+    folder = stored(tmp_path, good=dated(run="same"), other=document)
     found = history([folder])
     assert [Path(p.file).name for p in only(found).points] == ["good.json"]
     (left,) = found.left_out
@@ -235,12 +219,12 @@ def test_what_has_no_place_is_told(tmp_path, document, reason):
 
 
 def test_joint_goes_before_two_stage_of_the_same_records(tmp_path):
-    stored(tmp_path, a=result(2.8e-5, run="x", method="two-stage"), b=result(2.7e-5, run="x"))
+    stored(tmp_path, a=dated(2.8e-5, run="x", method="two-stage"), b=dated(2.7e-5, run="x"))
     assert [p.method for p in only(history([tmp_path])).points] == ["joint"]
 
 
 def test_copies_count_once(tmp_path):
-    folder = stored(tmp_path, a=result(), b=result())
+    folder = stored(tmp_path, a=dated(), b=dated())
     found = history([folder, folder / "a.json"])
     assert len(only(found).points) == 1
     (left,) = found.left_out
@@ -248,7 +232,7 @@ def test_copies_count_once(tmp_path):
 
 
 def test_shared_records_are_told(tmp_path):
-    first, second = result(2.7e-5, DATES[0]), result(2.71e-5, DATES[1])
+    first, second = dated(2.7e-5, DATES[0]), dated(2.71e-5, DATES[1])
     for document, own in ((first, "b"), (second, "c")):
         document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
     found = history([stored(tmp_path, first=first, second=second)])
@@ -258,7 +242,7 @@ def test_shared_records_are_told(tmp_path):
 
 
 def test_other_json_files_are_passed_over(tmp_path):
-    folder = stored(tmp_path, good=result(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
+    folder = stored(tmp_path, good=dated(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
     found = history([folder])
     assert [Path(name).name for name in found.passed_over] == ["numbers.json", "plan.json"]
     assert found.damaged == []
@@ -269,20 +253,20 @@ def test_other_json_files_are_passed_over(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (json.dumps(result())[:300], "not a result file, or a damaged one"),
+        (json.dumps(dated())[:300], "not a result file, or a damaged one"),
         ("", "not a result file, or a damaged one"),
         ("[" * 100_000, "damaged"),
         (
-            json.dumps(result() | {"schema": Result.newest_schema() + 1}),
+            json.dumps(dated() | {"schema": Result.newest_schema() + 1}),
             "written by a newer counterspin",
         ),
-        (json.dumps(result(u=-1.0)), "damaged result"),
+        (json.dumps(dated(u=-1.0)), "damaged result"),
         ("\udc80", "damaged"),
     ],
     ids=["cut", "empty", "deep", "newer", "negative", "bytes"],
 )
 def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
-    folder = stored(tmp_path, good=result(), bad=text)
+    folder = stored(tmp_path, good=dated(), bad=text)
     found = history([folder])
     assert len(only(found).points) == 1
     (damaged,) = found.damaged
@@ -299,7 +283,7 @@ def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
 def test_nothing_to_show_says_why(tmp_path):
     with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
         history([tmp_path])
-    stored(tmp_path, a=result(date=None))
+    stored(tmp_path, a=dated(date=None))
     with pytest.raises(CounterspinError, match=r"Qx of .*a\.json: has no date"):
         history([tmp_path])
 
@@ -311,7 +295,7 @@ def test_wrong_usage(tmp_path, capsys):
     told = capsys.readouterr().err
     assert "2 mistakes" in told
     assert told.count("no such file or folder") == 2
-    stored(tmp_path, a=result())
+    stored(tmp_path, a=dated())
     for term, words in (
         ("K_IV", "unknown term"),
         ("platform.tilt.up", "to the machine"),
@@ -323,13 +307,13 @@ def test_wrong_usage(tmp_path, capsys):
 
 @pytest.mark.parametrize("term", ["K_F", "K_III"])
 def test_other_terms(tmp_path, term):
-    found = history([stored(tmp_path, a=result())], term=term)
-    stated = BASE["accelerometers"]["Qx"]["coefficients"][term]
+    found = history([stored(tmp_path, a=dated())], term=term)
+    stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"][term]
     assert (only(found).points[0].value, found.unit) == (stated["value"], TERMS[term].unit)
 
 
 def test_a_date_with_a_zone_is_brought_to_utc(tmp_path):
-    folder = stored(tmp_path, a=result(date="2026-03-01T01:00:00+02:00"))
+    folder = stored(tmp_path, a=dated(date="2026-03-01T01:00:00+02:00"))
     assert only(history([folder])).points[0].date == "2026-02-28T23:00:00"
 
 
@@ -387,7 +371,7 @@ def with_limits(document, low=-2.9e-5, high=2.75e-5, laboratory=None):
 
 def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
     documents = {
-        f"r{i}": with_limits(result(2.70e-5 + 5e-8 * i, date, u=1e-8))
+        f"r{i}": with_limits(dated(2.70e-5 + 5e-8 * i, date, u=1e-8))
         for i, date in enumerate(DATES)
     }
     found = history([stored(tmp_path, **documents)])
@@ -410,7 +394,7 @@ def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
 def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
     assert "no result has a spec" in only(history([series(tmp_path / "a", [2.7e-5])])).due.reason
     jump = {
-        f"r{i}": with_limits(result(2.70e-5 + shift * U, date))
+        f"r{i}": with_limits(dated(2.70e-5 + shift * U, date))
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
     }
     found = history([stored(tmp_path / "b", **jump)])
@@ -420,7 +404,7 @@ def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
 def test_laboratories_are_compared(tmp_path):
     values = [("A", 2.70e-5), ("B", 2.72e-5), ("A", 2.70e-5), ("B", 2.74e-5)]
     documents = {
-        f"r{i}": with_limits(result(value, DATES[i]), laboratory=name)
+        f"r{i}": with_limits(dated(value, DATES[i]), laboratory=name)
         for i, (name, value) in enumerate(values)
     }
     found = history([stored(tmp_path, **documents)])
@@ -508,8 +492,8 @@ def test_page_explains_every_verdict():
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
 def test_hidden_files_and_pipes_are_no_results(tmp_path):
-    folder = stored(tmp_path, good=result(), **{".tmpx1y2": result(2.6e-5)})
-    stored(tmp_path / ".git", index=result(2.5e-5))
+    folder = stored(tmp_path, good=dated(), **{".tmpx1y2": dated(2.6e-5)})
+    stored(tmp_path / ".git", index=dated(2.5e-5))
     os.mkfifo(folder / "pipe.json")
     found = history([folder])
     assert len(only(found).points) == 1
