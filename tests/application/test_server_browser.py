@@ -343,7 +343,7 @@ def test_a_plan_answers_while_its_slider_moves(opened, folder):
     # In the unit of the file.
     tab.get_by_label("Highest rate").fill("0.6366")
     # That of a slower machine is five times as large.
-    answer.get_by_text(re.compile(r"^5\.\d+ times that with the limits")).wait_for()
+    answer.get_by_text(re.compile(r"^5\.\d+ times the value with the limits")).wait_for()
     # Spoken once: by the slider, not by the figure beside it too.
     assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "0.6366 rev/s"
     assert tab.get_by_role("columnheader", name="Rate, rev/s").is_visible()

@@ -39,7 +39,7 @@ from counterspin.planning.reading_plan import ReadingSearch
 from counterspin.planning.search import Search
 from counterspin.planning.stations import ReadingPlan, read_any_plan
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
-from counterspin.reports.numbers import field_unit, format_uncertainty
+from counterspin.reports.numbers import field_unit, format_number
 from counterspin.reports.typography import typeset
 from counterspin.units import unit_factor
 from counterspin.workers import one_blas_thread
@@ -373,7 +373,7 @@ def _lines(names: Mapping[str, float], u: Mapping[str, float]) -> Iterator[dict[
         owner, _, symbol = name.partition(".")
         unit, factor = field_unit(unit_of(symbol if symbol in TERMS else name))
         size = float(u.get(name, math.inf))
-        text = format_uncertainty(size * factor) if math.isfinite(size) else "not determined"
+        text = format_number(size * factor, 3) if math.isfinite(size) else "not determined"
         yield {
             "name": f"{symbol} of {owner}" if symbol in TERMS else name,
             "u": size,

@@ -50,11 +50,16 @@ _RECORDS: Final = FileCache(_MAX_RECORDS)
 def record_overview(desk: Desk, name: str, run: str, fit: bool = False) -> dict[str, Any]:
     """Return a record's columns, rows, first and last time, and what is used of it.
 
-    fit: Whether its columns are data and fit of each accelerometer, as of `fits.begin_fit`.
+    fit: Whether its columns are data and fit of each accelerometer, as of `improving.begin_fit`;
+        before that ``fitted`` is false, and nothing else is told.
     """
     campaign, found = _run(desk, name, run)
-    record = fitted_run(desk, name, run) if fit else _record(campaign, found)
+    try:
+        record = fitted_run(desk, name, run) if fit else _record(campaign, found)
+    except NotThereError:
+        return {"fitted": False}
     return {
+        "fitted": fit,
         "together": 2 if fit else 1,
         "columns": [
             {"name": column, "unit": unit}

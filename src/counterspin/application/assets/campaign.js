@@ -81,10 +81,10 @@ function keeping(name) {
     for (const [place, file] of [...files.files ?? []].entries()) await bring(names[place], file);
     const { added } = await send("POST", "records", { name, files: names });
     return added.length ? `Added as ${added.length > 1 ? "runs" : "run"}: ${added.join(", ")}.`
-      : "The records are there; runs of the description name them.";
+      : "The records are in the folder; the description already names them.";
   }, () => dispatchEvent(new HashChangeEvent("hashchange"))));
   return make("details", { class: "keeping" }, make("summary", {}, "Add records, copy, rename, move to the trash"),
-    make("div", { class: "row" }, labelled("Add records: each is a run, at the rate that it shows", files)),
+    make("div", { class: "row" }, labelled("Add records: each becomes a run, at the rate found in it", files)),
     make("div", { class: "row" }, labelled("Name of the folder", to),
       make("button", { type: "button", onclick: moved("copy", "Copied to") }, "Copy"),
       make("button", { type: "button", onclick: moved("rename", "It is now called") }, "Rename"),

@@ -67,8 +67,8 @@ export async function historyView() {
     title: "History",
     content: [
       make("h1", {}, "History of instruments"),
-      make("p", { class: "quiet" }, "An instrument is followed by its serial number through results that have a date: ",
-        "a campaign's description has both, under Accelerometers and Campaign."),
+      make("p", { class: "quiet" }, "Results of one serial number are shown in the order of their dates. ",
+        "State both in a campaign's description, under Accelerometers and Campaign."),
       make("div", { class: "row" }, labelled("Coefficient", term)),
       place,
     ],

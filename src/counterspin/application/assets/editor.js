@@ -89,7 +89,7 @@ const MOST_LISTED = 4;
 /** Section -> what is asked of a table that is added. */
 const ADDED = /** @type {Record<string, string>} */ ({
   accelerometers: "Name of another accelerometer",
-  specification: "Limits of one accelerometer alone: its name",
+  specification: "Limits of one accelerometer only: its name",
   truth: "Truth of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
 });
 

@@ -239,7 +239,7 @@ class Preview {
       make("div", { class: "figures" }, ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing));
     this.asks.replaceChildren(make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
       ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
-    this.below.replaceChildren(make("details", {}, make("summary", {}, "What is guessed, in words"),
+    this.below.replaceChildren(make("details", {}, make("summary", {}, "What was guessed, in words"),
       make("ul", {}, ...told.statements.map((/** @type {string} */ one) => make("li", {}, one)))));
     if (!this.form.isConnected) this.place.replaceChildren(this.above, this.form, this.below);
     if (active?.isConnected) active.focus();

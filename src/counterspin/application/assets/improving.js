@@ -100,7 +100,7 @@ async function whatIf(result, accelerometer) {
   if (sliders.length) {
     content.push(make("details", { open: true },
       make("summary", {}, "What if one of these were known better?"),
-      make("p", { class: "quiet" }, "Left is better known, right is worse. Computed by an update of the fit, with the estimated noise."),
+      make("p", { class: "quiet" }, "Move left for better known, right for less well known. Computed by updating the fit, with the noise as estimated."),
       make("div", { class: "sliders" }, ...sliders)), wrong);
   }
   return make("div", { class: "card" }, ...content);

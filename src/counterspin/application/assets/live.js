@@ -102,7 +102,7 @@ export const columnsOf = (seen) => [
 export async function liveView(name) {
   const campaign = await get("campaign", { name });
   const goal = make("input", { placeholder: "K_II 1e-8 g/g^2", autocomplete: "off", "aria-describedby": "goal-mistake" });
-  const place = make("div", {}, make("p", { class: "quiet" }, "Looking at the records; the first look takes a few seconds."));
+  const place = make("div", {}, make("p", { class: "quiet" }, "Reading the records; this takes a few seconds the first time."));
   const events = make("ul", { class: "quiet", "aria-live": "polite" });
   const command = make("div");
   const chart = new UncertaintyChart();
@@ -132,7 +132,7 @@ export async function liveView(name) {
         told.events.forEach(/** @param {string} one */ (one) => events.prepend(make("li", {}, one)));
       }
       if (told.complete) {
-        say("All is recorded.");
+        say("All runs are recorded.");
         place.append(make("p", {}, make("a", { class: "button", href: campaignAddress(name) }, "Go on to the result")));
         looking = false;
         return;
@@ -164,8 +164,8 @@ export async function liveView(name) {
     title: `${campaign.title}, live`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live"),
-      make("p", { class: "quiet" }, "The records are looked at every second while your recorder writes them into the campaign's folder. "
-        + "The ripple is a part of the rate; residuals should be about as large as the noise."),
+      make("p", { class: "quiet" }, "The page reads the records every second while your recorder writes them into the campaign's folder. "
+        + "Ripple is given as a fraction of the rate; residuals should be about as large as the noise."),
       make("div", { class: "row" }, labelled("Goal: a coefficient and its standard uncertainty", goal)), wrong, chart.element, place, events, command,
     ],
   };

@@ -144,7 +144,7 @@ export async function planView(name) {
       make("p", { class: "answer" },
         make("strong", {}, ...symbols(`Uncertainty of ${line.name}: ${line.text}`)), " ",
         make("span", {}, line.text === first.u[i].text ? "as with the limits of the file"
-          : `${short(line.u / first.u[i].u)} times that with the limits of the file`))),
+          : `${short(line.u / first.u[i].u)} times the value with the limits of the file`))),
     make("p", {}, extent(told)));
     runs.replaceChildren(told.runs ? runTable(told.runs, plan.rate) : readingTable(told.readings));
   };

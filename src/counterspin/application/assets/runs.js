@@ -1,7 +1,7 @@
 // @ts-check
 // The runs of a campaign, and their records through a window of time.
 
-import { get, Refused, send } from "./api.js";
+import { get, send } from "./api.js";
 import { attempt, commandLine, labelled, make, warning } from "./dom.js";
 import { carryOut } from "./job.js";
 import { campaignTabs } from "./tabs.js";
@@ -102,7 +102,7 @@ class RecordPlots {
       const series = this.about.columns.slice(i * this.together, (i + 1) * this.together).map(
         (/** @type {any} */ column, /** @type {number} */ place) => ({
           label: column.name, points: { show: false }, width: place + 1,
-          stroke: place ? () => colour("--warning") : stroke,
+          stroke: place ? () => colour("--ink") : stroke,
         }));
       const chart = new /** @type {any} */ (globalThis).uPlot({
         width: this.element.clientWidth,
@@ -140,7 +140,6 @@ export async function runsView(name) {
     make("option", { value: run.name },
       `${run.name}, ${Number(run.rate.toPrecision(4))} rad/s`)));
   const judgement = make("div");
-  let turn = 0;
   const check = () => attempt(judgement, async () => {
     judgement.replaceChildren(make("p", { class: "quiet" }, "Checking."));
     const told = await get("check", { name, run: select.value });
@@ -152,28 +151,28 @@ export async function runsView(name) {
     globalThis.counterspin.draw(part);
   });
   const fitted = make("input", { type: "checkbox" });
-  const show = async () => {
-    const mine = ++turn;
+  const show = () => {
     judgement.replaceChildren();
-    place.replaceChildren(make("p", { class: "quiet" }, "Reading."));
-    try {
+    // In a box of its own, so that what comes late of another run is shown nowhere.
+    const box = make("div", {}, make("p", { class: "quiet" }, "Reading."));
+    place.replaceChildren(box);
+    return attempt(box, async () => {
       const about = await get("record-about", { name, run: select.value, fit: fitted.checked });
-      // Another run was chosen meanwhile.
-      if (mine !== turn) return;
+      if (!box.isConnected) return;
+      if (fitted.checked && !about.fitted) {
+        // Once fitted, all runs are.
+        await carryOut(box, () => send("POST", "fit", { name }), show)();
+        return;
+      }
       const plots = new RecordPlots(name, select.value, about);
       const [start, stop] = about.used;
       const file = runs.find(/** @param {any} run */ (run) => run.name === select.value).record;
       const used = start !== null || stop !== null
         ? `; used from ${start ?? about.first} s to ${stop ?? about.last} s` : "";
-      place.replaceChildren(
+      box.replaceChildren(
         make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows in ${file}${used}`), plots.element);
       await plots.show(plots.whole);
-    } catch (error) {
-      if (mine !== turn) return;
-      // Once fitted, all runs are.
-      if (fitted.checked && error instanceof Refused && error.status === 404) carryOut(place, () => send("POST", "fit", { name }), show)();
-      else place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
+    });
   };
   select.addEventListener("change", show);
   fitted.addEventListener("change", show);
@@ -188,8 +187,8 @@ export async function runsView(name) {
         ? [make("div", { class: "row" }, labelled("Run", select),
           make("button", { type: "button", onclick: check }, "Check this run"),
           make("label", { class: "choice" }, fitted, "Data and fit, less the parabola of the bias")), judgement, place]
-        : [make("p", {}, "There is no record to show: records that are named in the description, and are there, are drawn here. " +
-          "Single readings stand in their table.")]),
+        : [make("p", {}, "There is no record to show. The records that the description names are drawn here once their files exist; " +
+          "single readings are listed with the result.")]),
     ],
   };
 }

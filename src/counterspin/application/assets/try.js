@@ -58,7 +58,7 @@ export async function tryView(name) {
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
       make("section", {}, make("h2", {}, "Simulated records"),
-        make("p", { class: "quiet" }, "Records that the true values of the description would give, in a folder of their own."),
+        make("p", { class: "quiet" }, "Writes the records that the true values in the description would produce into a folder of their own."),
         ...jobForm(campaign, "simulation", labelled("Folder of the records", folder), "Simulate",
           () => send("POST", "simulation", { name, folder: folder.value }),
           (job) => simulated.replaceChildren("The records are in ",
@@ -66,8 +66,8 @@ export async function tryView(name) {
         simulated),
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "Expected uncertainties, by the description; where it leaves noise, rate or length "
-          + "of the runs to records that are there, by these."), forecast),
+        make("p", { class: "quiet" }, "Expected uncertainties, computed from the description. What it does not state of the noise, rate and "
+          + "length of the runs is taken from their records, if there are any."), forecast),
     ],
   };
 }
