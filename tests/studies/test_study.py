@@ -19,6 +19,7 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import term
+from counterspin.reports.blocks import Heading
 from counterspin.simulation.simulate import simulate
 from counterspin.studies import whole_trials
 from counterspin.studies import work as study_work
@@ -26,6 +27,7 @@ from counterspin.studies.choice import analyses_of, choose_engine, prepare
 from counterspin.studies.description import read_study
 from counterspin.studies.draws import StudyTruth, stream
 from counterspin.studies.folder import StudyFolder
+from counterspin.studies.page import study_blocks
 from counterspin.studies.result import StudyResult
 from counterspin.studies.study import study
 from counterspin.studies.work import StudyEngine
@@ -94,6 +96,10 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
     assert good == {"joint": True, "two-stage": True, "as-printed": False}
     assert result.verdict[0].startswith("joint: no fault found, and the smallest errors")
     assert "0.5 times the truth" in result.verdict[-1]
+    assert "K_II of Qx is unbiased" in result.verdict[0]
+    # The answer comes first, and all that varied last.
+    headings = [block.text for block in study_blocks(result) if isinstance(block, Heading)]
+    assert (headings[1], headings[-1]) == ("Verdict", "What varied from trial to trial")
     first = next(iter(result.analyses))
     assert coefficient(result, first, "Qx.K_II").efficiency == pytest.approx(1.0, abs=0.02)
 

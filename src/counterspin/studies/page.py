@@ -45,11 +45,11 @@ _COVERAGE = (
 
 
 def study_blocks(result: StudyResult) -> list[Block]:
-    """Return the study's tables and its verdict."""
+    """Return the study's verdict, its tables, and what varied."""
     state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
         Heading(f"{result.title}: {result.trials} trials{state}, seed {result.seed}"),
-        Paragraph("Varying: " + ("; ".join(result.varying) or "only the noise") + "."),
+        *_verdict(result),
     ]
     for name, analysis in result.analyses.items():
         blocks += [
@@ -60,13 +60,6 @@ def study_blocks(result: StudyResult) -> list[Block]:
         if analysis.undetermined:
             listed = ", ".join(analysis.undetermined)
             blocks.append(Paragraph(f"Not determined by the records: {listed}.", "quiet"))
-    blocks.append(Heading("Verdict"))
-    trusted = [analysis.trustworthy for analysis in result.analyses.values()]
-    judged = None not in trusted
-    good = trusted.count(True) if judged else 0  # their lines come first
-    for place, line in enumerate(result.verdict):
-        style: Style = "answer" if place < good else "warning"
-        blocks.append(Paragraph(line, style if judged or place == 0 else "quiet"))
     blocks.append(
         Paragraph(
             "Bias is given with its standard error. The columns In 68, 95, 99 % give the share of "
@@ -76,7 +69,26 @@ def study_blocks(result: StudyResult) -> list[Block]:
             "quiet",
         )
     )
-    return blocks
+    return [*blocks, *_varying(result)]
+
+
+def _verdict(result: StudyResult) -> Iterator[Block]:
+    yield Heading("Verdict")
+    trusted = [analysis.trustworthy for analysis in result.analyses.values()]
+    judged = None not in trusted
+    good = trusted.count(True) if judged else 0  # their lines come first
+    for place, line in enumerate(result.verdict):
+        style: Style = "answer" if place < good else "warning"
+        yield Paragraph(line, style if judged or place == 0 else "quiet")
+
+
+def _varying(result: StudyResult) -> Iterator[Block]:
+    yield Heading("What varied from trial to trial")
+    if not result.varying:
+        yield Paragraph("Only the noise.")
+        return
+    rows = tuple(tuple(line.split(": ", 1)) for line in result.varying)
+    yield Table((Column("Quantity"), Column("Distribution", wraps=True)), rows)
 
 
 def report_blocks(result: StudyResult) -> list[Block]:

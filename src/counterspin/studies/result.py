@@ -196,11 +196,12 @@ class StudyResult(ShownResult):
 
 
 def summarise(
-    tally: Tally, batches: Array, symbol: str = "", unit: str = "", bound: float | None = None
+    tally: Tally, batches: Array, name: str = "", unit: str = "", bound: float | None = None
 ) -> CoefficientResult:
     """Put the batches of one coefficient together.
 
     batches: Shape (batches, width), in the order of the batches.
+    name: What its finding calls it, such as "K_II of Qx".
     bound: The Cramer-Rao bound of its standard uncertainty, where there is one.
     """
     counts = batches[:, 0]
@@ -243,7 +244,7 @@ def summarise(
         trustworthy=None,
         finding="",
     )
-    trustworthy, finding = trust_in(symbol, summed)
+    trustworthy, finding = trust_in(name, summed)
     return summed.model_copy(update={"trustworthy": trustworthy, "finding": finding})
 
 
@@ -263,7 +264,7 @@ def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
     return low, high
 
 
-def trust_in(symbol: str, summary: CoefficientResult) -> tuple[bool | None, str]:
+def trust_in(name: str, summary: CoefficientResult) -> tuple[bool | None, str]:
     """Return whether a coefficient's uncertainty holds, and why; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
@@ -271,23 +272,23 @@ def trust_in(symbol: str, summary: CoefficientResult) -> tuple[bool | None, str]
     )
     covered = f"its 95 % intervals contain the truth in {100.0 * share:.4g} % of the trials"
     if summary.trials < FEWEST_TRIALS:
-        return None, f"{symbol}: {covered}"
+        return None, f"{name}: {covered}"
     if low <= _GOOD_COVERAGE[1] and high >= _GOOD_COVERAGE[0] and not biased:
-        return True, f"{symbol} is unbiased, and {covered}"
+        return True, f"{name} is unbiased, and {covered}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
         times = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
         return False, (
-            f"{symbol} is biased by {abs(summary.bias) / summary.u:.3g} standard "
+            f"{name} is biased by {abs(summary.bias) / summary.u:.3g} standard "
             f"uncertainties{times}, and {covered}"
         )
     ratio = summary.sd / summary.u
     if high < _GOOD_COVERAGE[0]:
         return False, (
-            f"{symbol}: the scatter is {ratio:.3g} times the stated uncertainty, and {covered}"
+            f"{name}: the scatter is {ratio:.3g} times the stated uncertainty, and {covered}"
         )
     return True, (
-        f"{symbol}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
+        f"{name}: the stated uncertainty is {1.0 / ratio:.3g} times the scatter "
         f"(conservative), and {covered}"
     )
 

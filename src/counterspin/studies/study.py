@@ -179,8 +179,9 @@ def _result(
         undetermined.setdefault(name, []).extend(part.lost)
         for reported in part.reported:
             unit = unit_of(reported.symbol)
+            called = reported.symbol + (f" of {reported.owner}" if reported.owner else "")
             coefficients.setdefault(name, {})[reported.name] = summarise(
-                engine.tally, sums[:, row], reported.symbol, unit, reported.bound
+                engine.tally, sums[:, row], called, unit, reported.bound
             )
             row += 1
     analyses = {
