@@ -83,11 +83,11 @@ def test_slopes_need_the_conditions_of_every_run(tmp_path):
     assert problems(tmp_path, text) == [
         f"runs[{place}].{key}: is missing: {symbol} is in the model; write for example "
         f'{key} = {example} (run "{name}")'
+        for place, name in ((1, "middle"), (2, "fast"))
         for key, symbol, example in (
             ("temperature", "K_I.temperature", '"23.4 degC"'),
             ("time", "K_F.trend", '"12 min"'),
         )
-        for place, name in ((1, "middle"), (2, "fast"))
     ]
 
 

@@ -134,6 +134,17 @@ def test_each_mistake_of_a_file_is_told_with_its_line(tmp_path):
         assert last in wrong.splitlines()[number - 1]
 
 
+def test_mistakes_are_told_in_the_order_of_the_file(tmp_path):
+    # The first is one of several tables, which are looked at when each has been by itself.
+    wrong = BASE.replace('column = "angle_rad"', 'column = "time_s"').replace("rev/s", "rev")
+    with pytest.raises(CampaignError) as raised:
+        read_campaign(write(tmp_path, wrong))
+    numbers = [int(number) for number in re.findall(r"^  line (\d+): ", str(raised.value), re.M)]
+    assert len(numbers) > 2
+    assert numbers == sorted(numbers)
+    assert raised.value.problems[0].startswith('records.angle: column "time_s"')
+
+
 def test_plans_and_laboratories_tell_theirs_too(tmp_path):
     plan = tmp_path / "PLAN.toml"
     plan.write_text('schema = 1\n[goal]\nminimise = ["K_II"]\ntarget = 3\n', encoding="utf-8")

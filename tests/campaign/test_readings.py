@@ -328,9 +328,9 @@ def test_all_that_is_wrong_in_a_run_is_told_together(tmp_path):
     told = problems(tmp_path, HEAD + wrong + 'rate = "1 rad/s"\nu = 3\n')
     assert [line.partition(":")[0] for line in told] == [
         "runs[0].attitude",
-        "runs[0].u",
-        "runs[0].rate",
         "runs[0].reading",
+        "runs[0].rate",
+        "runs[0].u",
     ]
     # What hangs on a wrong key is not told: how it moves says whether it needs a rate.
     told = problems(tmp_path, HEAD + RUN.replace('"static"', '"statc"'))

@@ -159,8 +159,10 @@ def _kind_of(document: Mapping[str, Any]) -> Kind | None:
 
 
 def mistakes(file: Path, problems: Sequence[str]) -> CampaignError:
-    """Return the error that says what is wrong in a file, each with its line."""
-    return CampaignError(str(file), problems, lines_of_messages(problems, file))
+    """Return the error that says what is wrong in a file, in the order of its lines."""
+    lines = lines_of_messages(problems, file)
+    told = sorted(zip(problems, lines, strict=True), key=lambda one: (one[1] is None, one[1] or 0))
+    return CampaignError(str(file), [words for words, _ in told], [line for _, line in told])
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:

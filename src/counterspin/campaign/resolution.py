@@ -76,9 +76,9 @@ def _readings() -> Any:
 
 
 def _specification() -> Any:
-    from counterspin.campaign.specification import SpecificationSettings
+    from counterspin.campaign.specification import Specifications
 
-    return SpecificationSettings
+    return Specifications
 
 
 def _simulation() -> Any:

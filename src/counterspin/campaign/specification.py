@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, Any, Final, get_args
 
-from pydantic import AfterValidator, ConfigDict, Field, PlainValidator
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, PrivateAttr
 
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.documents import KeyPath
-from counterspin.campaign.kinds import SettingsSection, described, exact
+from counterspin.campaign.kinds import Contradiction, SettingsSection, described, exact
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
-from counterspin.frozen import frozen
 from counterspin.inference.conformity import DecisionRule, RuleName, Specification
 from counterspin.physics.terms import TERMS
 
@@ -29,15 +28,6 @@ _PLATFORM_TERM_REFUSAL: Final = (
 _RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s*(\S.*)")
 _BOUND = re.compile(r"(abs\s*)?(<=|>=)\s*(.*)")
 _TOLERANCE = re.compile(PLUS_MINUS)
-
-
-@frozen
-class Specifications:
-    """All specifications of a campaign or certificate."""
-
-    rule: DecisionRule  #: The decision rule of all.
-    #: Accelerometer -> term symbol -> its specification.
-    terms: Mapping[str, Mapping[str, Specification]]
 
 
 def _rule_name(value: object) -> object:
@@ -65,7 +55,7 @@ def _probability(value: float) -> float:
     return value
 
 
-class SpecificationSettings(SettingsSection):
+class Specifications(SettingsSection):
     """[specification]: limits that coefficients shall meet, and how that is decided.
 
     These are the keys of the decision rule; all others are terms, or tables of them by
@@ -87,6 +77,25 @@ class SpecificationSettings(SettingsSection):
     conformance_probability: Annotated[
         float, PlainValidator(_number), AfterValidator(_probability)
     ] = described("that must be reached; with `probability` only", 0.99, 0.95, kind="number")
+
+    _terms: Mapping[str, Mapping[str, Specification]] = PrivateAttr()
+
+    @property
+    def rule(self) -> DecisionRule:
+        """The decision rule of all."""
+        return DecisionRule(self.decision_rule, self.guard_factor, self.conformance_probability)
+
+    @property
+    def terms(self) -> Mapping[str, Mapping[str, Specification]]:
+        """Accelerometer -> term symbol -> its specification."""
+        return self._terms
+
+    def contradictions(self) -> Iterator[Contradiction]:
+        """Yield keys that belong to another rule."""
+        for key, rule in _RULE_OF_KEY.items():
+            if key in self.model_fields_set and self.decision_rule != rule:
+                said = f"is for the decision rule {rule!r}, not for {self.decision_rule!r}"
+                yield (key,), said, "decision_rule"
 
 
 #: Key of the table -> the rule that it belongs to.
@@ -141,17 +150,8 @@ def resolve_specifications(
     """
     path = ("specification",)
     before = len(problems.lines)
-    keys = SpecificationSettings.model_fields
-    settings = problems.check(
-        SpecificationSettings, {key: raw[key] for key in raw if key in keys}, path
-    )
-    if settings is not None:
-        for key, rule in _RULE_OF_KEY.items():
-            if key in raw and settings.decision_rule != rule:
-                problems.add(
-                    (*path, key),
-                    f"is for the decision rule {rule!r}, not for {settings.decision_rule!r}",
-                )
+    keys = Specifications.model_fields
+    rule = problems.check(Specifications, {key: raw[key] for key in raw if key in keys}, path)
     tables = {key: value for key, value in raw.items() if isinstance(value, Mapping)}
     common = {key: raw[key] for key in raw if key not in keys and key not in tables}
     shared = _terms(common, path, [*keys, *TERMS, *accelerometers], problems, gravity)
@@ -167,16 +167,9 @@ def resolve_specifications(
         own[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
     if not shared and not any(own.values()) and len(problems.lines) == before:
         problems.add(path, f"contains no term; write for example K_II = {_FORMS.split(',')[0]}")
-    if settings is None or len(problems.lines) > before:
+    if rule is None or len(problems.lines) > before:
         return None
-    return Specifications(
-        rule=DecisionRule(
-            settings.decision_rule,  # checked by its validator
-            settings.guard_factor,
-            settings.conformance_probability,
-        ),
-        terms={name: {**shared, **own.get(name, {})} for name in accelerometers},
-    )
+    return rule.completed(terms={n: {**shared, **own.get(n, {})} for n in accelerometers})
 
 
 def _terms(

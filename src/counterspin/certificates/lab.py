@@ -31,7 +31,6 @@ from counterspin.campaign.kinds import Contradiction, SettingsSection, described
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.specification import (
     Specifications,
-    SpecificationSettings,
     resolve_specifications,
 )
 from counterspin.certificates.evidence import ALL, is_evidence_for_something
@@ -294,7 +293,7 @@ class Lab(SettingsSection):
         {},
         absent="none",
     )
-    specification: Annotated[dict[str, Any] | None, Section(SpecificationSettings)] = described(
+    specification: Annotated[dict[str, Any] | None, Section(Specifications)] = described(
         "limits that coefficients shall meet, as in [a campaign](campaign.md#specification): "
         "[conformity](conformity.md)",
         {"K_II": "abs <= 5e-5 g/g^2"},
