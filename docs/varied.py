@@ -24,9 +24,6 @@ from kept_table import DOCS, UNITS, KeptTable, frame, table_of
 #: Campaigns of each kind.
 TRIALS: Final = 300
 
-#: Seed of the first one.
-FIRST: Final = 7000
-
 #: What is asked for.
 TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 
@@ -81,8 +78,28 @@ class Drawn:
     gaps: int
 
 
-def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
-    """Return a campaign; with its unstated errors, or assumed to have none."""
+@dataclass(frozen=True)
+class Kind:
+    """What is drawn, or settled, of a campaign.
+
+    Attributes
+    ----------
+    unstated
+        Whether it has errors that its description does not state, or is assumed to have none.
+    noise
+        Whether its description states the noise; None: drawn.
+    first
+        Seed of the first one.
+    """
+
+    unstated: bool
+    noise: bool | None = None
+    first: int = 7000
+
+
+def draw(rng: np.random.Generator, kind: Kind) -> Drawn:
+    """Return a campaign of a kind."""
+    unstated = kind.unstated
     observable = str(rng.choice([*WHITE], p=[0.6, 0.2, 0.2]))
     axes = ["east", "north"] if rng.random() < 0.7 else [str(rng.choice(["east", "north"]))]
     if rng.random() < 0.5:
@@ -91,7 +108,8 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
     walk = WALK if rng.random() < 0.3 and observable != "specific_force" else 0.0
     noise = [f'{observable} = "{white!r} {UNITS[observable]}"']
     noise += [f'acceleration = "{walk!r} m/s^2/Hz^0.5"'] if walk else []
-    stated = noise if rng.random() < 0.5 else []
+    drawn = rng.random() < 0.5
+    stated = noise if (drawn if kind.noise is None else kind.noise) else []
     truth: dict[str, dict[str, float]] = {}
     tables = []
     for axis in axes:
@@ -198,10 +216,10 @@ def _with_gaps(folder: Path, rng: np.random.Generator, gaps: int) -> None:
         file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
 
 
-def tried(seed: int, *, unstated: bool) -> tuple[list[tuple[str, float, bool]], Any]:
+def tried(seed: int, kind: Kind) -> tuple[list[tuple[str, float, bool]], Any]:
     """Return symbol, normal equivalent of the error, whether it is covered; and the result."""
     rng = np.random.default_rng(seed)
-    drawn = draw(rng, unstated=unstated)
+    drawn = draw(rng, kind)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "records"
         simulate(_written(Path(place) / "true", drawn.simulated), folder)
@@ -219,12 +237,12 @@ def tried(seed: int, *, unstated: bool) -> tuple[list[tuple[str, float, bool]], 
     return errors, result
 
 
-def row_of(words: str, *, unstated: bool, trials: int, first: int = FIRST) -> Row:
+def row_of(words: str, kind: Kind, trials: int) -> Row:
     """Return what comes out of so many campaigns."""
     by_symbol: dict[str, list[float]] = {}
     covered, blamed = [], 0
     for trial in range(trials):
-        errors, result = tried(first + trial, unstated=unstated)
+        errors, result = tried(kind.first + trial, kind)
         blamed += result.state != "good"
         for symbol, z, holds in errors:
             by_symbol.setdefault(symbol, []).append(z)
@@ -262,10 +280,11 @@ def render(rows: Sequence[Row]) -> str:
 TABLE: Final = KeptTable("varied", DOCS / "trust.md", Row, render)
 
 KINDS: Final = {
-    "nothing assumed, every unstated error drawn at its typical size": True,
-    'perfect machines, `assume = "all"`': False,
+    "nothing assumed, every unstated error drawn at its typical size": Kind(True),
+    'perfect machines, `assume = "all"`, noise stated': Kind(False, True, 110_000),
+    'perfect machines, `assume = "all"`, noise found': Kind(False, False, 110_000),
 }
 
 
 if __name__ == "__main__":
-    TABLE.keep([row_of(w, unstated=u, trials=TRIALS) for w, u in KINDS.items()])
+    TABLE.keep([row_of(words, kind, TRIALS) for words, kind in KINDS.items()])

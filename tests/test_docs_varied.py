@@ -8,7 +8,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "varied.py"))
-TABLE, KINDS = STUDY["TABLE"], STUDY["KINDS"]
+TABLE, KINDS, Kind = STUDY["TABLE"], STUDY["KINDS"], STUDY["Kind"]
 KEPT = TABLE.load() if TABLE.file.exists() else []
 
 #: Binomial and Gaussian standard deviations that a count, or an rms, may be off by.
@@ -26,8 +26,8 @@ def test_the_page_shows_what_was_found():
 @kept
 def test_every_kind_is_in_the_table_with_as_many_campaigns_as_are_told():
     assert [row.words for row in KEPT] == [*KINDS]
-    assert sum(row.campaigns for row in KEPT) == 600
-    assert "600 random good campaigns" in TABLE.page.read_text("utf-8")
+    assert sum(row.campaigns for row in KEPT) == 900
+    assert "900 random good campaigns" in TABLE.page.read_text("utf-8")
 
 
 @kept
@@ -48,7 +48,7 @@ def test_u_is_not_too_small():
 
 def test_noise_that_no_record_shows_is_no_blame():
     """Two thirds of u^2 of K_II: u holds it."""
-    errors, result = STUDY["tried"](40094, unstated=False)
+    errors, result = STUDY["tried"](40094, Kind(unstated=False))
     assert result.state == "good"
     assert [remark for remark in result.warnings if "of u^2 of K_II is white noise" in remark]
     assert all(covered for symbol, _, covered in errors if symbol == "K_II")
@@ -56,7 +56,7 @@ def test_noise_that_no_record_shows_is_no_blame():
 
 def test_what_is_drawn_is_credible():
     """Four standard deviations of K_II, drawn once in 16,000, are beyond 1e-4 g/g^2."""
-    drawn = STUDY["draw"](np.random.default_rng(40130), unstated=False)
+    drawn = STUDY["draw"](np.random.default_rng(40130), Kind(unstated=False))
     assert all(
         abs(own[symbol] - STUDY["term"](symbol).nominal) < STUDY["term"](symbol).limit
         for own in drawn.truth.values()
@@ -64,14 +64,15 @@ def test_what_is_drawn_is_credible():
     )
 
 
-@pytest.mark.parametrize("unstated", KINDS.values(), ids=KINDS)
-def test_a_campaign_is_drawn_tried_and_found(unstated):
-    drawn = STUDY["draw"](np.random.default_rng(STUDY["FIRST"]), unstated=unstated)
-    assert ('assume = "all"' in drawn.described) is not unstated
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_a_campaign_is_drawn_tried_and_found(kind):
+    drawn = STUDY["draw"](np.random.default_rng(kind.first), kind)
+    assert ('assume = "all"' in drawn.described) is not kind.unstated
+    assert kind.noise in (None, "[noise]" in drawn.described)
     assert "truth" not in drawn.described
     assert all(set(STUDY["TERMS"]) <= set(own) for own in drawn.truth.values())
-    assert any(set(own) > set(STUDY["TERMS"]) for own in drawn.truth.values()) is unstated
-    row = STUDY["row_of"]("few", unstated=unstated, trials=2)
+    assert any(set(own) > set(STUDY["TERMS"]) for own in drawn.truth.values()) is kind.unstated
+    row = STUDY["row_of"]("few", kind, trials=2)
     assert row.campaigns == 2
     for symbol, size in row.z_rms.items():
         # Of four normal variables at most: beyond 5 once in 1e6.

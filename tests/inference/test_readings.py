@@ -21,6 +21,9 @@ from scipy.special import stdtrit
 
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.inference.identifiability import assess
+from counterspin.inference.noise.likelihood import RecordData
+from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.search import find_noise
 from counterspin.inference.readings import solve_readings
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
@@ -120,6 +123,36 @@ def test_an_unseen_mistake_in_one_position_stands_out():
     sizes = [abs(each.standardised) for each in fit.groups[0].single]
     assert np.argmax(sizes) == 5
     assert sizes[5] > 50.0
+
+
+def test_the_noise_is_what_the_search_of_records_finds():
+    """Of the same rows, repeats and priors: the one is stepped to, the other searched for."""
+    rng = np.random.default_rng(31)
+    values = [simulated(tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
+    # The head's error is that of a position, which its repeats share.
+    mean = np.mean(values, axis=0) + simulated(tumble(), rng, 0.0, u_head=5e-7)
+    mean -= simulated(tumble(), rng, 0.0)
+    group = replace(
+        readings(tumble(), mean, None, u_head=5e-7),
+        repeats=np.full(12, 4.0),
+        scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
+    )
+    prior = unknown("K_I", (TRUTH["K_I"], 1e-6))
+    asked = model(("K_F", "K_II", "delta_O"), [prior])
+    fit = solve_readings([group], asked)
+    part = fit.groups[0].linear
+    assert 0.0 < part.noise_share.min() < 0.95
+    time, nothing = np.arange(12.0), np.empty((36, 0))
+    added = 4.0 * part.head**2
+    rows = RecordData(
+        time, 0, part.design, part.target, group.repeats, 1e-9, part.unknowns, added=added
+    )
+    scatter = np.full(36, math.sqrt(group.scatter.sum() / 36.0))
+    repeats = RecordData(np.arange(36.0), 0, nothing, scatter, places=())
+    known = np.zeros((1, 4))
+    known[0, 3] = 1.0 / prior.prior[1]
+    found = find_noise([rows, repeats], Noise(WANTED), known, [prior.prior_mean / prior.prior[1]])
+    assert fit.groups[0].noise == pytest.approx(found.noise.white, rel=1e-5)
 
 
 def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import triads
-from campaigns import SMALL, changed, write
+from campaigns import PLACE, SMALL, changed, runs, write
 from mixed_campaign import MixedCampaign
 
 from counterspin.calibration.calibrate import calibrate
@@ -35,6 +35,47 @@ def test_poses_have_the_uncertainties_that_were_forecast(tmp_path):
         assert told.u[name] == pytest.approx(result.coefficient(name).u, rel=0.05)
     with pytest.raises(CampaignError, match="needs the standard uncertainty"):
         forecast(triads.table(tmp_path / "unstated", values))
+
+
+def test_an_encoder_s_noise_acts_through_the_k_iii_that_is_found(tmp_path):
+    """Two rates nearly the same, and time stamps that hide the ripple: u(K_II) rests on K_III.
+
+    Expecting none, a forecast is right of a calibration that finds none; expecting what one has
+    found, it is right of that one.
+    """
+    noise = 'displacement = "0.01 m"\ntiming = "200 us"\nangle = "1e-6 rad"\n'
+    text = f"""{PLACE}
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+displacement = {{ column = "east_m", unit = "m" }}
+
+[noise]
+{noise}acceleration = "0 g/Hz^0.5"
+
+[model]
+terms = ["K_F", "K_I", "K_II", "K_III"]
+assume = "all"
+{runs("slow", "fast", rates=("0.9 rev/s", "1 rev/s"))}
+[simulation]
+sampling_rate = "16 Hz"
+revolutions = 25
+seed = 2
+
+[truth.Qx]
+K_F = "0.005 g"
+K_III = "0 g/g^3"
+
+[truth.noise]
+{noise}"""
+    simulate(write(tmp_path / "true", text), tmp_path / "records")
+    result = calibrate(tmp_path / "records")
+    told = forecast(write(tmp_path / "true", text))
+    found = f"{result.coefficient('Qx.K_III').value!r} g/g^3"
+    again = forecast(write(tmp_path / "found", changed(text, ("0 g/g^3", found))))
+    u = result.coefficient("Qx.K_II").u
+    assert u > 1.5 * told.u["Qx.K_II"]
+    assert u == pytest.approx(again.u["Qx.K_II"], rel=0.05)
 
 
 MODELS = {"perfect": 'assume = "all"\nterms = ["K_F", "K_I", "K_II"]\n', "nothing assumed": ""}

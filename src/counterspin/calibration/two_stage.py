@@ -42,7 +42,6 @@ from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.estimation import Estimate, estimate
-from counterspin.inference.joint.found_noise import uncertain
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.noise.model import Noise
@@ -163,11 +162,7 @@ def two_stage_view(
         _known_model(problem.campaign, problem.model, name, known), request, series
     )
     second = resolve(series, parabolas, model, request)
-    own = {} if components is None else {name: components}
-    covariance = uncertain({name: problem.noise[name]}, own).get(name)
-    if covariance is not None:
-        unseen = None if components is None else components.unseen
-        second = with_found_noise(second, covariance, unseen)
+    second = with_found_noise(second, problem.noise[name], components)
     assessment = assess(second.fit.solution, [unknown.name for unknown in model.unknowns])
     # Asked to tell it from a term that acts exactly alike, the records say nothing.
     unknown = nothing_known(problem.campaign, name, second)

@@ -357,7 +357,7 @@ class FullEngine:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(world.runs))]
         second = second_stage(runs, world.mountings[self.owner], request, ignored=())
         if components is not None:
-            second = with_found_noise(second, components.covariance, components.unseen)
+            second = with_found_noise(second, components.noise, components)
         solution = second.fit.solution
         return solution.estimate, solution.u, np.asarray(second.dof)
 

@@ -13,6 +13,7 @@ from counterspin.inference.joint.budget import NOISE, budget
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Considered, Unknowns
+from counterspin.inference.noise import unseen_noise
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.inference.noise.search import KEEPING_GAIN
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
@@ -60,7 +61,8 @@ def test_an_interval_of_the_mixture():
     rng = np.random.default_rng(1)
     unseen = Unseen(np.array([0.1, 1.0, 4.0, 20.0]), np.array([0.4, 0.3, 0.2, 0.1]))
     variance, slope = np.array([1.0, 2.0, 5.0, 1.0]), np.array([1.0, 0.3, 0.01, 0.0])
-    level, dof = lengthened(unseen, variance, slope)
+    level, inverse = lengthened(unseen, variance, slope)
+    dof = np.array([1.0 / one if one else math.inf for one in inverse])
     u = np.sqrt(variance + slope * level)
 
     def share(size):
@@ -109,8 +111,8 @@ class Slow:
         if 2.0 * (values.max() - likelihood(0.0)) > KEEPING_GAIN:
             return None
         unseen = unseen_walk(lambda x: (likelihood(math.exp(x)), x), -3.0, likelihood(0.0))
-        level, dof = lengthened(unseen, np.ones(1), np.array([self.felt]))
-        return abs(error) < stdtrit(dof[0], 0.975) * math.sqrt(1.0 + level * self.felt)
+        level, inverse = lengthened(unseen, np.ones(1), np.array([self.felt]))
+        return abs(error) < stdtrit(1.0 / inverse[0], 0.975) * math.sqrt(1.0 + level * self.felt)
 
 
 @pytest.mark.parametrize("felt", [0.2, 5.0])
@@ -127,6 +129,20 @@ def test_intervals_of_a_dropped_walk_hold(walk, felt):
     # Without the lengthening two thirds or fewer hold at the limit.
     if walk == 6.0 and felt == 5.0:
         assert 2 * ndtr(1.96 / math.sqrt(1 + walk * felt)) - 1 < 0.3
+
+
+def test_an_allowance_that_is_needless_without_a_walk_is_too_small_at_the_limit(monkeypatch):
+    """With a third of the power, which still covers all where there is none."""
+    monkeypatch.setattr(unseen_noise, "POWER", POWER / 3.0)
+    for walk, trials in ((0.0, 60), (6.0, 200)):
+        slow = Slow(5.0, np.random.default_rng(1))
+        dropped = [one for _ in range(trials) if (one := slow.interval_holds(walk)) is not None]
+        assert len(dropped) > trials / 2
+        if walk == 0.0:
+            assert all(dropped)
+        else:
+            # 0.8 of them; of 0.95 as few are found once in 1e5.
+            assert np.mean(dropped) < 0.95 - 4.3 * math.sqrt(0.05 * 0.95 / len(dropped))
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ def resolved(noise):
 def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
     components = found(0.01, 1e-3)
     _, second = resolved(components.noise)
-    wider = with_found_noise(second, components.covariance, components.unseen)
+    wider = with_found_noise(second, components.noise, components)
 
     def variance(white=1.0, walk=1.0):
         level = Noise(0.01 * math.sqrt(white), 1e-3 * math.sqrt(walk))
@@ -74,7 +74,7 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
     unseen = Unseen(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
     components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
     runs, second = resolved(components.noise)
-    wider = with_found_noise(second, components.covariance, components.unseen)
+    wider = with_found_noise(second, components.noise, components)
     # The same gains on strobes with the walk's covariance, an integral over the white noise.
     slope = np.zeros((2, 2))
     for place, run in enumerate(runs):
@@ -104,9 +104,8 @@ def test_an_unknown_that_is_known_exactly_stays_so():
     request = TwoStageRequest(priors={"K_II": (2e-5, 0.0)}, random_walk=None)
     request = request.with_noise(components.noise)
     runs, _ = resolved(components.noise)
-    wider = with_found_noise(
-        second_stage(runs, QX, request), components.covariance, components.unseen
-    )
+    second = second_stage(runs, QX, request)
+    wider = with_found_noise(second, components.noise, components)
     assert wider.estimate("K_II") == (2e-5, 0.0)
     assert wider.estimate("K_F")[1] > 0.0
 

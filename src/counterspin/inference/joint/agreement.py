@@ -157,10 +157,8 @@ def _with_unseen(
     if not moved.any():
         return variance, inverse
     variance, inverse = variance.copy(), inverse.copy()
-    level, longer = lengthened(unseen, variance[moved], slope[moved])
-    wider = variance[moved] + level * slope[moved]
-    inverse[moved] = np.square(variance[moved] / wider) * inverse[moved] + 1.0 / longer
-    variance[moved] = wider
+    level, inverse[moved] = lengthened(unseen, variance[moved], slope[moved], inverse[moved])
+    variance[moved] += level * slope[moved]
     return variance, inverse
 
 

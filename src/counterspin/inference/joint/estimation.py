@@ -19,10 +19,11 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder, rotation, used_rows
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.found_noise import (
+    growth_of,
     losses,
     noise_of,
     uncertain,
-    with_found_noise,
+    widened,
 )
 from counterspin.inference.joint.prepared import Prepared, condense, prepare_columns, prepared_for
 from counterspin.inference.joint.series import Series
@@ -295,7 +296,7 @@ def _finished(
     """
     model = fit.model
     lost = {name: losses(core, name) for name in uncertain(core.noise, found)}
-    core, dof = with_found_noise(core, found, lost)
+    core, dof = widened(core, growth_of(core, lost), core.noise, found)
     # In the condensed fit what is asked for comes first; one that has nothing condensed is whole.
     places = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
     if core.model.unknowns == model.unknowns:

@@ -17,7 +17,7 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.likelihood import RecordData
 from counterspin.inference.noise.model import COMPONENTS, Noise, information_lost
 from counterspin.inference.noise.search import FoundNoise, effective_dof, find_noise
-from counterspin.inference.noise.unseen_noise import Unseen, lengthened
+from counterspin.inference.noise.unseen_noise import lengthened
 
 #: Least u of a prior in the likelihood, in units of the unknown's credible limit.
 _LEAST_PRIOR_U: Final = 1e-12
@@ -131,24 +131,20 @@ def _shares(series: Series, noise: Noise) -> Array:
     return np.array([by_white, by_walk]) / (2.0 * _SMALL)
 
 
-def with_found_noise(
-    fit: JointFit, found: Mapping[str, FoundNoise], lost: Mapping[str, Array]
-) -> tuple[JointFit, Array]:
-    """Return a fit with what the estimates of its noise leave open, and degrees of freedom, (p,).
+def growth_of(fit: JointFit, lost: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what each variance of each noise adds to the covariance per unit, (4, p, p).
 
     lost: Accelerometer -> `losses`.
     """
     root = fit.solution.root_of(np.eye(len(fit.model.unknowns)))
-    growth = {name: root @ own.sum(axis=0) @ root.T for name, own in lost.items()}
-    unseen = {name: one.unseen for name, one in found.items()}
-    return widened(fit, growth, uncertain(fit.noise, found), unseen)
+    return {name: root @ own.sum(axis=0) @ root.T for name, own in lost.items()}
 
 
 def widened(
     fit: JointFit,
     growth: Mapping[str, Array],
-    covariances: Mapping[str, Array],
-    unseen: Mapping[str, Unseen | None],
+    noise: Mapping[str, Noise],
+    found: Mapping[str, FoundNoise],
     dof: float | Array = math.inf,
 ) -> tuple[JointFit, Array]:
     """Return a fit with what is left open of the variances of noises, and degrees of freedom, (p,).
@@ -160,30 +156,28 @@ def widened(
     as they are.
 
     growth: Accelerometer -> what each of `COMPONENTS` adds to the covariance per unit, (4, p, p).
-    covariances: Accelerometer -> that of the variances, (4, 4).
-    unseen: Accelerometer -> sizes that the records allow a walk which they do not show.
+    noise, found: By accelerometer: its noise; how well it is known, where it was estimated.
     dof: Degrees of freedom from all else.
     """
     solution = fit.solution
     variance, inverse = np.diag(solution.covariance), 1.0 / np.full(len(fit.model.unknowns), dof)
-    for name, covariance in covariances.items():
+    for name, covariance in uncertain(noise, found).items():
         gradient = np.diagonal(growth[name], axis1=1, axis2=2).T
         inverse += 1.0 / effective_dof(variance, gradient, covariance)
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
     known = (solution.u > 0.0) & (solution.u < limits)
     walks: dict[str, tuple[float, Array]] = {}
-    for name, sizes in unseen.items():
-        if sizes is None:
+    for name, one in found.items():
+        if one.unseen is None:
             continue
         slope = np.where(np.outer(known, known), growth[name][_WALK], 0.0)
         diagonal = np.diag(slope)
         if not diagonal.any():
             continue
         own = np.where(known, variance, 1.0)
-        level, longer = lengthened(sizes, own, diagonal)
+        level, longer = lengthened(one.unseen, own, diagonal, inverse)
         walks[name] = math.sqrt(level), level * slope
-        share = own / (own + level * diagonal)
-        inverse = np.where(known, share**2 * inverse + 1.0 / longer, inverse)
+        inverse = np.where(known, longer, inverse)
     with np.errstate(divide="ignore"):
         freedom = 1.0 / inverse
     if not walks:
@@ -197,6 +191,6 @@ def unseen_covariance(fit: JointFit, found: Mapping[str, FoundNoise]) -> Array:
     """Return what walks that the records do not show may add to a fit's covariance, (p, p)."""
     hidden = {name: one for name, one in found.items() if one.unseen is not None}
     lost = {name: losses(fit, name) for name in uncertain(fit.noise, hidden)}
-    wider, _ = with_found_noise(fit, hidden, lost)
+    wider, _ = widened(fit, growth_of(fit, lost), fit.noise, hidden)
     added = wider.solution.covariance_unseen
     return np.zeros_like(fit.solution.covariance) if added is None else added

@@ -356,9 +356,9 @@ def _averaged(
         weights = np.exp(np.array(values) - max(values)) * (sizes / middle) ** POWER
         allowed = Unseen(sizes, weights / weights.sum())
         nothing = np.array([1e-9 * middle * math.exp(_SIZES[0])])
-        variances[place], dof = lengthened(allowed, nothing, np.ones(1))
+        variances[place], inverse = lengthened(allowed, nothing, np.ones(1))
         covariance[place], covariance[:, place] = 0.0, 0.0
-        covariance[place, place] = 2.0 * variances[place] ** 2 / float(dof[0])
+        covariance[place, place] = 2.0 * variances[place] ** 2 * float(inverse[0])
     return tuple(variances), covariance
 
 

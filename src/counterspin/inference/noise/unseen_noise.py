@@ -80,8 +80,10 @@ def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, withou
     return Unseen(np.append(smallest, np.exp(levels)), every / every.sum())
 
 
-def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Array]:
-    """Return one level of the walk that stands for all, and degrees of freedom that go with it.
+def lengthened(
+    unseen: Unseen, variance: Array, slope: Array, inverse: Array | float = 0.0
+) -> tuple[float, Array]:
+    """Return one level of the walk that stands for all, and inverse degrees of freedom with it.
 
     The coefficient that feels the walk most has Student's distribution fitted to its own: a
     normal one for each level, of variance + slope x level, weighted. For the others, which get
@@ -89,7 +91,8 @@ def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Ar
 
     variance: u^2 of each coefficient without the walk, shape (p,).
     slope: What N^2 adds to it, per unit, shape (p,).
-    Returns: N^2; degrees of freedom, shape (p,), infinite where the walk adds nothing.
+    inverse: Of the degrees of freedom without the walk.
+    Returns: N^2; inverse degrees of freedom of u^2 with it (Welch and Satterthwaite), shape (p,).
     """
     spread = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
     most = int(np.argmax(slope / variance))
@@ -97,8 +100,10 @@ def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Ar
     dof = _dof_of(float(wide[most] / narrow[most]))
     u = float(narrow[most]) / student_quantile(dof, _ONE_U)
     level = max(u**2 - variance[most], 0.0) / slope[most]
-    needed = wide / np.sqrt(variance + slope * level)
-    return level, np.array([_dof_for(float(size)) for size in needed])
+    whole = variance + slope * level
+    needed = wide / np.sqrt(whole)
+    own = np.array([1.0 / _dof_for(float(size)) for size in needed])
+    return level, (variance / whole) ** 2 * inverse + own
 
 
 def _quantile(spread: Array, weights: Array, level: float) -> Array:

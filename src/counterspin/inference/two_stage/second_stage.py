@@ -29,7 +29,7 @@ from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, Considered, Unknowns
 from counterspin.inference.noise.model import COMPONENTS, Noise
-from counterspin.inference.noise.unseen_noise import Unseen
+from counterspin.inference.noise.search import FoundNoise
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.model import (
     DRIFT,
@@ -234,11 +234,10 @@ def resolve(
     return SecondStage(fit, tuple(parabolas), _effective_dof(fit, parabolas), request.weighted)
 
 
-def with_found_noise(second: SecondStage, covariance: Array, unseen: Unseen | None) -> SecondStage:
-    """Return the second stage with what the estimate of its noise leaves open.
+def with_found_noise(second: SecondStage, noise: Noise, found: FoundNoise | None) -> SecondStage:
+    """Return the second stage with what is left open of its accelerometer's noise.
 
-    covariance: Of the noise's variances, (4, 4).
-    unseen: Sizes that the records allow a walk which they do not show; None: they show it.
+    found: How well it is known, if it was estimated.
     """
     gain, by_noise = second.gain, np.array([parabola.by_noise for parabola in second.parabolas])
     if second.parabolas[0].sigma_from_residuals:
@@ -247,7 +246,8 @@ def with_found_noise(second: SecondStage, covariance: Array, unseen: Unseen | No
     growth = np.zeros((len(COMPONENTS), len(gain), len(gain)))
     growth[: by_noise.shape[1]] = [(gain * own) @ gain.T for own in by_noise.T]
     name = second.fit.prepared[0].accelerometer
-    fit, dof = widened(second.fit, {name: growth}, {name: covariance}, {name: unseen}, second.dof)
+    own = {} if found is None else {name: found}
+    fit, dof = widened(second.fit, {name: growth}, {name: noise}, own, second.dof)
     return replace(second, fit=fit, dof=dof)
 
 
