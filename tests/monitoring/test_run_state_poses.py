@@ -89,7 +89,7 @@ def test_a_pose_off_the_model_is_named(tmp_path):
     checked = cs.check(tmp_path / "all.log", tmp_path)
     (name,) = checked.run.poses.outlying
     assert float(name.split()[1]) == pytest.approx(record.start[7], abs=1.0)
-    assert any(f'The pose "{name}" reads' in text for text in checked.remarks)
+    assert any(f'The pose "{name}" deviates from the model' in text for text in checked.remarks)
     (state,) = cs.watch(tmp_path, once=True)
     assert name in str(state)
 
@@ -128,7 +128,7 @@ def test_the_page_says_all_of_it(tmp_path, capsys):
     told = capsys.readouterr().out
     for word in ("may be kept", "Clock", "Poses", "Missing directions", "Y.delta_P", "m/s^2"):
         assert word in told
-    assert "u of the whole campaign" not in told
+    assert "uncertainty of the whole campaign" not in told
 
 
 @pytest.mark.parametrize("suffix", ["log", "tsv"])

@@ -300,14 +300,14 @@ def test_fit_noise_and_checks_are_told():
     )
     assert (
         "The two-stage method gives K_II = 27.0410 ± 0.0053 ug/g^2; the difference is "
-        "-0.0035 ± 0.0052 ug/g^2, or -0.673 of its standard uncertainties: they agree." in text
+        "-0.0035 ± 0.0052 ug/g^2, or -0.673 times its standard uncertainty: they agree." in text
     )
 
 
 def test_disagreement_with_the_two_stage_method_is_told():
     apart = Comparison(value=2.8e-5, u=5e-9, difference=1e-6, u_difference=5e-9, z=200.0)
     found = result(accelerometers={"Qx": made(two_stage=apart)})
-    assert "200 of its standard uncertainties: they do not agree" in squeezed(text_of(found))
+    assert "200 times its standard uncertainty: they do not agree" in squeezed(text_of(found))
 
 
 def test_jackknife_is_written_to_the_place_of_the_estimate():

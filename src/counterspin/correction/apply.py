@@ -279,7 +279,10 @@ def _not_carried(name: str, symbols: Sequence[str]) -> Iterator[str]:
         ),
     ):
         if lost:
-            yield f"{name}: {', '.join(lost)} are not stated, and the {what}: no part of u."
+            yield (
+                f"{name}: {', '.join(lost)} are not stated, and the {what}; "
+                "their uncertainty is not included in u."
+            )
 
 
 def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
@@ -384,5 +387,5 @@ def _stretched(result: Result, name: str, indicated: Array) -> list[str]:
         return []
     return [
         f"{name}: the indication reaches {largest:.3g} g, but the calibration only {seen:.3g} "
-        "g: beyond that, u covers the terms of the model only."
+        "g: beyond that, u covers only the terms of the model."
     ]

@@ -103,7 +103,7 @@ def warnings_of_warmth(result: Result, warmth: Warmth, temperature: Temperature)
     if low < seen[0] - _BEYOND or high > seen[1] + _BEYOND:
         yield (
             f"The temperature is {_span(low, high)}, and that of the calibration was "
-            f"{_span(seen[0], seen[1])}: beyond that range, u covers the slopes of the result only."
+            f"{_span(seen[0], seen[1])}: beyond that range, u covers only the slopes of the result."
         )
 
 

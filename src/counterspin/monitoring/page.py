@@ -33,7 +33,7 @@ def watch_line(state: WatchState) -> str:
     runs = ", ".join(f"{run.run} {_progress(run)}" for run in state.runs)
     found = ", ".join(f"u({c.name}) {_u(c.u, c.unit)}" for c in state.coefficients)
     worst = [r.ratio for run in state.runs for r in run.residuals.values()]
-    residual = f"; residuals {max(worst):.2f} of noise" if worst else ""
+    residual = f"; residuals {max(worst):.2f} times the noise" if worst else ""
     goals = "; goal met" if state.met else ""
     return f"{runs}; {found}{residual}{goals}"
 
@@ -68,7 +68,7 @@ def _coefficients(checked: CheckedRun, now: str) -> Table:
     for c in checked.reached:
         later = expected.get(c.name)
         rows.append((c.name, _estimate(c), _u(later.u, later.unit) if later else "-"))
-    titles = ("Coefficient", now.capitalize(), "u of the whole campaign")
+    titles = ("Coefficient", now.capitalize(), "uncertainty of the whole campaign")
     of = len(titles) if expected else len(titles) - 1
     return Table(tuple(Column(t, wraps=True) for t in titles[:of]), tuple(row[:of] for row in rows))
 
@@ -102,7 +102,7 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         yield (
             f"Residuals of {name}",
             f"rms {format_number(residual.rms)} {residual.unit}{stated}; "
-            f"{residual.ratio:.3f} of the noise{p}",
+            f"{residual.ratio:.3f} times the noise{p}",
         )
 
 
@@ -111,7 +111,7 @@ def _facts_of_poses(run: RunState, poses: PosesState) -> Iterator[tuple[str, str
     yield "Poses", f"{poses.count}{rms}"
     yield "At rest", f"where the scatter is below {format_number(poses.threshold)} m/s^2"
     yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
-    yield "Off the model", ", ".join(poses.outlying) or "none"
+    yield "Deviating from the model", ", ".join(poses.outlying) or "none"
     yield "Missing directions", "; ".join(poses.missing) or "none"
 
 
@@ -141,10 +141,10 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
             yield Paragraph(f"{run.run}: {run.why}", "warning")
         if run.poses is not None and run.poses.outlying:
             names = ", ".join(run.poses.outlying)
-            yield Paragraph(f"{run.run}: off the model: {names}", "warning")
+            yield Paragraph(f"{run.run}: deviating from the model: {names}", "warning")
         if run.poses is not None and run.poses.missing:
             missing = "; ".join(run.poses.missing)
-            yield Paragraph(f"{run.run}: poses are missing with {missing}")
+            yield Paragraph(f"{run.run}: add poses with {missing}")
     if state.trouble:
         yield Paragraph(state.trouble, "warning")
     goals = {goal.name: goal for goal in state.goals}
@@ -237,7 +237,7 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
         "quiet",
     )
     if result.unused:
-        yield Paragraph(f"Not taken: {', '.join(result.unused)}.", "quiet")
+        yield Paragraph(f"Columns not used: {', '.join(result.unused)}.", "quiet")
     if any(signal.in_g for signal in result.signals):
         gravity = format_number(result.gravity, 9)
         yield Paragraph(f"g = {gravity} m/s^2 converts between g and m/s^2.", "quiet")
@@ -329,7 +329,7 @@ def _allan(signal: SignalNoise, gravity: float) -> Table:
         for point in signal.allan[::_EVERY]
     )
     titles = ("Averaging time, s", f"Allan deviation, {unit}", "95 % interval")
-    columns = (*titles, "Degrees of freedom", "By the components")
+    columns = (*titles, "Degrees of freedom", "From the components")
     return Table(tuple(Column(title, "right") for title in columns), rows)
 
 

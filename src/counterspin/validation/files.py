@@ -46,7 +46,7 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     path = DATA / given["file"]
     package = _NEEDED.get(path.suffix)
     if package is not None and find_spec(package) is None:
-        raise NotAvailableError(f"{package} is not installed, which reads {path.suffix}")
+        raise NotAvailableError(f"{package} is not installed; it is needed to read {path.suffix}")
     columns = RecordColumns(
         time=ColumnSpec("time_s"),
         angle=ColumnSpec("angle_rad"),
@@ -113,7 +113,7 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return whether a signature counts, of the document as it is, altered, and of another."""
     if find_spec("signxml") is None:
-        raise NotAvailableError("signxml is not installed, which verifies signatures")
+        raise NotAvailableError("signxml is not installed; it is needed to verify signatures")
     folder = DATA / given["folder"]
     signed = (folder / "signed.xml").read_bytes()
 

@@ -177,7 +177,7 @@ def check(case: Case) -> CheckedCase:
     for name, expected in stated.items():
         got = np.asarray(found.get(name, np.nan), np.float64)
         if got.shape != expected.shape:
-            return _without_numbers(case, "failed", f"{name} is not there, or of another shape")
+            return _without_numbers(case, "failed", f"{name} is missing, or has another shape")
         allowed = np.broadcast_to(case.allowed(name), expected.shape)
         for place in np.ndindex(expected.shape):
             count += 1

@@ -97,7 +97,7 @@ def test_the_size_says_by_how_many_standard_uncertainties(tmp_path):
 def test_an_offset_and_an_attitude(tmp_path):
     offset = tumbled(tmp_path, lambda g: g + 0.3)
     assert only(offset).subject == "A.K_F"
-    assert "K_F = 0.302 g is not credible: beyond 0.1 g." in only(offset).text
+    assert "K_F = 0.302 g is not credible: more than 0.1 g." in only(offset).text
     turned = tumbled(tmp_path, lambda g: g, turned=1.0)
     assert only(turned).subject == "A.delta_O"
     assert "the attitudes: their zero" in only(turned).text

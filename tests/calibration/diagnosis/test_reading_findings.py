@@ -188,7 +188,7 @@ def test_positions_that_turn_away_are_named(tmp_path, u):
     values = simulated(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
     values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
     (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
-    assert "look like positions that turn away with the order" in found.text
+    assert "look like positions that rotate steadily with the order" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -198,14 +198,14 @@ def test_a_bias_that_is_another_for_negative_forces_is_named(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
     (found,) = misfits(calibrated(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II")))
-    assert "look like a bias that is another for negative forces" in found.text
+    assert "look like a bias that differs for negative forces" in found.text
 
 
 def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
     values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
     three = calibrated(tmp_path, even(4)[:3], values[:3], u=SIGMA)
     assert [f.code for f in three.findings] == ["unjudged-readings"]
-    assert "3 readings are no more than the coefficients" in three.findings[0].text
+    assert "3 readings cannot test the 3 coefficients" in three.findings[0].text
     assert three.state == "reservations"
     four = calibrated(tmp_path, even(4), values, u=SIGMA)
     assert "4 readings leave 1 degree of freedom" in four.findings[0].text

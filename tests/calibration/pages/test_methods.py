@@ -73,7 +73,7 @@ def test_the_forces_are_those_of_the_motions_alone():
     text = [block.text for block in reading_blocks(result(ARM))]
     assert any(line.startswith("On the arm") for line in text)
     assert not any("At rest" in line or "double turntable" in line for line in text)
-    assert text[-1].endswith("of the machine: centrifuge.radius.in.")
+    assert text[-1].endswith("estimated with the coefficients: centrifuge.radius.in.")
     assert list(reading_blocks(result([]))) == []
 
 

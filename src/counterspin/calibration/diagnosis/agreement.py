@@ -172,7 +172,7 @@ def _disagreement(
         shift = method.without[moved]
         text += (
             f". Without {method.kind}, {moved} moves by {format_number(shift.shift * factor, 2)} "
-            f"{unit}, {format_number(abs(shift.z), 2)} of the standard uncertainties of the shift"
+            f"{unit}, {format_number(abs(shift.z), 2)} times the standard uncertainty of the shift"
         )
     return [
         Finding(

@@ -146,12 +146,13 @@ def _finding(
     beyond = abs(c.value - row.nominal) - limit
     if beyond <= _ALLOWED * c.u:
         return None
-    about = f" about {row.nominal:g}" if row.nominal else ""
+    far = f"more than {format_number(limit)} {c.unit}"
+    far += f" from {row.nominal:g}" if row.nominal else ""
     likely = _of_scale(c.value, limit) if symbol == "K_I" else _likely(symbol)
     grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
     text = (
-        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: beyond "
-        f"{format_number(limit)} {c.unit}{about}. The records cannot show why. Check "
+        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: {far}. "
+        f"The records cannot show why. Check "
         f"{likely}. If the value is real,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
@@ -279,7 +280,7 @@ def _large_tilt(
     text = (
         f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
         f"moves {subject} by up to {format_number(shift * factor, 2)} {unit}, "
-        f"{format_number(ratio, 2)} of its u. "
+        f"{format_number(ratio, 2)} times its u. "
         f"The first-order model holds up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

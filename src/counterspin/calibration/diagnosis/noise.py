@@ -64,7 +64,7 @@ def _finding(name: str, runs: Mapping[str, float]) -> Finding:
     own = ", ".join(f"{size} in {run}" for size, run in zip(times, off, strict=False))
     rest = ", and as stated in the others" if len(off) < len(runs) else ""
     text = (
-        f"The noise of {name} is {own}{rest}: rows beside each other differ by as much. Find out "
+        f"The noise of {name} is {own}{rest}, by the differences between adjacent rows. Find out "
         "why, or leave it out of [noise]: each run is then weighted with its own."
     )
     size = max(max(one, 1.0 / one) for one in runs.values())
@@ -121,7 +121,8 @@ def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
         f"that of {worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as "
         f"the others' "
         f"(p = {worst.p:.2g}). A slow error of this record, or of one that it is compared with, "
-        f"may have been taken for noise and may shift the coefficients by more than u. "
+        f"may have been taken for noise and may shift the coefficients by more than their "
+        "uncertainty. "
         "Inspect the records."
     )
     return [
@@ -141,10 +142,10 @@ def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
     """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
     for view in views:
         if thinned := {one.run: one.every for one in view.series if one.every > 1}:
-            which = ", ".join(f"every {every}th of {run}" for run, every in thinned.items())
+            which = ", ".join(f"one in {every} of {run}" for run, every in thinned.items())
             yield (
-                f"{view.name}: rows beside each other have nearly the same error, as a filter of "
-                f"the recorder or coarse steps make it. Only independent rows are used: {which}."
+                f"{view.name}: adjacent rows have nearly the same error, as after a filter in the "
+                f"recorder or with a coarse resolution. Only independent rows are used: {which}."
             )
         sizes = {one.run: math.sqrt(one.relative) for one in view.series}
         quiet, loud = (choose(sizes, key=sizes.__getitem__, default="") for choose in (min, max))
@@ -156,9 +157,9 @@ def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
             )
         if timing := found_timing(view):
             yield (
-                f"{view.name}: the noise follows the slope of the signal, as time stamps that "
-                f"scatter by {timing * 1e6:.2g} us make it, and rows are weighted accordingly. "
-                "If that is what they do, state it as timing in [noise]."
+                f"{view.name}: the noise follows the slope of the signal, as if the time stamps "
+                f"scattered by {timing * 1e6:.2g} us; rows are weighted accordingly. If the time "
+                "stamps do scatter, state it as timing in [noise]."
             )
 
 
@@ -175,7 +176,7 @@ def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
         share = variance / float(view.fit.solution.u[index]) ** 2
         if share > _HIDDEN_SHARE:
             yield (
-                f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the "
-                f"records neither show nor exclude. If it is known, even as zero, state "
+                f"{name}: {share:.0%} of u^2 of K_II comes from white noise of the accelerometer "
+                "that the records neither show nor exclude. If it is known, even as zero, state "
                 "it as acceleration in [noise]; otherwise record longer runs."
             )

@@ -118,9 +118,8 @@ def _none_left(view: AccelerometerView) -> list[Finding]:
     if view.has_records or view.poses or not view.readings or count > len(free):
         return []
     text = (
-        f"{count} readings are no more than the coefficients that they determine "
-        f"({', '.join(free)}): they fit whatever is wrong, and nothing can be tested. Take "
-        "more of them."
+        f"{count} readings cannot test the {len(free)} coefficients that they determine "
+        f"({', '.join(free)}): the model fits them whatever is wrong. Take more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -270,9 +269,9 @@ def clause_of(other: Alternative) -> str:
         WARM_UP: f"settle with {when}, as after a warm-up",
         BEND: f"drift and reverse with {when}",
         SCALE: f"have a scale that drifts with {when}",
-        TURN: f"look like positions that turn away with {when}",
+        TURN: f"look like positions that rotate steadily with {when}",
         SWING: f"swing {other.symbol.partition(' ')[2].partition(' ')[0]} times with {when}",
-        ASYMMETRY: f"look like a {other.symbol} that is another for negative forces",
+        ASYMMETRY: f"look like a {other.symbol} that differs for negative forces",
         STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
         HYSTERESIS: f"depend on {_CAME.get(other.symbol)} (hysteresis)",
@@ -324,8 +323,9 @@ def _outlying(part: FittedReadings, name: str, one: Outlying) -> Finding:
     return Finding(
         code="outlying-reading",
         subject=f"{name}.{one.name}",
-        text=f'The {what} "{one.name}" reads {format_number(one.residual * 1e6, 3)} ug off the '
-        f"model, {deviations} standard deviations: check this reading, or look for a missing term.",
+        text=f'The {what} "{one.name}" deviates from the model by '
+        f"{format_number(one.residual * 1e6, 3)} ug, {deviations} standard deviations: "
+        "check this reading, or look for a missing term.",
         size=abs(one.z),
         contradicts=abs(one.z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )

@@ -190,9 +190,8 @@ def wrong_mounting(other: OtherMounting) -> Finding:
         "was measured."
     )
     if symbol:
-        text += (
-            f" {symbol} would move by {_shown(symbol, shift)}, {format_number(size, 2)} of its u."
-        )
+        times = format_number(size, 2)
+        text += f" {symbol} would move by {_shown(symbol, shift)}, {times} times its u."
     return Finding(
         code="wrong-mounting",
         subject=name,
@@ -222,7 +221,7 @@ def unseen_axes(others: Sequence[OtherMounting]) -> Iterator[str]:
             f"stated {values} of {_listed(resting)} {rest} on it. With {found} for "
             f"{stated} they "
             f"would fit as well, and {symbol} would be {_shown(symbol, abs(shift))} {way}, "
-            f"{format_number(size, 2)} of its u."
+            f"{format_number(size, 2)} times its u."
         )
 
 
@@ -274,13 +273,13 @@ def untested_statements(views: Sequence[AccelerometerView]) -> Iterator[str]:
             symbol, shift, times = _most_moved(view, thing, moved[:, place])
             if times >= _WORTH_OF_UNTESTED:
                 off = f"{thing.words} is off by {_shown(thing.symbol, float(size[place]))}"
-                much = f"{_shown(symbol, abs(shift))}, {format_number(times, 2)} of its u"
+                much = f"{_shown(symbol, abs(shift))} ({format_number(times, 2)} times its u)"
                 found.append((times, f"if {off}, {symbol} is wrong by {much}"))
         found.sort(reverse=True)
         if found:
             yield (
-                f"{view.name} rests on what its data cannot check: "
-                f"{'; '.join(said for _, said in found[:_MOST])}. No residual would show it."
+                f"{view.name} depends on values that its data cannot check: "
+                f"{'; '.join(said for _, said in found[:_MOST])}. No residual would show this."
             )
 
 
@@ -295,7 +294,7 @@ def _statements(campaign: Campaign, fit: JointFit) -> Iterator[_Thing]:
         symbol = fit.model.unknowns[next(iter(other.priors))].symbol
         typical = campaign.typical_of(symbol, other.owner)
         yield _Thing(
-            f"what is stated of {other.name}", symbol, typical, places, np.zeros(rows), priors
+            f"the stated value of {other.name}", symbol, typical, places, np.zeros(rows), priors
         )
 
 

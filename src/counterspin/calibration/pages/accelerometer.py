@@ -274,7 +274,7 @@ def _comparison(comparison: Comparison, coefficient: Coefficient | None) -> str:
     )
     return (
         f"The two-stage method gives K_II = {value}; the difference is {difference}, or "
-        f"{format_number(comparison.z)} of its standard uncertainties: {agree}."
+        f"{format_number(comparison.z)} times its standard uncertainty: {agree}."
     )
 
 
@@ -323,13 +323,13 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
     ]
     pairs.sort(key=lambda pair: -abs(pair[2]))
     if not pairs:
-        yield Paragraph("Estimates that move together: no correlation is beyond 0.9.")
+        yield Paragraph("No two estimates have a correlation beyond 0.9.")
         return
-    yield Paragraph("Estimates that move together, with a correlation beyond 0.9:")
+    yield Paragraph("Estimates with a correlation beyond 0.9:")
     yield Table(
         (
             Column("Estimate", wraps=True),
-            Column("moves with", wraps=True),
+            Column("and", wraps=True),
             Column("Correlation", "right"),
         ),
         tuple((label_of(b), label_of(a), _correlation(r)) for a, b, r in pairs),

@@ -166,11 +166,11 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     if result.provenance.in_memory:
         those = "; ".join(f"{name} ({how})" for name, how in result.provenance.in_memory.items())
         yield Paragraph(
-            f"{made} Not from files: {those}. Therefore no command line gives the same "
-            "result; `Campaign.write` writes a folder from which one does."
+            f"{made} Not from files: {those}. Therefore no command line repeats the calibration; "
+            "`Campaign.write` writes a folder from which one does."
         )
         return
-    yield Paragraph(f"{made} In the folder that holds these files, the same result comes from")
+    yield Paragraph(f"{made} To repeat the calibration, run this in the folder of these files:")
     options = list(result.provenance.options)
     asked = command_words(result.method, TwoStageOptions())
     # Once the two-stage method was the default, and did not have to be asked for.
@@ -271,7 +271,9 @@ def reading_blocks(result: Result) -> Iterator[Block]:
         yield Paragraph(_FORCES[motion], "equation")
     machine = [s for s in result.platform if s not in SHARED_TERMS and shown_by_readings(s)]
     if machine:
-        yield Paragraph(f"Estimated with the coefficients, of the machine: {', '.join(machine)}.")
+        yield Paragraph(
+            f"Terms of the machine, estimated with the coefficients: {', '.join(machine)}."
+        )
 
 
 def _positions(readings: Sequence[ReadingResult]) -> set[tuple[float, ...]]:
@@ -346,5 +348,5 @@ def _words(method: MethodAgreement, level: float) -> str:
     moved = {symbol: abs(shift.z) for symbol, shift in method.without.items()}
     if moved and math.isfinite(size := max(moved.values())):
         symbol = max(moved, key=lambda name: moved[name])
-        text += f"; without it {symbol} moves most, by {format_number(size, 2)} of the shift's u"
+        text += f"; without it {symbol} moves most, by {format_number(size, 2)} times the shift's u"
     return text + ")"

@@ -93,7 +93,7 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
             f"of the triad's frame; b = ({bias})."
         )
         if outputs := nominal_outputs(result, triad):
-            yield Paragraph(f"y is by the nominal outputs: {outputs}.")
+            yield Paragraph(f"y follows from the nominal outputs: {outputs}.")
         yield Table(
             (Column("M", "right"), *(Column(name, "right") for name in triad.accelerometers)),
             tuple(
@@ -178,7 +178,9 @@ def _poses(triad: TriadResult, *, details: bool) -> Iterator[Block]:
         ),
     )
     if len(poses) < len(triad.poses):
-        yield Paragraph(f"The {len(poses)} of {len(triad.poses)} poses that fit least.", "quiet")
+        yield Paragraph(
+            f"The {len(poses)} of {len(triad.poses)} poses with the largest residuals.", "quiet"
+        )
 
 
 # Pictures
@@ -248,7 +250,7 @@ def _residuals(result: Result, triad: TriadResult) -> Iterator[Plot]:
         y_label=f"residual, {unit}",
         series=(
             PlotSeries(
-                "bar: standard uncertainty of what is indicated",
+                "bar: standard uncertainty of the indication",
                 places,
                 tuple(after),
                 low=tuple(value - u for value, u in zip(after, spread, strict=True)),
