@@ -23,7 +23,7 @@ from counterspin.calibration.pages import pictures
 from counterspin.campaign.kinds import exact
 from counterspin.certificates import signers, wording
 from counterspin.comparisons import rerun
-from counterspin.histories import consistency, page, shared
+from counterspin.histories import consistency, page
 from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
@@ -123,7 +123,7 @@ ROWS = {
         ("(`--reliability`, {})", default(cs.history, "reliability")),
         ("none is more than {} years after the last result", consistency.LONGEST_YEARS),
         ("A probability below {} % is a finding", 100.0 * diagnostics.SIGNIFICANCE),
-        ("correlations below {} are left out", shared._NEGLIGIBLE_CORRELATION),
+        ("correlations below {} are left out", consistency._NEGLIGIBLE_CORRELATION),
     ],
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),

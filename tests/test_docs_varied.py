@@ -50,7 +50,9 @@ def test_noise_that_no_record_shows_is_no_blame():
     """Two thirds of u^2 of K_II: u holds it."""
     errors, result = STUDY["tried"](40094, Kind(unstated=False))
     assert result.state == "good"
-    assert [remark for remark in result.warnings if "of u^2 of K_II is white noise" in remark]
+    assert [
+        remark for remark in result.warnings if "of u^2 of K_II comes from white noise" in remark
+    ]
     assert all(covered for symbol, _, covered in errors if symbol == "K_II")
 
 
