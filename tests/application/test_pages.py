@@ -31,7 +31,7 @@ def test_results_are_compared_and_followed(page, folder):
     history = {"kind": "history", "names": "three/result.json", "term": "K_II"}
     told = page.get("/api/page", params=history).json()
     assert told["title"] == "History of K_II"
-    assert "one result, nothing to compare it with" in told["html"]
+    assert "one result, and nothing to compare it with" in told["html"]
     assert "three/result.json" in told["html"]
     assert str(folder) not in told["html"]
 

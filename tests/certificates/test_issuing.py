@@ -287,7 +287,11 @@ def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
-        (("r.json", "LAB.toml", "-o", "c.txt"), 2, "c.txt: name the file .xml or .pdf"),
+        (
+            ("r.json", "LAB.toml", "-o", "c.txt"),
+            2,
+            "c.txt: end the name of the file in .xml or .pdf",
+        ),
         (("r.json", "LAB.toml"), 2, "-o FILE.xml"),
         ((), 2, "--init LAB.toml"),
         (("r.json", "LAB.toml", "-o", "c.xml", "--cert", "k.pem"), 2, "give --key or --signer"),
@@ -328,7 +332,7 @@ def test_objects_give_the_certificate_of_their_files(desk, capsys):
     assert made.write("b.xml").read_bytes() == made.xml
     with pytest.raises(CounterspinError, match="exists; a certificate never replaces a file"):
         made.write(desk / "b.xml")
-    with pytest.raises(CampaignError, match=r"name the file \.xml or \.pdf"):
+    with pytest.raises(CampaignError, match=r"name of the file in \.xml or \.pdf"):
         made.write("b.txt")
 
 

@@ -82,7 +82,7 @@ def test_drift_is_per_year(tmp_path):
 @pytest.mark.parametrize(
     ("shifts", "verdict", "words"),
     [
-        ([0], "single", "one result, nothing to compare it with"),
+        ([0], "single", "one result, and nothing to compare it with"),
         ([0, 1], "constant", "2 results agree with"),
         ([0, 6], "differ", "Two results cannot distinguish a drift from a jump"),
         ([0, 0.5, -0.5, 0.5, 0], "constant", "No significant drift"),

@@ -160,7 +160,7 @@ def test_a_target_holds_with_what_changes_with_time(written):
     # Digits that tell the two apart, and where the best comes from.
     asked, had = re.findall(r"(\d\.?\d*e-\d+) rad", str(raised.value))
     assert float(asked) < float(had)
-    assert "of whose square: " in str(raised.value)
+    assert "; its square comes from " in str(raised.value)
 
 
 def test_a_limit_of_time(written):

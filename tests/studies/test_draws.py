@@ -176,7 +176,10 @@ def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):
 @pytest.mark.parametrize(
     ("vary", "words"),
     [
-        ('"site.gravity" = { normal = "9.8 ± 1e-4 m/s^2", per = "run" }', "is common to the runs"),
+        (
+            '"site.gravity" = { normal = "9.8 ± 1e-4 m/s^2", per = "run" }',
+            "is the same in all runs",
+        ),
         ('"site.gravity" = { fixed = "8 m/s^2" }', "must be between 9.76 and 9.84 m/s^2"),
         ('"C.records.clock" = { fixed = "1 ppm" }', "does not apply to any record or reading here"),
     ],

@@ -238,7 +238,9 @@ def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_p
     for mine in (b"mine", pl.DataFrame({"time_s": [0.0]}).write_parquet):
         trials.write_bytes(mine) if isinstance(mine, bytes) else mine(trials)
         before = trials.read_bytes()
-        with pytest.raises(CounterspinError, match=r"trials\.parquet exists and is not of a study"):
+        with pytest.raises(
+            CounterspinError, match=r"trials\.parquet exists and was not written by a study"
+        ):
             study(campaign, trials=100, output=folder)
         assert trials.read_bytes() == before
 

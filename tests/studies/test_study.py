@@ -542,7 +542,7 @@ terms = ["K_XX"]
         "study.vary.K_III: the least value must be below the greatest",
         "study.vary.\"centrifuge.radius\": 's' is not a unit of",
         'study.vary."noise.displacement": needs one of normal, uniform and fixed',
-        "study.analyses.one.weighted: is an option of the two-stage method",
+        "study.analyses.one.weighted: applies to the two-stage method only",
         'study.analyses.two: model.terms[0]: unknown term "K_XX"',
     ):
         assert words in str(caught.value)

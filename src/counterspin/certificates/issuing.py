@@ -119,8 +119,8 @@ class Certificate:
         earlier = enter_certificate(kept, path, data, self.entry, said)
         if earlier is not None:
             self.notes.append(
-                f"An interrupted command had entered certificate {self.identifier} already, on "
-                f"{earlier.when}: {path} is the one of that entry ({earlier.number})."
+                f"An interrupted command had already entered certificate {self.identifier} on "
+                f"{earlier.when}: {path} is the certificate of that entry ({earlier.number})."
             )
         return path
 
@@ -128,7 +128,7 @@ class Certificate:
 def check_place(output: Path) -> None:
     """Refuse a name of another kind, and one of a file that is there."""
     if output.suffix.lower() not in FORMATS:
-        raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
+        raise CampaignError("certificate", [f"{output}: end the name of the file in .xml or .pdf"])
     if output.is_file():
         raise CounterspinError(
             f"{output} exists; a certificate never replaces a file, which may be an issued one: "

@@ -330,13 +330,13 @@ def relation_of(
     alike = kind == "same" and better is not None and _alike(name, results, estimates)
     if better is None and kind == "part":
         assumed.append(
-            "Some records are common, but neither result uses all records of the "
-            "other: they are assumed independent, which overestimates u of a difference."
+            "The results share some records, but neither uses all records of the other: they are "
+            "assumed independent, which overestimates the uncertainty of a difference."
         )
     elif first.model != second.model:
         assumed.append(
-            "One of the results is from the equations as printed, which estimate something else: "
-            "u of a difference has little meaning."
+            "One of the results comes from the equations as printed, which estimate something "
+            "else: the uncertainty of a difference has little meaning."
         )
     elif better is None:
         assumed.append(

@@ -54,7 +54,8 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         yield from _pictures(own, short_names([result.name for result in compared.results]))
     yield Paragraph(
         f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
-        "their u accounts for what both results have in common. z: difference over its u.",
+        "their uncertainties account for what both results share. z: difference over its standard "
+        "uncertainty.",
         "quiet",
     )
     yield from _what_is_common(compared)
@@ -64,7 +65,7 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         rows = tuple((change.subject, *change.values) for change in compared.changes)
         yield Table(tuple(columns), rows)
     else:
-        yield Paragraph("No change in their model, noise or inputs.")
+        yield Paragraph("Their model, noise and inputs are the same.")
 
 
 def _style(agreement: AgreementOfTwo) -> Style:
@@ -214,7 +215,7 @@ def _what_is_common(compared: ResultComparison) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
         yield Paragraph(
-            f"Affects both results alike, which is accounted for: {', '.join(shared)}.", "quiet"
+            f"Accounted for, since both results share it: {', '.join(shared)}.", "quiet"
         )
     for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
         yield Paragraph(f"Assumed: {text}", "quiet")
@@ -228,7 +229,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     ]
     if repeated.moved:
         found = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
-        blocks.append(Paragraph(f"Found by their checksums under other names: {found}.", "quiet"))
+        blocks.append(Paragraph(f"These inputs were found under other names: {found}.", "quiet"))
     differing = [c for c in repeated.coefficients if c.relative is None or c.relative > 0.0]
     if not repeated.same and differing:
         blocks.append(_differing(differing))

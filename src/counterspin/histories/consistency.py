@@ -326,7 +326,7 @@ def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[
             lacking = len(own) - len(named)
             not_told[name] = f"{lacking} of {len(own)} results do not state it"
         elif len(set(named)) < 2:
-            not_told[name] = "all results are of the same"
+            not_told[name] = "all results have the same one"
         else:
             groups[name] = named
     return groups, not_told

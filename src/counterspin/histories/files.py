@@ -268,7 +268,7 @@ def _limits(stated: Conformity | None) -> tuple[float | None, float | None, str]
 def _wrong(result: Result, names: Sequence[str]) -> str | None:
     """Return why a result is not to be used at all, if it is not."""
     if result.model == "as-printed":
-        return "is from the equations as printed, which return half the true K_II"
+        return "comes from the equations as printed, which return half the true K_II"
     for name in names:
         if refusal(result, [name]) is not None:
             return f"its records contradict it: {result.accelerometers[name].findings[0].text}"

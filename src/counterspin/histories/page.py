@@ -70,7 +70,7 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
-        return f"{name} = {average}: one result, nothing to compare it with."
+        return f"{name} = {average}: there is one result, and nothing to compare it with."
     line = instrument.drift
     slope = None
     if line is not None:
@@ -189,8 +189,8 @@ def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
         if name != "day"
     ]
     yield Paragraph(
-        f"Standard deviations about {about} in excess of the results' own u, by restricted "
-        f"likelihood."
+        f"Standard deviations about {about} in excess of the results' own uncertainties, by "
+        f"restricted likelihood."
         + (
             f" With few {' and '.join(few)} the estimates are poor: use the intervals."
             if few
@@ -352,7 +352,12 @@ def _not_among_them(history: History) -> Iterator[Block]:
         whose = f", {unused.accelerometer}" if unused.accelerometer else ""
         yield Paragraph(f"{unused.file}{whose}: {unused.reason}.", "quiet")
     if count := len(history.passed_over):
-        yield Paragraph(f"JSON files that are not results, ignored: {count}.", "quiet")
+        files = (
+            "JSON file is not a result and is"
+            if count == 1
+            else "JSON files are not results and are"
+        )
+        yield Paragraph(f"{count} {files} ignored.", "quiet")
 
 
 def _days(date: str) -> float:

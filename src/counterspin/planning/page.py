@@ -74,7 +74,7 @@ def _answer(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(_optimality(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
-        "Standard uncertainties (k = 1) that a joint calibration will give, in units "
+        "All are standard uncertainties (k = 1) that a joint calibration will give, in units "
         f"of the site's own gravity, g = {gravity} m/s^2.",
         "quiet",
     )
@@ -207,7 +207,7 @@ def _advice(result: PlanResult, terms: Sequence[str]) -> str:
     """Return what would separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:
-        return "Other stations would separate them, or a stated value of one of them."
+        return "Other stations or a stated value of one of them would separate them."
     platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
     own = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
@@ -224,7 +224,7 @@ def _advice(result: PlanResult, terms: Sequence[str]) -> str:
     if one_rate and len({len(row.effect.factors) for row in own}) > 1:
         return "Other rates would separate them."
     if not platform and len({run.attitude for run in result.runs}) == 1:
-        return "A second attitude would separate them, or a stated value of one of them."
+        return "A second attitude or a stated value of one of them would separate them."
     return "A stated value of one of them would separate them."
 
 
@@ -373,7 +373,8 @@ def _requirements(result: PlanResult) -> Iterator[Block]:
     rows = tuple((line.words, _size(line)) for line in result.requirements)
     yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
     yield Paragraph(
-        f"Each alone would increase the uncertainty by 5 %, {result.requirements_for}.", "quiet"
+        f"Each of these alone would increase the uncertainty by 5 %, {result.requirements_for}.",
+        "quiet",
     )
 
 

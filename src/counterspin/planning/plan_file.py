@@ -170,7 +170,7 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
                 problems.add(
                     ("model", key, index),
                     f'"{name}" depends on the {condition} of each run, which a plan does not know; '
-                    "leave it out here, add it to the planned campaign, and check that",
+                    "leave it out here, add it to the planned campaign, and forecast that campaign",
                 )
     return len(problems.lines) > before
 
@@ -237,7 +237,7 @@ def _found_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) 
             ("noise", "from"),
             f"the record shows {key}, {sizes[key]:.3g} {units[key]}, but the search for runs "
             f'cannot treat a wandering bias; add {key} = "0 {units[key]}", '
-            "and check the planned campaign with it",
+            "and forecast the planned campaign with it",
         )
     return {key: f"{size!r} {units[key]}" for key, size in sizes.items()}
 
@@ -251,7 +251,7 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
             problems.add(
                 ("noise", key),
                 "the search for runs cannot treat a wandering bias; leave it "
-                "out here, add it to the planned campaign, and check that",
+                "out here, add it to the planned campaign, and forecast that campaign",
             )
     for name, accelerometer in campaign.accelerometers.items():
         own = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)

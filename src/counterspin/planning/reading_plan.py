@@ -226,7 +226,8 @@ class ReadingSearch:
         if counts.sum() > MOST_READINGS:
             raise CounterspinError(
                 f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} readings, "
-                f"and a campaign has {MOST_READINGS} at most; state limits.readings, or less time"
+                f"but a campaign has {MOST_READINGS} at most; state limits.readings, or reduce "
+                "the time"
             )
         return [self.plan.possible[index] for index in in_order(counts, self.plan.order)]
 

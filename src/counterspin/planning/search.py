@@ -289,7 +289,7 @@ def words_of_missed_target(
     sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
     return (
         f"{none} reaches u({name}) = {format_apart(goal[name], u[name])} {unit}. {best} has "
-        f"{format_apart(u[name], goal[name])} {unit}, of whose square: {sources}"
+        f"{format_apart(u[name], goal[name])} {unit}; its square comes from {sources}"
     )
 
 

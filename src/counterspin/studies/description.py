@@ -52,7 +52,7 @@ _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")
 
 def _analysis_name(analysis: str) -> str:
     if not analysis.replace("-", "").replace("_", "").isalnum():
-        raise ValueError("an analysis is named with letters, digits, - and _")
+        raise ValueError("the name of an analysis consists of letters, digits, - and _")
     return analysis
 
 
@@ -67,7 +67,10 @@ class AnalysisSettings(SettingsSection):
         "whether the second stage of the two-stage method weighs its strobes", False, True
     )
     ripple: Literal["amplitude", "ratio"] = described(
-        "by what the two-stage method takes a ripple of the rate", "ratio", "amplitude"
+        "whether the two-stage method states a ripple of the rate by its amplitude, or by that "
+        "over the rate",
+        "ratio",
+        "amplitude",
     )
     fit_bias: bool = described("whether the second stage fits a bias", False, True)
     sigma: Literal["given", "residuals"] = described(
@@ -350,7 +353,7 @@ def _varying(
     )
     per_run = settings.per == "run"
     if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
-        problems.add(path, "is common to the runs of a campaign, and to its readings")
+        problems.add(path, "is the same in all runs and readings of a campaign; remove per")
     if read is None:
         return []
     first, second = read
@@ -453,7 +456,7 @@ def _analysis(
     if settings.method == "joint":
         for key in ("model", "weighted", "ripple", "fit_bias", "sigma"):
             if isinstance(table, Mapping) and key in table:
-                problems.add((*path, key), "is an option of the two-stage method")
+                problems.add((*path, key), "applies to the two-stage method only")
     before = len(problems.lines)
     campaign = _campaign(_with_terms(document, settings), file, problems, (".".join(path),))
     if campaign is None or len(problems.lines) > before:

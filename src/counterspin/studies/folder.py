@@ -107,7 +107,7 @@ class StudyFolder:
 
 def _not_of_a_study(path: Path) -> CounterspinError:
     return CounterspinError(
-        f"{path} exists and is not of a study; it is not replaced: name another folder"
+        f"{path} exists and was not written by a study, so it is not replaced: name another folder"
     )
 
 
