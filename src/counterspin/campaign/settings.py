@@ -181,11 +181,13 @@ def term_keys(
     rows: Mapping[str, Term[Any]], reader: Callable[[str], PlainValidator]
 ) -> dict[str, Any]:
     """Return optional fields, one for each name of a term, that read a quantity in its unit."""
+    # Types take long to make, and dozens of terms have a few units between them.
+    kinds = {
+        unit: Annotated[Quantity | float, reader(unit)] | None
+        for unit in dict.fromkeys(row.unit for row in rows.values())
+    }
     return {
-        name: (
-            Annotated[Quantity | float, reader(row.unit)] | None,
-            described(row.words, _example(row, reader), None),
-        )
+        name: (kinds[row.unit], described(row.words, _example(row, reader), None))
         for name, row in rows.items()
     }
 

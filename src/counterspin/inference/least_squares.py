@@ -84,13 +84,18 @@ def reduce_block(
             f"nuisance, design and considered need the {n} rows of the observations; "
             f"their shapes are {shapes}"
         )
-    m, p, q = (part.shape[1] for part in parts)
+    return reduce_rows(np.column_stack([*parts, y]), parts[0].shape[1], parts[1].shape[1])
 
+
+def reduce_rows(rows: Array, m: int, p: int) -> Block:
+    """Reduce a record as `reduce_block`, its columns beside each other already.
+
+    rows: [nuisance | design | considered | observations], shape (n, m + p + q + 1).
+    """
+    n, q = rows.shape[0], rows.shape[1] - m - p - 1
     triangle = np.empty((0, m + p + q + 1))
     for start in range(0, n, _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        chunk = np.column_stack([part[rows] for part in parts] + [y[rows]])
-        triangle = triangle_of(np.vstack([triangle, in_parts(chunk)]))
+        triangle = triangle_of(np.vstack([triangle, in_parts(rows[start : start + _CHUNK])]))
     if not np.isfinite(triangle).all():
         raise ValueError("the columns or the observations hold numbers that are not finite")
 

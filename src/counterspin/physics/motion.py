@@ -12,7 +12,7 @@ another angle than the spindle's. None of these is in the reference, so all show
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Final
@@ -332,17 +332,37 @@ class Motion:
         return gained
 
     @cached_property
+    def displacement_of_specific_force(self) -> Array:
+        """m, the double integral of the specific force from t = 0, by the identity of kinematics.
+
+        The double integral of the acceleration is the position less its start value and slope:
+        as a quadrature it would be a small difference of large numbers. Only the Coriolis part,
+        2 Omega x (integral of the position), needs a quadrature.
+        """
+        t, start = self.t, self.trajectory.at(np.zeros(1))
+        doubled = self.position - start.position - start.velocity * t[:, None]
+        path = self._integrated(lambda motion: motion.position.T[:2])
+        path -= start.position[:, :2] * t[:, None]
+        east, north = 2.0 * path.T
+        _, to_north, to_up = self.trajectory.site.earth_rotation
+        doubled[:, 0] -= to_up * north
+        doubled[:, 1] += to_up * east
+        doubled[:, 2] += 0.5 * self.trajectory.site.gravity * t**2 - to_north * east
+        return np.asarray(doubled)
+
+    @cached_property
     def square_of_specific_force(self) -> Array:
         """m^2/s^3, the integral of the squared specific force from t = 0, shape (n,)."""
-        trajectory, end = self.trajectory, max(float(np.max(self.t, initial=0.0)), _TINY)
+        total: Array = self._integrated(
+            lambda motion: np.sum(motion.specific_force**2, axis=1)[None]
+        )
+        return total[:, 0]
 
-        def squared(t: Array) -> Array:
-            sum_of_squares: Array = np.sum(trajectory.specific_force(t) ** 2, axis=1)
-            return sum_of_squares[None]
-
-        edges = quadrature.panel_edges(trajectory.spindle, end, coarse=trajectory.coarse)
-        total: Array = quadrature.integrate(squared, edges, self.t, 1)[:, 0]
-        return total
+    def _integrated(self, function: Callable[[Motion], Array]) -> Array:
+        """Return integrals of k functions of the motion from t = 0, shape (n, k)."""
+        end = max(float(np.max(self.t, initial=0.0)), _TINY)
+        edges = quadrature.panel_edges(self.trajectory.spindle, end, coarse=self.trajectory.coarse)
+        return quadrature.integrate(lambda t: function(self.trajectory.at(t)), edges, self.t, 1)
 
     def _turned_by_earth(self, vector: Array) -> Array:
         """Return 2 Omega x a vector."""

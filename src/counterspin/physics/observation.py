@@ -154,10 +154,10 @@ def columns(
     result[bias] = trajectory.site.gravity * times**order / max(1, order)
     if kinked:
         result[list(kinked)] = shown.kinked(list(kinked.values()))
-    if smooth or linear:
-        result[list(smooth)], force = shown.smooth(list(smooth.values()), bool(linear))
-        for i, vector in linear.items():
-            result[i] = vector @ force
+    if smooth:
+        result[list(smooth)] = shown.smooth(list(smooth.values()))
+    for i, vector in linear.items():
+        result[i] = vector @ shown.force
     for i in path:
         result[i] = path_change(symbols[i], shown.motion, order) @ shown.input_axis
     own = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
@@ -191,7 +191,8 @@ def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array)
     if not np.any(spread):
         return function(times)
     both = function(np.concatenate([times - spread, times + spread]))
-    mean: Array = 0.5 * (both[: times.size] + both[times.size :])
+    mean: Array = both[: times.size] + both[times.size :]
+    mean *= 0.5
     return mean
 
 
@@ -210,16 +211,12 @@ class _Integrals:
         axes: Mounting,
         attitude: Array,
         order: int,
-        with_path: bool = False,
     ) -> Array:
-        """Return the integrals of terms, before them if wanted those of the path, east and north.
+        """Return the integrals of terms.
 
         All functions are integrated together: where the times lie in the panels is found once.
         """
-        series = self._of(effects, axes, attitude, order)
-        if with_path:
-            series = np.concatenate([self._panels.series(self._motion.position.T[:2], 1), series])
-        return self._panels.at(times, series)
+        return self._panels.at(times, self._of(effects, axes, attitude, order))
 
     def _of(
         self, effects: Sequence[Integrated], axes: Mounting, attitude: Array, order: int
@@ -308,18 +305,23 @@ class _Shown:
                 return np.cross(np.eye(3)[about], self._axes.input_axis)
         return None
 
-    def smooth(self, effects: Sequence[Integrated], with_force: bool) -> tuple[Array, Array]:
-        """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
+    @property
+    def force(self) -> Array:
+        """The integral of the specific force, as often as the observable has it, (3, n)."""
+        of_order = (
+            "specific_force",
+            "velocity_of_specific_force",
+            "displacement_of_specific_force",
+        )
+        force: Array = getattr(self.motion, of_order[self._order])
+        return force.T
+
+    def smooth(self, effects: Sequence[Integrated]) -> Array:
+        """Return the integrals of terms, (k, n)."""
         if self._order == 0:
-            return self._seen(effects), self.motion.specific_force.T
-        doubled = with_force and self._order == 2
+            return self._seen(effects)
         along = _along(self._trajectory, self._duration)
-        integrals = along.at(self._times, effects, self._axes, self._attitude, self._order, doubled)
-        if self._order == 1:
-            return integrals, self.motion.velocity_of_specific_force.T
-        if not with_force:
-            return integrals, np.empty((0, self._times.size))
-        return integrals[2:], self._double_integral_of_force(integrals[:2])
+        return along.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def kinked(self, effects: Sequence[Integrated]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
@@ -332,24 +334,6 @@ class _Shown:
     def _seen(self, effects: Sequence[Integrated]) -> Array:
         """Return what terms add to the specific force, m/s^2, (k, n)."""
         return _integrands(effects, self.motion, self._axes, self._attitude)
-
-    def _double_integral_of_force(self, path: Array) -> Array:
-        """Double integral of the specific force, (3, n), by the exact identity of kinematics.
-
-        The double integral of the acceleration is the position less its start value and slope:
-        as a quadrature it would be a small difference of large numbers. Only the Coriolis part,
-        2 Omega x (integral of the position), needs a quadrature; `path` is that of its part to
-        east and north, (2, n).
-        """
-        t, site = self._times, self._trajectory.site
-        start = self._trajectory.at(np.zeros(1))
-        doubled = self.motion.position.T - start.position.T - start.velocity.T * t
-        east, north = 2.0 * (path - start.position.T[:2] * t)
-        _, to_north, to_up = site.earth_rotation
-        doubled[0] -= to_up * north
-        doubled[1] += to_up * east
-        doubled[2] += 0.5 * site.gravity * t**2 - to_north * east
-        return doubled
 
 
 class _SensorInputs:

@@ -153,14 +153,16 @@ class Panels:
             times.min() < edges[0] - tolerance or times.max() > edges[-1] + tolerance
         ):
             raise ValueError("times lie outside the panels")
-        result = np.empty((len(series), times.size))
+        found = []
         for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[begin : begin + _CHUNK_TIMES]
             # Accelerometers of a run, and paths of one spindle, are asked at the same times.
             few = max(t.size, edges.size) <= _MOST_KEPT
             places = _kept_places(edges.tobytes(), t.tobytes()) if few else _Places(edges, t)
-            result[:, begin : begin + _CHUNK_TIMES] = places.evaluate(series)
-        return result
+            found.append(places.evaluate(series))
+        if not found:
+            return np.empty((len(series), times.size))
+        return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
 
 class _Places:
@@ -196,8 +198,12 @@ class _Places:
         needed = series.transpose(1, 0, 2)
         if self._panels is not None:
             needed = needed[self._panels]
-        evaluated: Array = (needed @ self._powers).transpose(1, 0, 2)
-        return evaluated.reshape(series.shape[0], -1).take(self._slots, axis=1)
+        rows, _, width = self._powers.shape
+        # Written where they are taken from: memory that a process has not had yet takes longer to
+        # get than it takes to fill.
+        evaluated = np.empty((len(series), rows, width))
+        np.matmul(needed, self._powers, out=evaluated.transpose(1, 0, 2))
+        return evaluated.reshape(len(series), -1).take(self._slots, axis=1)
 
 
 @lru_cache(maxsize=6)

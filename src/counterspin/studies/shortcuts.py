@@ -29,7 +29,7 @@ from counterspin.inference import least_squares
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import solve_blocks
 from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series, concerns, input_column, with_input
+from counterspin.inference.joint.series import Series, concerns, expected, input_column, with_input
 from counterspin.inference.joint.unknowns import RIPPLE, Unknowns
 from counterspin.inference.least_squares import REGULARISATION, Block, Solution, reduce_block
 from counterspin.inference.linear_readings import Measured, blocks_at
@@ -191,13 +191,13 @@ def _columns_of_truth(
     shown = series.columns([symbol for _, symbol in terms], k_i).T
     table = {symbol: column for (_, symbol), column in zip(terms, shown, strict=True)}
     mean = {symbol: truth.mean(owner, symbol) - nominal(owner, symbol) for owner, symbol in terms}
-    base = series.reference()
+    now = expected(series, mean, table)
     true = np.zeros((series.time.size, len(keys)))
     for (_, symbol), index in here.items():
         if symbol not in INPUTS:
             true[:, index] = table[symbol]
         else:
-            true[:, index] = input_column(series, symbol, k_i, mean, table, base)
+            true[:, index] = input_column(series, symbol, k_i, mean, now)
     return true
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from joint_campaign import SITE, simulated
 
-from counterspin.inference.joint.series import CLOCK, input_column
+from counterspin.inference.joint.series import CLOCK, expected, input_column
 from counterspin.physics.observation import LEVEL, ORDERS
 from counterspin.physics.spindle import Ripple, Spindle
 
@@ -19,7 +19,7 @@ FAST = 2e-5
 def clock_column(series):
     """The column of the clock for an accelerometer with these errors."""
     table = dict(zip(KNOWN, series.columns(list(KNOWN), 1.0).T, strict=True))
-    return input_column(series, CLOCK, 1.0, KNOWN, table)
+    return input_column(series, CLOCK, 1.0, KNOWN, expected(series, KNOWN, table))
 
 
 @pytest.mark.parametrize("observable", list(ORDERS))
@@ -36,8 +36,8 @@ def test_a_fast_clock_makes_of_a_record_what_its_column_says(observable):
     time = made.time * (1 + FAST)
     read = replace(read, time=time, error=recorded)
     errors = np.array([*KNOWN.values()])
-    expected = read.reference() + read.columns(list(KNOWN), 1.0) @ errors
-    left = recorded - expected - FAST * clock_column(read)
+    perfect_clock = read.reference() + read.columns(list(KNOWN), 1.0) @ errors
+    left = recorded - perfect_clock - FAST * clock_column(read)
     own = read.polynomials(max(read.order, 1)) if read.order else np.empty((time.size, 0))
     if read.order:
         left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
@@ -47,7 +47,7 @@ def test_a_fast_clock_makes_of_a_record_what_its_column_says(observable):
 
 def test_a_clock_moves_the_scale_factor_of_a_force_by_twice_its_error():
     series = simulated("run", 2 * math.pi, {}, observable="specific_force", attitude=LEVEL)
-    column = input_column(series, CLOCK, 1.0, {}, {})
+    column = input_column(series, CLOCK, 1.0, {}, series.reference())
     scale = series.columns(["K_I"], 1.0)[:, 0]
     # But for the Earth's rate, which is what it is: 1e-5 of the spindle's.
     assert column == pytest.approx(2.0 * scale, abs=3e-5 * np.abs(scale).max())

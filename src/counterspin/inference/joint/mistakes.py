@@ -20,7 +20,13 @@ from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared
-from counterspin.inference.joint.series import CLOCK, TIMING, input_column, rotation_column
+from counterspin.inference.joint.series import (
+    CLOCK,
+    TIMING,
+    expected,
+    input_column,
+    rotation_column,
+)
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
@@ -234,7 +240,8 @@ def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternativ
                 for place in part.unknowns
                 if (symbol := fit.model.unknowns[place].symbol) in table
             }
-            shown[i] = input_column(part.series, name, part.scale_factor, known, table)
+            now = expected(part.series, known, table)
+            shown[i] = input_column(part.series, name, part.scale_factor, known, now)
         by_owner: dict[str, dict[int, Array]] = {}
         for i, column in shown.items():
             owner = fit.prepared[i].series.recorder if name == CLOCK else ""

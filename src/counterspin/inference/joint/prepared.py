@@ -23,9 +23,9 @@ from counterspin.arrays import SIGMA_OF_MAD, Array, median, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.series import Series, input_column, rotation_column
+from counterspin.inference.joint.series import Series, expected, input_column, rotation_column
 from counterspin.inference.joint.unknowns import ROTATION, Observation, Unknown, Unknowns
-from counterspin.inference.least_squares import Block, reduce_block
+from counterspin.inference.least_squares import Block, reduce_rows
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
@@ -78,8 +78,7 @@ class Prepared(Observation):
         whiten = series.whitener(noise)
         own = series.polynomials(whiten.polynomials)
         rows = whiten.apply(np.column_stack([own, self.design, self.fixed, series.error]))
-        m, p = whiten.polynomials, self.design.shape[1]
-        return reduce_block(rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1])
+        return reduce_rows(rows, whiten.polynomials, self.design.shape[1])
 
     def without(self, drop: npt.NDArray[np.bool_]) -> Prepared:
         """Return the series and its columns without the rows where `drop` is true."""
@@ -172,9 +171,9 @@ def _prepare(
     known = {s: v for s, v in values if s in terms and s in asked}
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
-    shown_terms = {s: table[s] for s in known}
-    base = series.reference() if inputs else None
-    table |= {s: input_column(series, s, scale_factor, known, shown_terms, base) for s in inputs}
+    if inputs:
+        now = expected(series, known, table)
+        table |= {s: input_column(series, s, scale_factor, known, now) for s in inputs}
     return Prepared(
         unknowns,
         _stacked(series, [table[symbol] for symbol in symbols]),
@@ -186,7 +185,8 @@ def _prepare(
 
 
 def _stacked(series: Series, columns: Sequence[Array]) -> Array:
-    return np.column_stack(columns or [np.empty((series.time.size, 0))])
+    # Column by column in memory: to put them row by row takes a second time as long.
+    return np.array(columns).T if len(columns) else np.empty((series.time.size, 0))
 
 
 #: Columns are left out whose effect, all rows together, is below this part of the noise of one row.

@@ -271,30 +271,30 @@ def concerns(series: Series, name: str, recorder: str) -> bool:
     return name != CLOCK or recorder == series.recorder
 
 
+def expected(series: Series, known: Mapping[str, float], table: Mapping[str, Array]) -> Array:
+    """Return what a series records with known errors, whose columns a table has, shape (n,)."""
+    output = series.reference()
+    for symbol, value in known.items():
+        output = output + value * table[symbol]
+    return output
+
+
 def input_column(
-    series: Series,
-    name: str,
-    scale_factor: float,
-    known: Mapping[str, float],
-    table: Mapping[str, Array],
-    base: Array | None = None,
+    series: Series, name: str, scale_factor: float, known: Mapping[str, float], now: Array
 ) -> Array:
     """Return d(recorded output)/d(input) at the estimate, by a forward difference, shape (n,).
 
     scale_factor: K_I, with which the accelerometer sees the platform's errors.
+    known: The errors of the estimate, with which `now` is what is expected.
     """
-    base = series.reference() if base is None else base
-    symbols = list(known)
-    errors = np.array([known[symbol] for symbol in symbols])
-    before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
-    reference, columns, step = with_input(series, name, symbols, scale_factor)
-    change: Array = (reference + columns @ errors - base - before) / step
+    reference, columns, step = with_input(series, name, list(known), scale_factor)
+    change: Array = (reference + columns @ np.array([*known.values()]) - now) / step
     if name == "site.latitude" and series.by_latitude is not None:
         change = change - series.by_latitude
     if name == "site.gravity" and series.in_g:
         # A record in g was turned into m/s^2 with the gravity assumed. What it should be is what
         # counts: with its noise in the column, it would explain itself.
-        change = change - (base + before) / series.trajectory.site.gravity
+        change = change - now / series.trajectory.site.gravity
     return change
 
 
