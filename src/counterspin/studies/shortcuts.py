@@ -29,7 +29,13 @@ from counterspin.inference import least_squares
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import solve_blocks
 from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series, concerns, expected, input_column, with_input
+from counterspin.inference.joint.series import (
+    Series,
+    concerns,
+    expected_output,
+    input_column,
+    with_input,
+)
 from counterspin.inference.joint.unknowns import RIPPLE, Unknowns
 from counterspin.inference.least_squares import REGULARISATION, Block, Solution, reduce_block
 from counterspin.inference.linear_readings import Measured, blocks_at
@@ -191,7 +197,7 @@ def _columns_of_truth(
     shown = series.columns([symbol for _, symbol in terms], k_i).T
     table = {symbol: column for (_, symbol), column in zip(terms, shown, strict=True)}
     mean = {symbol: truth.mean(owner, symbol) - nominal(owner, symbol) for owner, symbol in terms}
-    now = expected(series, mean, table)
+    now = expected_output(series, mean, table)
     true = np.zeros((series.time.size, len(keys)))
     for (_, symbol), index in here.items():
         if symbol not in INPUTS:

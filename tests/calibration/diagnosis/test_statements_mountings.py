@@ -1,6 +1,7 @@
 """A pendulous axis that is stated wrongly is named where the records show it, else remarked on."""
 
 import re
+from types import SimpleNamespace
 
 import mixed_campaign
 import numpy as np
@@ -10,7 +11,7 @@ from campaigns import PLACE, campaign_of, changed, runs, write
 from reading_descriptions import at_rest
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.diagnosis.statements import OtherMounting, better
+from counterspin.calibration.diagnosis.statements import OtherMounting, better, unseen_axes
 from counterspin.simulation.simulate import simulate
 
 UNITS = {"displacement": ("m", "0.01 m"), "specific_force": ("m/s^2", "1e-4 m/s^2")}
@@ -193,3 +194,23 @@ def test_a_better_mounting_is_one_beyond_chance(gain, dof, blamed):
 
 def test_without_other_mountings_none_is_better():
     assert better([]) is None
+
+
+def test_rounding_does_not_choose_between_turns_that_do_the_same():
+    """A quarter turn either way moves K_II alike where no record shows what is across."""
+
+    def after(quarters, found, size):
+        model = SimpleNamespace(priors={"K_PP": (0.0, 1e-6)})
+        view = SimpleNamespace(
+            name="A",
+            accelerometer=SimpleNamespace(priors={}),
+            campaign=SimpleNamespace(model=model),
+        )
+        moved = "K_II", 1e-6, size
+        return SimpleNamespace(
+            view=view, gain=0.0, pendulous=("down", found), moved=lambda: moved, quarters=quarters
+        )
+
+    for more, less in ((1.3, 1.3 - 1e-13), (1.3 - 1e-13, 1.3)):
+        (text,) = unseen_axes([after(1, "north", more), after(3, "south", less)])
+        assert "With north for down" in text

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from joint_campaign import SITE, simulated
 
-from counterspin.inference.joint.series import CLOCK, expected, input_column
+from counterspin.inference.joint.series import CLOCK, expected_output, input_column
 from counterspin.physics.observation import LEVEL, ORDERS
 from counterspin.physics.spindle import Ripple, Spindle
 
@@ -19,7 +19,7 @@ FAST = 2e-5
 def clock_column(series):
     """The column of the clock for an accelerometer with these errors."""
     table = dict(zip(KNOWN, series.columns(list(KNOWN), 1.0).T, strict=True))
-    return input_column(series, CLOCK, 1.0, KNOWN, expected(series, KNOWN, table))
+    return input_column(series, CLOCK, 1.0, KNOWN, expected_output(series, KNOWN, table))
 
 
 @pytest.mark.parametrize("observable", list(ORDERS))

@@ -208,7 +208,8 @@ def unseen_axes(others: Sequence[OtherMounting]) -> Iterator[str]:
         if better(own) is not None:
             continue
         open_ = [other for other in own if other.gain > -(_NOT_EXCLUDED**2)]
-        worst = max(open_, key=lambda other: other.moved()[2], default=None)
+        # A quarter turn either way may do the same but for rounding: the first is named.
+        worst = max(open_, key=lambda other: round(other.moved()[2], 6), default=None)
         if worst is None or worst.moved()[2] < _WORTH_A_REMARK:
             continue
         symbol, shift, size = worst.moved()

@@ -23,7 +23,7 @@ from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import (
     CLOCK,
     TIMING,
-    expected,
+    expected_output,
     input_column,
     rotation_column,
 )
@@ -240,7 +240,7 @@ def of_inputs(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternativ
                 for place in part.unknowns
                 if (symbol := fit.model.unknowns[place].symbol) in table
             }
-            now = expected(part.series, known, table)
+            now = expected_output(part.series, known, table)
             shown[i] = input_column(part.series, name, part.scale_factor, known, now)
         by_owner: dict[str, dict[int, Array]] = {}
         for i, column in shown.items():

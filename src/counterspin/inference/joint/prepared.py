@@ -23,7 +23,12 @@ from counterspin.arrays import SIGMA_OF_MAD, Array, median, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.series import Series, expected, input_column, rotation_column
+from counterspin.inference.joint.series import (
+    Series,
+    expected_output,
+    input_column,
+    rotation_column,
+)
 from counterspin.inference.joint.unknowns import ROTATION, Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import Block, reduce_rows
 from counterspin.inference.noise.model import Noise
@@ -172,7 +177,7 @@ def _prepare(
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
     if inputs:
-        now = expected(series, known, table)
+        now = expected_output(series, known, table)
         table |= {s: input_column(series, s, scale_factor, known, now) for s in inputs}
     return Prepared(
         unknowns,

@@ -271,7 +271,9 @@ def concerns(series: Series, name: str, recorder: str) -> bool:
     return name != CLOCK or recorder == series.recorder
 
 
-def expected(series: Series, known: Mapping[str, float], table: Mapping[str, Array]) -> Array:
+def expected_output(
+    series: Series, known: Mapping[str, float], table: Mapping[str, Array]
+) -> Array:
     """Return what a series records with known errors, whose columns a table has, shape (n,)."""
     output = series.reference()
     for symbol, value in known.items():
