@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.campaign import settings, specification, truth
+from counterspin.campaign import settings, simulated_truth, specification, truth
+from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.kinds import SettingsSection
-from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.physics.terms import MOTION_TERMS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import UNITS
@@ -47,7 +47,9 @@ def test_examples_are_valid(name):
 def test_every_section_has_its_table():
     sections = {
         name
-        for name, value in (vars(settings) | vars(truth) | vars(specification)).items()
+        for name, value in (
+            vars(settings) | vars(truth) | vars(simulated_truth) | vars(specification)
+        ).items()
         if inspect.isclass(value) and issubclass(value, SettingsSection) and name[0] != "_"
     }
     # The true radius is one of the keys of [truth.centrifuge].

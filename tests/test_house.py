@@ -119,6 +119,36 @@ def test_every_room_s_docstring_names_its_modules():
     assert {room: len(modules) for room, modules in there.items() if len(modules) > 25} == {}
 
 
+def imports_of(name, source, among):
+    """Return the modules of `among` that a module imports, wherever in it the import stands."""
+    found = set()
+    for node in nodes_of(source):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            inside = {f"{node.module}.{alias.name}" for alias in node.names} & among
+            found |= inside or {node.module}
+    return (found & among) - {name}
+
+
+def test_no_modules_import_each_other():
+    """Neither by way of others nor inside of functions: TopologicalSorter refuses a circle."""
+    texts = {
+        ".".join(["counterspin", *Path(name).with_suffix("").parts]).removesuffix(
+            ".__init__"
+        ): source
+        for name, source in SOURCES.items()
+    }
+    needs = {name: imports_of(name, source, set(texts)) for name, source in texts.items()}
+    assert sum(map(len, needs.values())) > 1000
+    assert set(TopologicalSorter(needs).static_order()) == set(texts)
+
+
+def test_a_deferred_import_would_be_found():
+    source = "def f():\n    from a import b\n    import a.c\n"
+    assert imports_of("d", source, {"a", "a.b", "a.c", "d"}) == {"a.b", "a.c"}
+
+
 def terms_listed(literal):
     """Return the symbols that a literal lists, bare or at the head of its rows."""
     symbols = []

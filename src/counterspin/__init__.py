@@ -90,7 +90,6 @@ if TYPE_CHECKING:
     from counterspin.campaign.description import make_campaign as make_campaign
     from counterspin.campaign.description import read_campaign as read_campaign
     from counterspin.campaign.quantity import Quantity as Quantity
-    from counterspin.campaign.starter import init as init
     from counterspin.certificates.issuing import Certificate as Certificate
     from counterspin.certificates.issuing import certificate as certificate
     from counterspin.comparisons.compare import compare as compare
@@ -107,6 +106,7 @@ if TYPE_CHECKING:
     from counterspin.errors import CounterspinWarning as CounterspinWarning
     from counterspin.errors import NotIdentifiableError as NotIdentifiableError
     from counterspin.errors import RecordError as RecordError
+    from counterspin.exports.starter import init as init
     from counterspin.histories.history import history as history
     from counterspin.histories.result import History as History
     from counterspin.inference.two_stage.first_stage import Parabola as Parabola
@@ -181,7 +181,7 @@ _OFFERED = {
     "reproduction.demo": ("Demonstration", "demo"),
     "histories.history": ("history",),
     "histories.result": ("History",),
-    "campaign.starter": ("init",),
+    "exports.starter": ("init",),
     "planning.plan": ("PlannedCampaign", "plan"),
     "simulation.simulate": ("simulate",),
     "calibration.options": ("TwoStageOptions",),

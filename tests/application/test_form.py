@@ -5,10 +5,10 @@ import re
 from prose import sentences
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_kinds
+from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.terms import BARE_NAMES
-from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.certificates.lab import Lab
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.physics.terms import OWN_TERMS, TERMS, is_term

@@ -12,8 +12,8 @@ from counterspin.application.keeping import (
     rename_campaign,
 )
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.starter import init
 from counterspin.errors import CounterspinError
+from counterspin.exports.starter import init
 
 
 def names(folder):

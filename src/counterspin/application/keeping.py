@@ -17,11 +17,11 @@ from counterspin.application.desk import Desk, FileCache, export_command
 from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
-from counterspin.campaign.starter import Test
 from counterspin.errors import CounterspinError
 from counterspin.exports.description import AnyDraft, further_runs, guessed_test, write_description
 from counterspin.exports.description import drafted as described_as
 from counterspin.exports.looking import FileColumn, look_at
+from counterspin.exports.starter import Test
 from counterspin.exports.tumble import TumbleDraft
 from counterspin.frozen import frozen
 from counterspin.output import begin, finish, make_folder

@@ -14,7 +14,8 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `triad`: three accelerometers of one sensor, in poses whose attitudes nobody knows
 - `terms`: names of error terms: what each stands for, and where it acts
 - `model`: what is asked for, held and known of terms
-- `truth`: the true values of a simulated campaign; a calibration does not read them
+- `truth`, `simulated_truth`: the tables of [truth], and the truth of a simulated campaign as read
+  from them; a calibration reads neither
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `checks`: what several tables contradict in each other
 - `resolution`: the sections of ``campaign.toml``, each with its class, and what they say together
@@ -24,6 +25,5 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was; readings and poses grouped with theirs
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
-- `starter`: a commented campaign to start from
 - `noise_at_rest`: noise that is left to a record at rest
 """

@@ -54,8 +54,8 @@ from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 
 if TYPE_CHECKING:
+    from counterspin.campaign.simulated_truth import Simulation
     from counterspin.campaign.specification import Specifications
-    from counterspin.campaign.truth import Simulation
 
 
 @frozen

@@ -50,8 +50,8 @@ from counterspin.physics.motion import Site
 from counterspin.records.record import ColumnSpec
 
 if TYPE_CHECKING:
+    from counterspin.campaign.simulated_truth import Simulation
     from counterspin.campaign.specification import Specifications
-    from counterspin.campaign.truth import Simulation
 
 
 #: Of a campaign without records.
@@ -82,7 +82,7 @@ def _specification() -> Any:
 
 
 def _simulation() -> Any:
-    from counterspin.campaign.truth import Simulation
+    from counterspin.campaign.simulated_truth import Simulation
 
     return Simulation
 
@@ -315,7 +315,7 @@ class DescriptionReader:
         """Return how records are simulated; parameters as of `TruthReader.simulation`."""
         if not self.simulated:
             return None
-        from counterspin.campaign.truth import TruthReader
+        from counterspin.campaign.simulated_truth import TruthReader
 
         recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
         names = list(self.accelerometers.raw)

@@ -1,53 +1,30 @@
-"""What is true of a simulated campaign: [simulation], [truth] and each run's `truth`.
+"""The tables of [truth] and of a run's `truth`: what may be written of a simulated campaign.
 
-Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are read by
-`counterspin simulate` only.
+No calibration reads them; `counterspin.campaign.simulated_truth` does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import field
+from collections.abc import Mapping
 from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, PrivateAttr, create_model
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, create_model
 
-from counterspin.campaign.accelerometers import TRUTH_TABLES
-from counterspin.campaign.checking import Problems, Section, did_you_mean, sections_of
-from counterspin.campaign.documents import KeyPath, flat_keys, table_of
+from counterspin.campaign.checking import Section, sections_of
 from counterspin.campaign.kinds import (
-    PositiveRatio,
     Ratio,
     SettingsSection,
     a_latitude,
     a_ratio,
     coefficient,
     described,
-    exact,
     of_earth,
     positive,
     read_exactly,
     small_rate_error,
 )
-from counterspin.campaign.model import less_nominal
-from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading
-from counterspin.campaign.runs import Run
-from counterspin.campaign.settings import CentrifugeSettings, Output, StatedNoise, term_keys
-from counterspin.campaign.terms import expand, symbols_shown
-from counterspin.frozen import frozen
-from counterspin.inference.joint.series import CLOCK
-from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, SHARED_TERMS, term
-
-#: Tables of the errors that all accelerometers share.
-_SHARED: Final = ("platform", "centrifuge", "encoder")
-
-#: The machine's table of [truth].
-_MACHINE: Final = "machine"
-
-#: Term that records show too, and its place in [truth.centrifuge].
-_STRETCH: Final = "centrifuge.stretch"
+from counterspin.campaign.settings import StatedNoise, term_keys
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 
 #: Of all recorders, and the largest error of a clock.
 ALL_RECORDERS: Final = "*"
@@ -270,286 +247,3 @@ class TruthSettings(SettingsSection):
 
 #: Tables of [truth] that have keys of their own -> their classes.
 TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = sections_of(TruthSettings)
-
-
-@frozen
-class RunTruth:
-    """True spindle motion and platform errors of one simulated run."""
-
-    spindle: Spindle  #: The true motion of the spindle.
-    #: Symbol of a shared term -> true value, SI; those that are not there are zero.
-    shared: Mapping[str, float]
-
-
-@frozen
-class SimulatedTruth:
-    """What is true of a simulated campaign; no calibration reads it."""
-
-    #: Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
-    coefficients: Mapping[str, Mapping[str, float]]
-    #: Accelerometer -> error of the displacement at the start of each run and of its rate of
-    #: change: m, m/s.
-    start_offset: Mapping[str, float]
-    start_velocity: Mapping[str, float]
-    noise: StatedNoise  #: True noise of records; every component a number.
-    runs: Mapping[str, RunTruth]  #: Run -> what is true of its motion and of what all share.
-    #: Recorder (of its clock; else empty) and input -> true value, SI; those that are not there are
-    #: what the description states.
-    inputs: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    #: Term of the machine -> true value less nominal, SI.
-    machine: Mapping[str, float] = field(default_factory=dict)
-    #: Accelerometer -> true noise of its readings, g; of one that is not named, each reading has
-    #: that which is stated with it.
-    reading_noise: Mapping[str, float] = field(default_factory=dict)
-
-
-class Simulation(SettingsSection):
-    """[simulation]: how `counterspin simulate` samples."""
-
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = described(
-        "rows a second", "100 Hz", 50.0, absent="50 Hz"
-    )
-    seed: Annotated[int, Field(ge=0)] = described(
-        "of the random numbers; each run has a stream of its own", 7, 1
-    )
-    revolutions: PositiveRatio = described("of each run", 40, 100.0)
-    poses: Annotated[int, Field(ge=1, le=10_000)] = described(
-        "in a record of [poses](triads.md#poses-in-a-record)", 12, 24
-    )
-
-    _truth: SimulatedTruth = PrivateAttr()
-
-    @property
-    def truth(self) -> SimulatedTruth:
-        """What the records are made from."""
-        return self._truth
-
-
-# Read
-
-
-class TruthReader:
-    """Reads [truth]; each table is checked once, even where another one is wrong.
-
-    raw: The section, as it stands.
-    names: Of the accelerometers that there are.
-    gravity: The site's, m/s^2.
-    """
-
-    def __init__(
-        self, raw: Mapping[str, Any], names: Sequence[str], problems: Problems, gravity: float
-    ) -> None:
-        self.raw, self.names, self.problems, self.gravity = raw, names, problems, gravity
-        #: Table -> what it says; None with its mistakes noted.
-        self.tables: dict[str, Any] = {
-            name: problems.check(model, raw.get(name, {}), ("truth", name), gravity=gravity)
-            for name, model in TRUE_TABLES.items()
-        }
-        self._take_stretch()
-
-    def _machine(self) -> dict[str, Any]:
-        """Return what is said of terms that readings show."""
-        if not isinstance(self.raw.get(_MACHINE, {}), Mapping):
-            self.problems.add(("truth", _MACHINE), "must be a table")
-        return flat_keys(table_of(self.raw, _MACHINE))
-
-    def _take_stretch(self) -> None:
-        """Count the stretch among what readings show as that of the centrifuge: records show it."""
-        path, centrifuge = ("truth", _MACHINE, _STRETCH), self.tables["centrifuge"]
-        if (text := self._machine().get(_STRETCH)) is None or centrifuge is None:
-            return
-        if centrifuge.stretch is not None:
-            self.problems.add(path, "is in [truth.centrifuge] too; keep one")
-            return
-        stretch = self.problems.attempt(path, exact, text, term(_STRETCH).unit)
-        self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
-
-    def _of_run(self, run: Run, path: KeyPath) -> RunTruth | None:
-        """Return the true spindle and machine of one run; its own values take precedence.
-
-        path: Where its `truth` is.
-        """
-        common = self.tables["spindle"]
-        own: Any = self.problems.check(RunTruthSettings, run.truth or {}, path)
-        shared = {family: self.tables[family] for family in _SHARED}
-        if common is None or None in shared.values() or own is None:
-            return None
-
-        def first(key: str, default: Any) -> Any:
-            values = (getattr(own, key), getattr(common, key), default)
-            return next(value for value in values if value is not None)
-
-        true_rate = run.rate * (1.0 + first("rate_error", 0.0))
-        ripple_path: KeyPath = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
-        ripples = tuple(
-            _ripple(entry, true_rate, ripple_path, self.problems) for entry in first("ripple", ())
-        )
-        spindle = Spindle(true_rate, first("drift", 0.0), ripples, first("start_angle", 0.0))
-        values: dict[str, float] = {}
-        for symbol, row in SHARED_TERMS.items():
-            family, *keys = symbol.split(".")
-            # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
-            own_value = _stated(own, keys) if row.per_run else None
-            value = _stated(shared[family], keys) if own_value is None else own_value
-            if value is not None:
-                values[symbol] = value
-        return RunTruth(spindle, values)
-
-    def simulation(
-        self,
-        sampled: Simulation,
-        outputs: Mapping[str, Output | None],
-        noise: StatedNoise | None,
-        runs: Mapping[int, Run],
-        readings: Sequence[Reading] | None,
-        centrifuge: CentrifugeSettings | None,
-        recorders: Mapping[str, str],
-    ) -> Simulation:
-        """Return how records and readings are made, and from which truth.
-
-        outputs: Accelerometer -> what its readings are in, where that is no mistake; coefficients
-            may be in its unit, as ``mA/g``.
-        runs: By their places in the description.
-        readings: None where there are mistakes in them, so that nobody knows what they depend on.
-        centrifuge: The machine; a true radius may be given as such.
-        recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
-        """
-        known = [*self.names, *TRUTH_TABLES]
-        for name in [name for name in self.raw if self.names and name not in known]:
-            said = "is neither an accelerometer nor a known table" + did_you_mean(name, known)
-            self.problems.add(("truth", name), said)
-        own = {name: self._accelerometer(name, output) for name, output in outputs.items()}
-        tables = {name: table for name, (table, _) in own.items() if table is not None}
-        turned = {r.name: self._of_run(r, ("runs", place, "truth")) for place, r in runs.items()}
-        truth = SimulatedTruth(
-            coefficients={name: own[name][1] for name in tables},
-            start_offset={name: table.start_offset for name, table in tables.items()},
-            start_velocity={name: table.start_velocity for name, table in tables.items()},
-            noise=self._of_records(noise),
-            runs={name: of_run for name, of_run in turned.items() if of_run is not None},
-            inputs=true_inputs(self.tables, recorders, self.problems),
-            machine=self._of_machine(readings, centrifuge),
-            reading_noise=self._of_readings(outputs),
-        )
-        return sampled.completed(truth=truth)
-
-    def _accelerometer(self, name: str, output: Output | None) -> tuple[Any, dict[str, float]]:
-        """Return the table of an accelerometer, and its coefficients by symbol."""
-        path, raw = ("truth", name), self.raw.get(name, {})
-        table: Any = self.problems.check(
-            AccelerometerTruthSettings, raw, path, gravity=self.gravity, output=output
-        )
-        if table is None:
-            return None, {}
-        values = {symbol: getattr(table, symbol) for symbol in OWN_TERMS}
-        for key, symbol in COMMON_NAMES.items():
-            if None not in (getattr(table, key), values[symbol]):
-                self.problems.add((*path, key), f"is {symbol}, given too; keep one")
-            values[symbol] = getattr(table, key) if values[symbol] is None else values[symbol]
-        return table, {s: value for s, value in values.items() if value is not None}
-
-    def _of_machine(
-        self, readings: Sequence[Reading] | None, centrifuge: CentrifugeSettings | None
-    ) -> dict[str, float]:
-        """Return term of the machine -> true value less nominal, SI."""
-        if readings is None:
-            return {}
-        known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
-        machine: dict[str, float] = {}
-        for key, text in self._machine().items():
-            path = ("truth", _MACHINE, key)
-            symbols = expand(key, known)
-            if key in OWN_TERMS:
-                said = "belongs to an accelerometer; write it in [truth.NAME]"
-                self.problems.add(path, said)
-            elif not symbols:
-                self.problems.add(path, f'no reading depends on "{key}"' + did_you_mean(key, known))
-            for symbol in symbols:
-                unit = term(symbol).unit
-                value = self.problems.attempt(path, exact, text, unit)
-                if value is not None:
-                    given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
-                    machine[symbol] = given.value
-        path_errors = self.tables["centrifuge"]
-        if _STRETCH in known and path_errors is not None and path_errors.stretch is not None:
-            machine[_STRETCH] = path_errors.stretch
-        return machine
-
-    def _of_records(self, stated: StatedNoise | None) -> StatedNoise:
-        """Return the true noise of records: that of [noise] where nothing else is said."""
-        own = self.tables["noise"]
-        noise = stated if "noise" not in self.raw else own and own.of_records
-        return noise or StatedNoise()
-
-    def _of_readings(self, outputs: Mapping[str, Output | None]) -> dict[str, float]:
-        """Return the true noise of the readings of each accelerometer, g."""
-        given = self.tables["noise"] and self.tables["noise"].reading
-        if given is None:
-            return {}
-        path: KeyPath = ("truth", "noise", "reading")
-        sizes = {}
-        for name, text in (
-            given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
-        ).items():
-            if name not in outputs:
-                if name not in self.names:
-                    said = f'there is no accelerometer "{name}"' + did_you_mean(name, self.names)
-                    self.problems.add(path, said)
-                continue
-            output = outputs[name]
-            unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
-            gravity = self.gravity if output is None else None
-            value = self.problems.attempt(path, exact, text, unit, gravity)
-            if value is not None and value < 0.0:
-                self.problems.add(path, "a standard deviation is not negative")
-            elif value is not None:
-                sizes[name] = value / abs(size)
-        return sizes
-
-
-def _stated(table: Any, keys: Sequence[str]) -> float | None:
-    """Return what stands in nested tables, or None."""
-    for key in keys:
-        table = None if table is None else getattr(table, key)
-    value: float | None = table
-    return value
-
-
-def _ripple(entry: RippleSettings, rate: float, path: KeyPath, problems: Problems) -> Ripple:
-    if (entry.ratio is None) == (entry.amplitude is None):
-        problems.add(path, "give each ripple either a ratio w_n/w0 or an amplitude in rad/s")
-    amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
-    return Ripple(entry.harmonic, amplitude, entry.phase)
-
-
-def true_inputs(
-    tables: Mapping[str, Any], recorders: Mapping[str, str], problems: Problems
-) -> dict[tuple[str, str], float]:
-    """Return by recorder (of a clock; else empty) and symbol the inputs that [truth] states, SI.
-
-    tables: Those of [truth], None where they have mistakes.
-    recorders: As `counterspin.campaign.runs.recorders_of` returns them.
-    """
-    site, records, centrifuge = (tables[name] for name in ("site", "records", "centrifuge"))
-    stated = {
-        ("", "site.gravity"): site and site.gravity,
-        ("", "site.latitude"): site and site.latitude,
-        ("", "centrifuge.radius"): centrifuge and centrifuge.radius,
-        ("", "records.timing_offset"): records and records.timing_offset,
-    }
-    clocks = _by_recorder((records and records.clock) or {}, recorders, problems)
-    return {key: value for key, value in stated.items() if value is not None} | clocks
-
-
-def _by_recorder(
-    clocks: Mapping[str, float], recorders: Mapping[str, str], problems: Problems
-) -> dict[tuple[str, str], float]:
-    if ALL_RECORDERS in clocks:
-        return {(owner, CLOCK): clocks[ALL_RECORDERS] for owner in recorders.values()}
-    for name in sorted(clocks.keys() - recorders.keys()):
-        path: KeyPath = ("truth", "records", "clock", name)
-        problems.add(
-            path,
-            f'no run names this recorder; in [records] or in a run\'s own: recorder = "{name}"',
-        )
-    return {(recorders[name], CLOCK): part for name, part in clocks.items() if name in recorders}

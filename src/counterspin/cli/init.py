@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from counterspin.campaign.starter import Test
 from counterspin.cli.words import say, shell_word
 from counterspin.errors import CampaignError, CounterspinError
+from counterspin.exports.starter import Test
 
 if TYPE_CHECKING:
     from counterspin.exports.questions import ExportQuestion
@@ -48,7 +48,7 @@ def init(
         return
     if yes or answer:
         raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
-    from counterspin.campaign.starter import init as run
+    from counterspin.exports.starter import init as run
 
     written = run(directory, test or "double-turntable")
     _write_schema(directory)
@@ -61,7 +61,7 @@ def init(
 
 def _write_schema(directory: Path) -> None:
     """Write the schema that a description's first line names, so that editors find it."""
-    from counterspin.campaign.starter import SCHEMA_NAME
+    from counterspin.exports.starter import SCHEMA_NAME
     from counterspin.output import write_text
     from counterspin.schemas import schema_text
 

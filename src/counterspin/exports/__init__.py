@@ -1,5 +1,6 @@
 """From a recorder's files to a campaign's description; what cannot be known is asked.
 
+- `starter`: a commented campaign to start from where there is no file yet
 - `looking`: what is in a file: its columns with their units and numbers, and waves in them
 - `guessing`: which column is what, of every file
 - `questions`: what is asked, and what answers and signals show together

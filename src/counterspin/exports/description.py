@@ -15,7 +15,6 @@ from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.memory import record_name
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.starter import Test
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.arm import ArmDraft, arm_draft, shows_arm
 from counterspin.exports.guessing import NONE, FileGuess, agreed, guess_file
@@ -32,6 +31,7 @@ from counterspin.exports.questions import (
     settled,
     waves_sense,
 )
+from counterspin.exports.starter import Test
 from counterspin.exports.triads import without_gravity
 from counterspin.exports.tumble import TumbleDraft, shows_tumble, tumble_draft
 from counterspin.frozen import frozen

@@ -24,7 +24,7 @@ from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run, sample_count
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.truth import SimulatedTruth
+from counterspin.campaign.simulated_truth import SimulatedTruth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
