@@ -129,7 +129,7 @@ def command(*words: str | Path) -> None:
 def campaign(place: Path) -> Format:
     """Return the description of a campaign."""
     shutil.copy(record_files.write(place / "slow.csv", record_files.table()), place / "r.csv")
-    texts = [SMALL, resource_text("campaign"), resource_text("reproduction", "paper.toml")]
+    texts = [SMALL, resource_text("exports"), resource_text("reproduction", "paper.toml")]
     texts += [text for page in ("campaign.md", "readings.md") for text in _tables_of(page)]
     texts += [(ROOT / "docs/examples/three-rate/campaign.toml").read_text(encoding="utf-8")]
     texts += [_READING_CAMPAIGN]

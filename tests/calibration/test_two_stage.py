@@ -292,7 +292,9 @@ def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
     for part, count in ((0.9, 1), (1.1, 0)):
         monkeypatch.setattr(noise, "_HIDDEN_SHARE", part * share)
         result = calibrate(folder, method="two-stage")
-        remarks = [remark for remark in result.warnings if "of K_II is white noise" in remark]
+        remarks = [
+            remark for remark in result.warnings if "of K_II comes from white noise" in remark
+        ]
         assert len(remarks) == count
         assert "hidden-noise" not in {finding.code for finding in result.findings}
 

@@ -342,7 +342,7 @@ def test_report_names_what_needs_a_second_attitude(plan_of, capsys):
     changes = [SMALL, ('"K_III", ', '"K_III", "K_OO", ')]
     text = report_of(plan_of(*changes).result, capsys)
     assert "K_II and K_OO" in text
-    assert "A second attitude would separate them" in text
+    assert "A second attitude or a stated value of one of them would separate them" in text
 
 
 def test_report_says_what_the_issue_asks_for(plan_of, capsys):

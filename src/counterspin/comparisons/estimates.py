@@ -28,6 +28,9 @@ from counterspin.physics.terms import TERMS, mounting_of
 #: Part of a variance below which a difference of variances is rounding.
 NEGLIGIBLE: Final = 1e-9
 
+#: Part of u below which two values differ by rounding.
+_ROUNDING: Final = 1e-6
+
 #: Part of a variance from which a source that both results share is named.
 _SAID: Final = 1e-3
 
@@ -433,10 +436,12 @@ def by_the_joint_check(
     for joint, other in (results, results[::-1]):
         check = joint.accelerometers[name].two_stage
         theirs = other.accelerometers[name].coefficients.get("K_II")
-        if joint.method == "joint" and other.method == "two-stage" and check and theirs:
-            symbols = estimates[0].symbols
-            if "K_II" in symbols and theirs.value == check.value:
-                place = symbols.index("K_II")
-                covariance = covariance.copy()
-                covariance[place, place] = check.u_difference**2
+        if joint.method != "joint" or other.method != "two-stage" or not check or not theirs:
+            continue
+        # The same estimate, but for the rounding of sums that each result forms by itself.
+        same = theirs.value is not None and abs(theirs.value - check.value) <= _ROUNDING * check.u
+        if same and "K_II" in estimates[0].symbols:
+            place = estimates[0].symbols.index("K_II")
+            covariance = covariance.copy()
+            covariance[place, place] = check.u_difference**2
     return covariance
