@@ -133,6 +133,9 @@ def test_a_plan_is_of_the_noise_found_and_writes_it_down(tmp_path):
     assert found.document == stated.document
     assert f'displacement = "{size}"' in found.document
     assert found.u == stated.u
+    # What is changed in memory names files beside the plan's own, too.
+    again = found.change(total_time=found.source["limits"]["total_time"])
+    assert (again.document, again.file) == (found.document, file)
 
 
 def test_a_plan_says_that_it_cannot_plan_with_a_bias_that_wanders(tmp_path):

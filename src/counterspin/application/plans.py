@@ -413,9 +413,9 @@ def begin_planned(
             desk.folder.write(name, text, before.version)
         write_campaign(planned, place)
 
-    return desk.jobs.begin(make, plan_into, document, then=write).shown()
+    return desk.jobs.begin(make, plan_into, document, file, then=write).shown()
 
 
-def plan_into(there: Connection, where: Mapping[str, Any] | Path) -> None:
+def plan_into(there: Connection, document: Mapping[str, Any], file: Path) -> None:
     """Find the best plan, and tell it; `there` is told as of `processes.report_progress`."""
-    report_progress(there, lambda progress: plan(where, progress=progress))
+    report_progress(there, lambda progress: plan(document, progress=progress, file=file))

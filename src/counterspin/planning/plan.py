@@ -44,11 +44,14 @@ class PlannedCampaign:
         The campaign's description, as TOML.
     source
         What the plan was made from: limits, goal and the rest of its file.
+    file
+        The plan's file, beside which the files lie that it names; None of a plan in memory.
     """
 
     result: PlanResult
     document: str
     source: Mapping[str, Any] = field(default_factory=dict)
+    file: Path | None = None
 
     def __repr__(self) -> str:
         """Return the beginning of what the terminal shows, at most 20 lines."""
@@ -82,7 +85,7 @@ class PlannedCampaign:
         CampaignError
             With every mistake, as of a file.
         """
-        return plan(change_plan(self.source, changes))
+        return plan(change_plan(self.source, changes), file=self.file)
 
     def sweep(self, name: str, values: Iterable[Any]) -> list[PlannedCampaign]:
         """Return the plan for each value of a key, found one after the other.
@@ -103,6 +106,7 @@ def plan(
     *,
     curves: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    file: Path | None = None,
 ) -> PlannedCampaign:
     """Find the best campaign for a plan's goal within its limits.
 
@@ -115,6 +119,8 @@ def plan(
     progress
         Called before each point of the curves with the number of those that are computed, and of
         all.
+    file
+        The file as whose content nested mappings are read: what they name lies beside it.
 
     Returns
     -------
@@ -129,9 +135,10 @@ def plan(
     CounterspinError
         If no plan within the limits reaches the target.
     """
+    file = file if isinstance(where, Mapping) else Path(where)
     if "stations" in load_plan(where):
-        return _planned_readings(where, curves)
-    described = read_plan(where)
+        return _planned_readings(where, curves, file)
+    described = read_plan(where, file)
     search = Search(described)
     require_determined(search)
     optimum = search.best()
@@ -160,19 +167,21 @@ def plan(
         }
     )
     document = write_document(search.document(design), _COMMENTS)
-    return PlannedCampaign(result, document, load_plan(where))
+    return PlannedCampaign(result, document, load_plan(where), file)
 
 
-def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> PlannedCampaign:
+def _planned_readings(
+    where: Mapping[str, Any] | Path | str, curves: bool, file: Path | None
+) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
-    described = read_reading_plan(where)
+    described = read_reading_plan(where, file)
     if curves:
         raise CampaignError(
             str(plan_name(where)), ["curves exist for plans of records only, not of readings"]
         )
     result, readings = ReadingSearch(described).best()
     document = write_document(described.campaign_document(readings), _COMMENTS)
-    return PlannedCampaign(result, document, load_plan(where))
+    return PlannedCampaign(result, document, load_plan(where), file)
 
 
 def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
