@@ -1,6 +1,7 @@
 """The signature of a certificate's pages: added behind them, and void after any change."""
 
 import io
+import os
 import re
 import shutil
 import subprocess
@@ -159,6 +160,30 @@ def test_a_key_is_asked_once(signers):
 
     sign_pages(PAGES.read_bytes(), replace(signers["ec"], signed=sign), DATE)
     assert len(asked) == 1
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+@pytest.mark.parametrize("kind", KEYS)
+def test_openssl_finds_the_signature_of_the_whole_file(tmp_path, signed, kind):
+    """Of all bytes but the signature's own."""
+
+    def verified(content):
+        found = re.search(rb"/ByteRange *\[ *(\d+) +(\d+) +(\d+) +(\d+)", content)
+        first, length, second, rest = map(int, found.groups())
+        assert (first, second + rest) == (0, len(content))
+        (tmp_path / "covered").write_bytes(content[:length] + content[second:])
+        # The hexadecimal digits between < and > are filled up with zeros behind the signature.
+        filled = bytes.fromhex(content[length + 1 : second - 1].decode("ascii"))
+        size = int.from_bytes(filled[2:4], "big") + 4
+        (tmp_path / "signature").write_bytes(filled[:size])
+        words = ["openssl", "cms", "-verify", "-binary", "-inform", "DER", "-noverify"]
+        words += ["-in", str(tmp_path / "signature"), "-content", str(tmp_path / "covered")]
+        words += ["-purpose", "any", "-out", os.devnull]
+        return subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+    assert verified(signed[kind])
+    place = signed[kind].index(b"/StructTreeRoot") + 4
+    assert not verified(signed[kind][:place] + b"X" + signed[kind][place + 1 :])
 
 
 @pytest.mark.skipif(shutil.which("pdfsig") is None, reason="pdfsig (poppler) is not installed")
