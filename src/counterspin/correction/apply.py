@@ -87,25 +87,35 @@ class Correction:
 
 @frozen(eq=False)
 class ApplyOptions:
-    """How a result is applied."""
+    """How a result is applied.
 
-    #: Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
-    #: every other array, and of what is returned. Or that of the accelerometers' outputs,
-    #: such as ``count`` or ``mA``, as the result states them: then all else is in g.
+    Attributes
+    ----------
+    unit
+        Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
+        every other array, and of what is returned. Or that of the accelerometers' outputs, such as
+        ``count`` or ``mA``, as the result states them: then all else is in g.
+    pendulous, output_axis
+        Specific force along the pendulous and the output axis: shape (n,), one number, or text
+        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
+    temperature
+        Of each row in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; in a file,
+        a column or such a text. Slopes with temperature need it.
+    others
+        Indications of other accelerometers of the result on the same platform, shape (n,), or
+        their columns, by name; a_P and a_O then follow from all of them, corrected as well.
+    force
+        Whether a result of the equations as printed, with half the K_II, may be applied.
+    dialect
+        How a file is written, as far as it does not show: as [records] of a campaign says it.
+    """
+
     unit: str = "g"
-    #: Specific force along the pendulous and the output axis: shape (n,), one number, or text
-    #: such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
     pendulous: Force | None = None
     output_axis: Force | None = None
-    #: Of each row in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; in a
-    #: file, a column or such a text. Slopes with temperature need it.
     temperature: npt.ArrayLike | str | None = None
-    #: Indications of other accelerometers of the result on the same platform, shape (n,), or
-    #: their columns, by name; a_P and a_O then follow from all of them, corrected as well.
     others: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
-    #: Whether a result of the equations as printed, with half the K_II, may be applied.
     force: bool = False
-    #: How a file is written, as far as it does not show: as [records] of a campaign says it.
     dialect: Dialect = TO_BE_FOUND
 
 
