@@ -21,9 +21,17 @@ from counterspin.records.record import ColumnSpec
     [
         ("run.csv.gz", "the file is packed; unpack it, and give the file inside."),
         ("runs.ZIP", "the file is packed; unpack it"),
-        ("run.doc", "save its table as .xlsx or .csv in the program that wrote it."),
-        ("run.NPY", 'NumPy writes it as text: savetxt("NAME.csv", load("NAME.npy"), delimiter'),
-        ("run.npz", "NumPy writes its arrays as text: savetxt("),
+        (
+            "run.doc",
+            "this format is not read; "
+            "save its table as .xlsx or .csv in the program that wrote it.",
+        ),
+        (
+            "run.NPY",
+            "NumPy's own format is not read; write it as text: "
+            'savetxt("NAME.csv", load("NAME.npy"), delimiter',
+        ),
+        ("run.npz", "NumPy's own format is not read; write an array as text: savetxt("),
         ("run.json", "this is no table; write its rows to a .csv file, a line for each time."),
         ("run.pkl", "how its bytes are arranged is not stated; export text,"),
         ("run.odd", "a record file ends in one of .csv, .txt,"),

@@ -88,16 +88,17 @@ _PACKED: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", "
 
 #: Ending of a file that is no record, though it may hold one -> what to do with it.
 _INSTEAD: Final[Mapping[str, str]] = {
-    ".npy": 'NumPy writes it as text: savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
-    ".npz": 'NumPy writes its arrays as text: savetxt("NAME.csv", load("NAME.npz")["ARRAY"], '
-    'delimiter=",").',
+    ".npy": "NumPy's own format is not read; write it as text: "
+    'savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
+    ".npz": "NumPy's own format is not read; write an array as text: "
+    'savetxt("NAME.csv", load("NAME.npz")["ARRAY"], delimiter=",").',
     **dict.fromkeys(
         (".json", ".jsonl", ".xml", ".yaml", ".yml", ".toml", ".db", ".sqlite"),
         "this is no table; write its rows to a .csv file, a line for each time.",
     ),
     **dict.fromkeys(
         (".ods", ".numbers", ".doc", ".docx", ".rtf", ".pdf"),
-        "save its table as .xlsx or .csv in the program that wrote it.",
+        "this format is not read; save its table as .xlsx or .csv in the program that wrote it.",
     ),
     **dict.fromkeys(
         (".bin", ".raw", ".pkl", ".pickle"),
