@@ -12,6 +12,7 @@ import campaigns
 import frames
 import numpy as np
 import pytest
+import results
 from campaigns import SMALL as BASE
 from campaigns import write
 
@@ -26,9 +27,10 @@ from counterspin.campaign.documents import (
     plain,
 )
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.certificates.lab import write_example
+from counterspin.certificates.lab import read_lab, write_example
 from counterspin.errors import CampaignError
 from counterspin.planning.plan_file import read_plan
+from counterspin.studies.description import read_study
 
 TEXT = '''\
 schema = 1
@@ -151,6 +153,21 @@ def test_plans_and_laboratories_tell_theirs_too(tmp_path):
     with pytest.raises(CampaignError, match=r"line 4: goal.target: must be a table"):
         read_plan(plan)
     assert lines_of(write_example(tmp_path / "LAB.toml").read_text("utf-8"))["laboratory.name"] > 1
+
+
+@pytest.mark.parametrize("name", ["campaign.toml", "PLAN.toml", "LAB.toml", "study.toml"])
+def test_keys_of_many_parts_are_refused_with_file_and_line(tmp_path, name):
+    file = tmp_path / name
+    file.write_text("schema = 1\n" + "a." * 40_000 + "a = 1\n", encoding="utf-8")
+    for read in (
+        read_campaign,
+        read_plan,
+        read_study,
+        lambda path: read_lab(path, results.result()),
+    ):
+        with pytest.raises(CampaignError) as raised:
+            read(file)
+        assert str(raised.value) == f"{file}: line 2: a key has more than 16 parts"
 
 
 def test_what_python_has_becomes_what_toml_has():

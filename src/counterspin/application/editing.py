@@ -10,7 +10,6 @@ import copy
 import datetime
 import json
 import re
-import tomllib
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +34,7 @@ from counterspin.frozen import frozen
 from counterspin.planning.plan_file import is_plan
 from counterspin.planning.stations import read_any_plan
 from counterspin.studies.description import study_of
+from counterspin.toml_text import parse_toml
 
 KeyPath = Sequence[str | int]
 
@@ -144,7 +144,7 @@ def with_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
         document = tomlkit.parse(text)
         _set(document, path, value)
         made = tomlkit.dumps(document)
-        same = tomllib.loads(made) == wanted
+        same = parse_toml(made) == wanted
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise CounterspinError(_NOT_HERE) from error
     if not same:

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.input import looks_like, read_file
-from counterspin.toml_text import write_document
+from counterspin.toml_text import NestingError, parse_toml, write_document
 
 #: What to do where no campaign is.
 CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
@@ -30,9 +30,11 @@ _KINDS: Final[Mapping[Kind, str]] = {
 }
 
 #: No TOML file has more bytes.
-_TEXT_BYTES: Final = 20_000_000
+_TEXT_BYTES: Final = 5_000_000
 #: Nor is any text in it longer.
 _MAX_CHARACTERS: Final = 10_000
+#: Nor is the path of any key, which messages and tables of lines repeat.
+_MAX_PATH_CHARACTERS: Final = 1_000
 
 #: What messages call a campaign without a file.
 IN_MEMORY: Final = "campaign in memory"
@@ -169,15 +171,15 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
     """Return the TOML document that the bytes of a file hold; `source` is what messages call it."""
     try:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
-        document = tomllib.loads(content.decode("utf-8-sig"))
+        document = parse_toml(content.decode("utf-8-sig"))
         faults = list(unusable(document, ""))
         if not faults:
             return document
         raise CampaignError(source, faults)
     except UnicodeDecodeError:
         problem = "is not UTF-8 text; save it as UTF-8 (needed for the sign ±; +/- works too)"
-    except RecursionError:
-        problem = "is nested too deeply"
+    except NestingError as error:
+        problem = str(error) if error.line is None else f"line {error.line}: {error}"
     except tomllib.TOMLDecodeError as error:
         place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         what, where = (place[1], place[2]) if place else (str(error), "TOML")
@@ -196,8 +198,10 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
 
 
 def unusable(value: Any, path: str) -> Iterator[str]:
-    """Yield what is TOML, or almost, and no value of any key: long integers, and NUL in texts."""
-    if isinstance(value, dict):
+    """Yield what is TOML, or almost, and no value of any key: long integers and keys, NUL."""
+    if len(path) > _MAX_PATH_CHARACTERS:
+        yield f"{path}: the path of a key has at most {_MAX_PATH_CHARACTERS} characters"
+    elif isinstance(value, dict):
         for key, item in value.items():
             yield from unusable(item, f"{path}.{key}" if path else key)
     elif isinstance(value, list):

@@ -38,6 +38,7 @@ from counterspin.certificates.schema import clean
 from counterspin.errors import CounterspinError
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
+from counterspin.toml_text import parse_toml
 
 #: Where a calibration may take place, in the words of the schema.
 Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
@@ -407,12 +408,10 @@ def write_example(path: Path | str) -> Path:
 
 def example_keys(lab: Lab) -> list[str]:
     """Return the keys that still have the example's text."""
-    import tomllib
-
     ours = lab.model_dump(exclude={"conditions"})
     return [
         key_path(path)
-        for path, words in _leaves(tomllib.loads(_example()), ())
+        for path, words in _leaves(parse_toml(_example()), ())
         if "xample" in words.lower() and _at(ours, path) == words
     ]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -21,6 +20,7 @@ from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import write_text
 from counterspin.simulation.simulate import simulate
+from counterspin.toml_text import parse_toml
 
 #: Where the demonstration goes unless it is told otherwise.
 FOLDER: Final = "counterspin-demo"
@@ -92,9 +92,7 @@ def _write_description(folder: Path) -> None:
                 "another folder"
             )
         taken = [
-            place
-            for run in tomllib.loads(text)["runs"]
-            if (place := folder / run["record"]).exists()
+            place for run in parse_toml(text)["runs"] if (place := folder / run["record"]).exists()
         ]
         if taken and not target.exists():
             raise CounterspinError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -37,7 +36,7 @@ from counterspin.input import read_file
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
-from counterspin.toml_text import write_document
+from counterspin.toml_text import parse_toml, write_document
 from counterspin.units import unit_factor
 
 #: Simulated readings are written with so many digits beyond their standard uncertainty.
@@ -220,7 +219,7 @@ def filled_description(
     Returns: none if no run has a reading, so that nothing is to be changed.
     """
     text = _description(campaign)
-    document = tomllib.loads(text)
+    document = parse_toml(text)
     runs = [run for run in document.get("runs", []) if is_reading(run)]
     if not any("reading" in run for run in runs):
         return None
@@ -277,8 +276,8 @@ def _like(reading: Any, new: list[list[str]]) -> Any:
 
 def _reads_as(text: str, document: Mapping[str, Any]) -> bool:
     try:
-        return tomllib.loads(text) == document
-    except tomllib.TOMLDecodeError:
+        return parse_toml(text) == document
+    except ValueError:
         return False
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -51,6 +50,7 @@ from counterspin.simulation.simulable import (
     unfit_readings,
     with_true_inputs,
 )
+from counterspin.toml_text import parse_toml
 from counterspin.units import TEMPERATURE_SCALES
 
 
@@ -191,7 +191,7 @@ def _simulated_in_memory(campaign: Campaign) -> Campaign:
     read = bool(readings or exact.poses)
     text = filled_description(campaign, exact, noise) if read else None
     if text is not None:
-        source = replace(source, document=tomllib.loads(text))
+        source = replace(source, document=parse_toml(text))
     files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
     files |= dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
     posed = campaign.triad.records if campaign.triad else ()

@@ -1,0 +1,85 @@
+"""TOML text: parsed with bounded time and memory."""
+
+import re
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+import counterspin
+from counterspin.toml_text import NestingError, parse_toml
+
+PACKAGE = Path(counterspin.__file__).parent
+
+#: Keys and values that would take much more memory than their text.
+BOMBS = {
+    "key": "seed = 1\n" + "a." * 40_000 + "a = 1\n",
+    "key with blanks": "seed = 1\na" + " . a" * 40_000 + " = 1\n",
+    "quoted key": 'seed = 1\n"a"' + '."a"' * 40_000 + " = 1\n",
+    "key in single quotation marks": "seed = 1\n'a'" + ".'a'" * 40_000 + " = 1\n",
+    "key of an inline table": "seed = 1\nx = { " + "a." * 40_000 + "a = 1 }\n",
+    "header": "seed = 1\n[" + "a." * 40_000 + "a]\n",
+    "header of a list": "seed = 1\n[[" + "a." * 40_000 + "a]]\n",
+    "key after a comment with a quotation mark": "# it's\n" + "a." * 40_000 + "a = 1\n",
+    "key after a string": 'x = "\'"\n' + "a." * 40_000 + "a = 1\n",
+    "key after an escaped mark": r'x = "\""' + "\n" + "a." * 40_000 + "a = 1\n",
+    "lists": "seed = 1\nx = " + "[" * 40_000 + "]" * 40_000 + "\n",
+    "lists without an end": "seed = 1\nx = " + "[" * 40_000 + "\n",
+    "inline tables": "seed = 1\nx = " + "{a = " * 40_000 + "\n",
+}
+
+
+@pytest.mark.parametrize("text", BOMBS.values(), ids=BOMBS)
+def test_bombs_are_refused_before_they_are_parsed(text):
+    tracemalloc.start()
+    with pytest.raises(NestingError) as raised:
+        parse_toml(text)
+    assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    tracemalloc.stop()
+    assert raised.value.line == 2
+
+
+def test_keys_and_brackets_add_up():
+    # Each is allowed by itself: 10 levels of brackets whose keys have 10 parts.
+    key = ".".join("abcdefghij")
+    with pytest.raises(NestingError, match="nested too deeply"):
+        parse_toml("x = " + f"{{ {key} = " * 10 + "1" + " }" * 10)
+
+
+def test_more_keys_and_values_than_any_campaign_has_are_refused():
+    for text in ("x = [" + "1," * 600_000 + "]", "k = 1\n" * 600_000, "[[a]]\n" * 300_000):
+        with pytest.raises(NestingError, match="more than 500000 keys and values"):
+            parse_toml(text)
+    runs = "".join(
+        f'[[runs]]\nname = "r{n}"\nrate = "5 rad/s"\nmotion = "static"\n'
+        f'attitude = {{ angle = "{n} deg", about = ["0", "0", "1"] }}\n'
+        f'reading = {{ A = "1.5 mA", B = "2.5 mA" }}\ntime = "{n} s"\n'
+        for n in range(10_000)
+    )
+    assert len(parse_toml(runs)["runs"]) == 10_000
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = '''" + "." * 100 + "[" * 100 + "''''\n" + 'b = """' + '"[." ' * 100 + '"""""\n',
+        'a = "' + ".[{" * 100 + '" # ' + "." * 100 + "\nb = '" + "[" * 100 + "'\n",
+        'a = """\\' + '""" ' + "." * 100 + '"""\n',
+        'a = ["' + '", "'.join(["1.5"] * 100) + '"]\nb = [' + "1.5, 2.5," * 100 + "]\n",
+        "\n".join(f"a.b.c.k{n}.d = 1" for n in range(100)),
+    ],
+)
+def test_dots_and_brackets_of_strings_and_comments_do_not_count(text):
+    assert parse_toml(text)
+
+
+@pytest.mark.parametrize("text", ['"\\"' * 100_000, 'a = """' + '\\"' * 100_000, "'" * 300_000])
+def test_texts_without_an_end_are_refused(text):
+    with pytest.raises(ValueError, match=r"at line 1|at end of document"):
+        parse_toml(text)
+
+
+def test_every_toml_goes_through_the_function():
+    sources = {path.name: path.read_text("utf-8") for path in PACKAGE.rglob("*.py")}
+    parsers = {name for name, text in sources.items() if re.search(r"tomllib\.loads?\(", text)}
+    assert parsers == {"toml_text.py"}
