@@ -29,6 +29,14 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
+# `make lint` checks the types for every platform. Each check has its own cache, because mypy discards
+# a cache that was made with other options.
+PLATFORMS := linux darwin win32
+mypy = $(BIN)/python -m mypy --cache-dir .mypy_cache/$(1)
+define newline
+
+
+endef
 # Scripts whose peers may be absent and carry no types.
 BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-calls --no-warn-return-any \
   --disable-error-code import-untyped --disable-error-code import-not-found
@@ -56,8 +64,8 @@ slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what qu
 lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
-	$(BIN)/python -m mypy
-	$(BIN)/python -m mypy $(BENCH_TYPES) $(wildcard benchmarks/*.py)
+	$(foreach platform,$(PLATFORMS),$(call mypy,$(platform)) --platform $(platform)$(newline)	)
+	$(call mypy,benchmarks) $(BENCH_TYPES) $(wildcard benchmarks/*.py)
 	$(BIN)/lint-imports --no-logo
 	@if [ -e $(TYPESCRIPT) ]; then node $(TSC) -p jsconfig.json; fi
 

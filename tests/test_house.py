@@ -547,6 +547,21 @@ def test_types_are_strict_in_every_room():
     assert own == covered
 
 
+def test_types_are_checked_for_every_platform_in_one_process():
+    """Worker processes of mypy fail on a busy machine."""
+    make = shutil.which("make") or pytest.skip("there is no make")
+    shown = subprocess.run(
+        [make, "--dry-run", "lint"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    commands = [line for line in shown.stdout.splitlines() if " -m mypy " in line]
+    platforms = [command.partition("--platform ")[2].split()[:1] for command in commands]
+    assert platforms == [["linux"], ["darwin"], ["win32"], []]
+    assert len({re.search(r"--cache-dir (\S+)", command)[1] for command in commands}) == 4
+    types = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
+    assert "num_workers" not in types
+    assert not any("--num-workers" in command for command in commands)
+
+
 TEXT = {".py", ".md", ".toml", ".txt", ".json", ".csv", ".svg", ".html", ".css", ".ts", ""}
 MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|work)/|\b[A-Z]:\\+Users\b")
 

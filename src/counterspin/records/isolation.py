@@ -261,6 +261,16 @@ def serve(libraries: list[str]) -> None:
         _load(name)
     replies.write(b"!")
     replies.flush()
+    _read_in_forks(libraries, requests, replies)
+    for name in libraries:
+        _load(name)
+    _answer_all(requests, replies)
+
+
+def _read_in_forks(libraries: list[str], requests: Any, replies: BinaryIO) -> None:
+    """Answer requests in forked processes, where this process may fork; a new one after damage."""
+    if sys.platform == "win32":
+        return
     while _may_fork():
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         child = os.fork()
@@ -273,9 +283,6 @@ def serve(libraries: list[str]) -> None:
         # Where one file is damaged others may be, of any format.
         for name in set(chain(*_NATIVE.values())).difference(_THREADED):
             _load(name)
-    for name in libraries:
-        _load(name)
-    _answer_all(requests, replies)
 
 
 def _load(name: str) -> None:
