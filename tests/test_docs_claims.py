@@ -17,10 +17,12 @@ import counterspin as cs
 from counterspin.calibration import (
     assembly,
     findings,
+    limits,
     outcome,
+    small_angles,
     two_stage_findings,
 )
-from counterspin.calibration.diagnosis import limits, search
+from counterspin.calibration.diagnosis import search
 from counterspin.campaign import conditions, runs
 from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.certificates import build
@@ -200,7 +202,7 @@ NUMBERS = [
         "physics",
         "below about {} deg/h over {} s, where the neglected $g d^2 T^4/24$ reaches {} m",
         [
-            limits._FIRST_ORDER_LIMIT / 400.0**2,
+            small_angles._FIRST_ORDER_LIMIT / 400.0**2,
             400,
             9.8 * (0.2 * DEGREE_PER_HOUR) ** 2 * 400.0**4 / 24,
         ],

@@ -10,8 +10,7 @@ import pytest
 
 import counterspin
 from counterspin.errors import CounterspinError, RecordError
-from counterspin.reports.publication import ShownResult
-from counterspin.results import ResultFile, ResultPart
+from counterspin.results import ResultFile, ResultPart, ShownResult
 
 
 class Temperature(ResultPart):
@@ -102,7 +101,8 @@ def test_every_result_of_the_package_is_written_so():
     for module in walk_packages(counterspin.__path__, "counterspin."):
         if module.name.rpartition(".")[2].startswith("result"):
             import_module(module.name)
-    import_module("counterspin.calibration.batch")
+    for name in ("calibration.batch", "reproduction.plan", "validation.page"):
+        import_module(f"counterspin.{name}")
     files = {
         cls.__name__: cls
         for cls in ShownResult.__subclasses__()

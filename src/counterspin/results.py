@@ -6,10 +6,11 @@ import hashlib
 import json
 import platform
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 import numpy
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator
@@ -18,6 +19,13 @@ from pydantic_core import PydanticSerializationError
 from counterspin.errors import RecordError
 from counterspin.input import looks_like, read_file
 from counterspin.output import FileType, write_text
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from counterspin.reports.blocks import Block, Picture
+    from counterspin.reports.publication import Publication
+    from counterspin.reports.text import Report
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -241,3 +249,90 @@ def _scipy() -> str:
     from importlib.metadata import version
 
     return version("scipy")
+
+
+# Results that print and draw themselves ---------------------------------------------------------
+
+_PUBLICATION: Final = "counterspin.reports.publication"
+
+
+def load_function(name: str) -> Callable[..., Any]:
+    """Return the function ``package.module:name``; its module is loaded on the call.
+
+    Pages import results. A result names its pages and does not import them.
+    """
+    module, _, function = name.partition(":")
+    loaded: Callable[..., Any] = getattr(import_module(module), function)
+    return loaded
+
+
+def draw_pictures(pictures: Iterable[Picture], axes: Any = None) -> list[Any]:
+    """Draw pictures on axes of Matplotlib; see `counterspin.reports.publication.on_axes`."""
+    drawn: list[Any] = load_function(f"{_PUBLICATION}:on_axes")(list(pictures), axes)
+    return drawn
+
+
+class ShownResult(ResultFile):
+    """A result with a representation in a notebook, on the terminal and as a report."""
+
+    #: ``package.module:name`` of the function that returns its blocks for the screen.
+    BLOCKS: ClassVar[str]
+    #: Of the function that returns the blocks of its report, where a report has more.
+    REPORT_BLOCKS: ClassVar[str | None] = None
+    #: What the file of a report calls itself; None: derived from `KIND`.
+    REPORT_KIND: ClassVar[str | None] = None
+
+    def blocks(self) -> list[Block]:
+        """Return the blocks of its screen, pictures included."""
+        return list(load_function(self.BLOCKS)(self))
+
+    @property
+    def identifier(self) -> str:
+        """Identifier of its report, derived from the bytes of its file."""
+        return f"CS-{hashlib.sha256(self.content).hexdigest()[:12]}"
+
+    @classmethod
+    def report_kind(cls) -> str:
+        """Return what the file of a report calls itself, such as "a history"."""
+        return cls.REPORT_KIND or f"a {cls.KIND}"
+
+    def publication(self, identifier: str | None = None) -> Publication:
+        """Return its report, which can be written as HTML, PDF or Markdown."""
+        made: Publication = load_function(f"{_PUBLICATION}:publish")(self, identifier)
+        return made
+
+    def write_report(
+        self,
+        path: Path | str,
+        *,
+        identifier: str | None = None,
+        issued: datetime | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        """Write its report; see `counterspin.write_report`."""
+        load_function(f"{_PUBLICATION}:write_report")(
+            self, path, identifier=identifier, issued=issued, overwrite=overwrite
+        )
+
+    def __rich__(self) -> Report:
+        """Return its screen for rich."""
+        made: Report = load_function("counterspin.reports.text:Report")(self.blocks())
+        return made
+
+    def __repr__(self) -> str:
+        """Return the first 20 lines of its screen."""
+        return str(load_function(f"{_PUBLICATION}:short_text")(self._blocks_of_cell()))
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return str(load_function("counterspin.reports.html:cell")(self._blocks_of_cell()))
+
+    def _repr_markdown_(self) -> str:
+        return str(load_function("counterspin.reports.markdown:markdown")(self._blocks_of_cell()))
+
+    def _blocks_of_cell(self) -> list[Block]:
+        shown: list[Block] = load_function("counterspin.reports.blocks:without_pictures")(
+            self.blocks()
+        )
+        return shown

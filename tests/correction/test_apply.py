@@ -20,7 +20,7 @@ import counterspin as cs
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.notebook.instrument import instrument_of
-from counterspin.calibration.result import own_description
+from counterspin.calibration.outcome import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -31,8 +31,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
-from counterspin.inference.joint.agreement import Jackknife
-from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
 from counterspin.physics.terms import TERMS
 

@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 
 from counterspin.campaign.quantity import parse
-from counterspin.reports.blocks import Lines, encodable, escape_controls
+from counterspin.characters import Lines, encodable, escape_controls
 from counterspin.reports.numbers import format_estimate
 
 

@@ -7,15 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from counterspin.reports.blocks import (
-    Bars,
-    Column,
-    Heading,
-    Lines,
-    Paragraph,
-    Table,
-    escape_controls,
-)
+from counterspin.characters import Lines, escape_controls
+from counterspin.reports.blocks import Bars, Column, Heading, Paragraph, Table
 from counterspin.reports.markdown import escape_markdown, markdown
 
 HOSTILE = [

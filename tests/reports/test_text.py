@@ -20,11 +20,11 @@ from counterspin.calibration.result_parts import (
     Residual,
     RippleResult,
 )
+from counterspin.characters import Lines
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.agreement import Jackknife
-from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
-from counterspin.reports.blocks import Column, Heading, Lines, Paragraph, Table
+from counterspin.reports.blocks import Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED
 from counterspin.reports.text import Report, report_console
 

@@ -2,12 +2,12 @@
 
 import pytest
 
+from counterspin.characters import Lines
 from counterspin.reports.blocks import (
     Bars,
     Column,
     Heading,
     HeatMap,
-    Lines,
     Paragraph,
     Plot,
     PlotSeries,

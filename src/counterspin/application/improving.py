@@ -23,7 +23,7 @@ from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_document
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.budget import WhatIf
+from counterspin.inference.joint.summary import WhatIf
 from counterspin.physics.terms import INPUTS, OWN_TERMS, is_term, symbol_of, term, words_of
 from counterspin.planning.recorded import FurtherRuns
 from counterspin.reports.numbers import field_unit, format_number, format_uncertainty

@@ -13,6 +13,7 @@
 - `outcome`: what a method has found, as the result states it
 - `triad`: three accelerometers as one sensor
 - `findings`: what speaks against a result, and its state
+- `limits`: credible sizes of estimates; `small_angles`: bounds of the first-order attitude theory
 - `diagnosis`: what is wrong, if something is
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of

@@ -15,8 +15,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
-from counterspin.reports.publication import ShownResult
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult
 from counterspin.workers import ALONE, Workers, worker_pool
 
 

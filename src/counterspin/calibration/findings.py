@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.diagnosis.limits import (
+from counterspin.calibration.limits import (
     beyond_typical,
     incredible,
     incredible_shared,
@@ -36,7 +36,7 @@ from counterspin.inference.diagnostics import (
     normal_equivalent,
 )
 from counterspin.inference.distributions import normal_quantile
-from counterspin.inference.joint.agreement import Jackknife
+from counterspin.inference.joint.summary import Jackknife
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.

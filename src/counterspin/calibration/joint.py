@@ -10,13 +10,6 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.diagnosis.agreement import MethodComparison, compare_methods
-from counterspin.calibration.diagnosis.limits import (
-    beyond_typical,
-    incredible,
-    incredible_shared,
-    large_drifts,
-    large_tilts,
-)
 from counterspin.calibration.diagnosis.noise import hidden_walk, other_noise, residual_findings
 from counterspin.calibration.diagnosis.reading_findings import (
     no_more_than_rounded,
@@ -32,6 +25,7 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.limits import beyond_typical, incredible, incredible_shared
 from counterspin.calibration.model import SQUARES, inputs_of
 from counterspin.calibration.notebook.residuals import residuals_of, traces
 from counterspin.calibration.options import TwoStageOptions
@@ -43,6 +37,7 @@ from counterspin.calibration.outcome import (
     correlation,
     knowledge,
     noise_lines,
+    own_description,
     residual,
     run_result,
     whole_correlation,
@@ -55,13 +50,13 @@ from counterspin.calibration.readings import (
     results_of,
     with_readings,
 )
-from counterspin.calibration.result import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Comparison,
     Finding,
 )
+from counterspin.calibration.small_angles import large_drifts, large_tilts
 from counterspin.calibration.triad import triad_result
 from counterspin.calibration.two_stage import two_stage_view, walk_is_stated
 from counterspin.campaign.settings import OBSERVABLES

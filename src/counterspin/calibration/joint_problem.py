@@ -23,12 +23,13 @@ from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.identifiability import Assessment
-from counterspin.inference.joint.agreement import Jackknife, leave_out
+from counterspin.inference.joint.agreement import leave_out
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
 from counterspin.inference.joint.found_noise import level_dof
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.noise.model import WANTED, Noise

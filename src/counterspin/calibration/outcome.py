@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,12 +21,14 @@ from counterspin.calibration.result_parts import (
     Finding,
     Knowledge,
     NoiseLine,
+    NominalOutput,
     ParabolaResult,
     Residual,
     RippleResult,
     RunResult,
     TriadResult,
 )
+from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
@@ -305,3 +307,19 @@ def many_outliers(
         "outliers. Find out why: the remaining samples may be affected too."
     )
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]
+
+
+def own_description(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
+    """Return what is needed of an accelerometer's description to apply its result without it."""
+    output = accelerometer.output
+    return {
+        "serial_number": accelerometer.serial_number,
+        "known": {
+            symbol: Coefficient(value=prior.value, u=prior.u, unit=prior.unit, estimated=False)
+            for symbol, prior in accelerometer.priors.items()
+            if symbol not in shown
+        },
+        "axes": list(accelerometer.mounting.axes),
+        "observable": accelerometer.observable,
+        "nominal": None if output is None else NominalOutput(**output.model_dump()),
+    }

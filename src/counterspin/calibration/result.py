@@ -8,7 +8,7 @@ else is SI unless its unit stands beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
@@ -25,22 +25,21 @@ from counterspin.calibration.result_parts import (
     Finding,
     Inputs,
     Knowledge,
-    NominalOutput,
     Provenance,
     RunResult,
     State,
     TriadResult,
 )
-from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.physics.terms import TERMS
-from counterspin.reports.publication import Publication, ShownResult, load_function, on_axes
+from counterspin.results import ShownResult, draw_pictures, load_function
 
 if TYPE_CHECKING:
     from counterspin.calibration.notebook.forms import Prediction
     from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
     from counterspin.reports.blocks import Picture
+    from counterspin.reports.publication import Publication
 
 #: Where its pictures are made, and its whole residuals.
 _PICTURES: Final = "counterspin.calibration.pages.pictures"
@@ -344,7 +343,7 @@ class Result(ShownResult):
     def _drawn(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
         if not pictures:
             raise CounterspinError("the result does not contain the data for this picture")
-        return on_axes(pictures, axes)
+        return draw_pictures(pictures, axes)
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
@@ -383,22 +382,6 @@ class Result(ShownResult):
 
 read_result = Result.read
 write_result = Result.write
-
-
-def own_description(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
-    """Return what is needed of an accelerometer's description to apply its result without it."""
-    output = accelerometer.output
-    return {
-        "serial_number": accelerometer.serial_number,
-        "known": {
-            symbol: Coefficient(value=prior.value, u=prior.u, unit=prior.unit, estimated=False)
-            for symbol, prior in accelerometer.priors.items()
-            if symbol not in shown
-        },
-        "axes": list(accelerometer.mounting.axes),
-        "observable": accelerometer.observable,
-        "nominal": None if output is None else NominalOutput(**output.model_dump()),
-    }
 
 
 def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:

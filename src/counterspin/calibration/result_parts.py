@@ -21,14 +21,12 @@ from counterspin.calibration.notebook.forms import (
     si_estimate,
 )
 from counterspin.campaign.quantity import Quantity
+from counterspin.characters import escape_controls
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.agreement import Jackknife
-from counterspin.inference.joint.budget import BudgetLine, Kind, WhatIf
-from counterspin.reports.blocks import escape_controls
+from counterspin.inference.joint.summary import BudgetLine, Jackknife, Kind, WhatIf
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
-from counterspin.reports.publication import load_function
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, load_function
 from counterspin.units import unit_factor
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.diagnosis.limits import incredible
 from counterspin.calibration.diagnosis.noise import hidden_walk
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.limits import incredible
 from counterspin.calibration.model import assumed_of, prior_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
@@ -20,10 +20,10 @@ from counterspin.calibration.outcome import (
     confounded,
     correlation,
     from_rest,
+    own_description,
     record_noise,
     run_result,
 )
-from counterspin.calibration.result import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,

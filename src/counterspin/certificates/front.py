@@ -33,7 +33,8 @@ from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.schema import factor
 from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.certificates.wording import coverage_factor
-from counterspin.reports.blocks import Block, Column, Heading, Lines, Paragraph, Table
+from counterspin.characters import Lines
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block
 

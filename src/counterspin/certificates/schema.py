@@ -14,9 +14,9 @@ from urllib.parse import urljoin
 
 from lxml import etree
 
+from counterspin.characters import escape_controls
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.input import looks_like
-from counterspin.reports.blocks import escape_controls
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"

@@ -10,7 +10,7 @@ from counterspin.cli.words import NOT_SAVED, OutputFile, SaveOptions, say
 from counterspin.errors import CampaignError, CounterspinError
 
 if TYPE_CHECKING:
-    from counterspin.reports.publication import ShownResult
+    from counterspin.results import ShownResult
 
 
 #: Whatever a command writes with --json, beside a calibration: module and class.

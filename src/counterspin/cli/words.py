@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Final, TextIO, TypeVar
 
 from cyclopts import App, Parameter
 
+from counterspin.characters import Lines, encodable, escape_controls
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, reserve
-from counterspin.reports.blocks import Lines, encodable, escape_controls
 
 if TYPE_CHECKING:
     from counterspin.results import ResultFile

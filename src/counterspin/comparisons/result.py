@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
-from counterspin.reports.publication import ShownResult
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult
 
 
 class ComparedResult(ResultPart):

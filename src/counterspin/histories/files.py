@@ -18,7 +18,7 @@ from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
 from counterspin.inference.conformity import Conformity
-from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.summary import BudgetLine
 from counterspin.input import read_file
 from counterspin.physics.effects import Product
 from counterspin.physics.terms import TERMS, Term, is_term, mounting_of, term

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from counterspin.reports.publication import ShownResult, load_function, on_axes
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult, draw_pictures, load_function
 
 #: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
@@ -177,4 +176,4 @@ class History(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""
-        return on_axes(list(load_function("counterspin.histories.page:history_plots")(self)), axes)
+        return draw_pictures(load_function("counterspin.histories.page:history_plots")(self), axes)

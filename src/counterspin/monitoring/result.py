@@ -8,8 +8,7 @@ from __future__ import annotations
 from typing import ClassVar, Final, Literal
 
 from counterspin.inference.noise.spectrum import AllanValue, SpectralLine, SpectrumValue
-from counterspin.reports.publication import ShownResult
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult
 
 
 class ResidualState(ResultPart):

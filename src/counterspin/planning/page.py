@@ -8,7 +8,7 @@ from typing import Final
 
 from counterspin.calibration.pages.accelerometer import not_apart
 from counterspin.calibration.pages.uncertainty import assumption, dominance
-from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, words_of
 from counterspin.planning.faults import Requirement

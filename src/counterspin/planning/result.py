@@ -21,14 +21,14 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.readings import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.budget import BudgetLine, WhatIf, budget, what_if
+from counterspin.inference.joint.budget import budget, what_if
+from counterspin.inference.joint.summary import BudgetLine, WhatIf
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Criterion
 from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
 from counterspin.planning.forecast import Forecast
-from counterspin.reports.publication import ShownResult, load_function, on_axes
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult, draw_pictures, load_function
 
 
 class PlannedRun(ResultPart):
@@ -186,7 +186,7 @@ class PlanResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
-        return on_axes(list(load_function("counterspin.planning.limits:plan_plots")(self)), axes)
+        return draw_pictures(load_function("counterspin.planning.limits:plan_plots")(self), axes)
 
 
 def result_of(

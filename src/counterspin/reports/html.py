@@ -17,17 +17,9 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from counterspin.characters import escape_controls
 from counterspin.output import mark
-from counterspin.reports.blocks import (
-    ANSWERS,
-    Block,
-    Heading,
-    Paragraph,
-    Picture,
-    Plot,
-    Table,
-    escape_controls,
-)
+from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Plot, Table
 from counterspin.reports.charts import can_zoom, plot_data, svg
 from counterspin.reports.typography import with_indices
 

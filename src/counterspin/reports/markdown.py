@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Final
 
+from counterspin.characters import escape_controls
 from counterspin.reports.blocks import (
     ANSWERS,
     Block,
@@ -18,7 +19,6 @@ from counterspin.reports.blocks import (
     Heading,
     Paragraph,
     Table,
-    escape_controls,
     without_pictures,
 )
 

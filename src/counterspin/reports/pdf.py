@@ -14,17 +14,10 @@ from importlib import resources
 from itertools import groupby
 from typing import Any, Final, Literal
 
+from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
 from counterspin.output import mark
-from counterspin.reports.blocks import (
-    ANSWERS,
-    Block,
-    Heading,
-    Paragraph,
-    Picture,
-    Table,
-    escape_controls,
-)
+from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Table
 from counterspin.reports.charts import svg
 
 #: PDF/A with any file attached: it looks the same everywhere (level b, which a contains) and its

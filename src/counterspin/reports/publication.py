@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, date, datetime, time
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, cast, overload
+from typing import Any, Final, Literal, cast, overload
 
 from counterspin._version import __version__
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.output import mark, marked, reserve, write_whole
-from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, without_pictures
+from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
-from counterspin.results import ResultFile
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
-
+from counterspin.results import ShownResult, load_function
 
 #: Endings of the files that are written.
 FORMATS: Final = (".html", ".pdf", ".md")
@@ -89,6 +83,16 @@ class Publication:
         write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
 
 
+def publish(result: ShownResult, identifier: str | None = None) -> Publication:
+    """Return the report of a result, titled with its first heading.
+
+    identifier: Of the report; None: that of the result.
+    """
+    blocks = list(load_function(result.REPORT_BLOCKS or result.BLOCKS)(result))
+    title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
+    return Publication(result.report_kind(), title, identifier or result.identifier, blocks)
+
+
 def issue_date(text: str | None = None) -> datetime:
     """Return when a document is said to have been made.
 
@@ -119,85 +123,6 @@ def issue_date(text: str | None = None) -> datetime:
 LINES: Final = 20
 
 _WIDTH: Final = 100
-
-
-def load_function(face: str) -> Callable[..., Any]:
-    """Return a function by ``package.module:name``, loaded when it is asked for.
-
-    What draws a result imports the result, and not the other way: a result only names it.
-    """
-    module, _, name = face.partition(":")
-    function: Callable[..., Any] = getattr(import_module(module), name)
-    return function
-
-
-class ShownResult(ResultFile):
-    """A result that shows itself, in a cell, on the terminal and as a report."""
-
-    #: ``package.module:name`` of the function that makes its blocks for the screen.
-    BLOCKS: ClassVar[str]
-    #: Of the one that makes those of its report, where a report has more.
-    REPORT_BLOCKS: ClassVar[str | None] = None
-    #: What the file of a report says that it is; None: what `KIND` says.
-    REPORT_KIND: ClassVar[str | None] = None
-
-    def blocks(self) -> list[Block]:
-        """Return what a screen shows of it, pictures included."""
-        return list(load_function(self.BLOCKS)(self))
-
-    @property
-    def identifier(self) -> str:
-        """What its report is known by; it follows from the bytes of its file."""
-        return f"CS-{hashlib.sha256(self.content).hexdigest()[:12]}"
-
-    @classmethod
-    def report_kind(cls) -> str:
-        """Return what the file of a report says that it is, such as "a history"."""
-        return cls.REPORT_KIND or f"a {cls.KIND}"
-
-    def publication(self, identifier: str | None = None) -> Publication:
-        """Return its report, to be written as HTML, PDF or Markdown."""
-        blocks = list(load_function(self.REPORT_BLOCKS or self.BLOCKS)(self))
-        title = next((block.text for block in blocks if isinstance(block, Heading)), self.KIND)
-        return Publication(self.report_kind(), title, identifier or self.identifier, blocks)
-
-    def write_report(
-        self,
-        path: Path | str,
-        *,
-        identifier: str | None = None,
-        issued: datetime | None = None,
-        overwrite: bool = False,
-    ) -> None:
-        """Write its report; see `counterspin.write_report`."""
-        page = self.publication(identifier)
-        page.write(Path(path), issued or issue_date(), overwrite=overwrite)
-
-    def __rich__(self) -> Report:
-        """Return what rich prints."""
-        from counterspin.reports.text import Report
-
-        return Report(self.blocks())
-
-    def _first_screen(self) -> Sequence[Block]:
-        """Return the blocks that a cell shows."""
-        return without_pictures(self.blocks())
-
-    def __repr__(self) -> str:
-        """Return the beginning of what the terminal shows, at most 20 lines."""
-        return short_text(self._first_screen())
-
-    __str__ = __repr__
-
-    def _repr_html_(self) -> str:
-        from counterspin.reports.html import cell
-
-        return cell(self._first_screen())
-
-    def _repr_markdown_(self) -> str:
-        from counterspin.reports.markdown import markdown
-
-        return markdown(self._first_screen())
 
 
 def short_text(blocks: Sequence[Block]) -> str:
@@ -323,4 +248,5 @@ def write_report(
     CounterspinError
         If a file is in the way or it cannot be written; nothing is left behind then.
     """
-    result.write_report(path, identifier=identifier, issued=issued, overwrite=overwrite)
+    page = result.publication(identifier)
+    page.write(Path(path), issued or issue_date(), overwrite=overwrite)

@@ -18,15 +18,8 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from counterspin.reports.blocks import (
-    Block,
-    Heading,
-    Paragraph,
-    Style,
-    Table,
-    encodable,
-    without_pictures,
-)
+from counterspin.characters import encodable
+from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, without_pictures
 from counterspin.reports.typography import typeset_block
 
 if TYPE_CHECKING:

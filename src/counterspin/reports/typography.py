@@ -7,17 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from counterspin.reports.blocks import (
-    Bars,
-    Block,
-    Heading,
-    HeatMap,
-    Lines,
-    Paragraph,
-    Plot,
-    Sphere,
-    Table,
-)
+from counterspin.characters import Lines
+from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Sphere, Table
 
 #: A coefficient, score or force in prose, such as K_II: the letter and its index. A superscript
 #: may follow.

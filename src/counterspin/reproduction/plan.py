@@ -17,7 +17,7 @@ from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import QX, indicated
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.reports.publication import ShownResult
+from counterspin.results import ShownResult
 
 
 def _key(name: str) -> str:

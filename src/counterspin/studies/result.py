@@ -16,8 +16,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.reports.publication import ShownResult, load_function, on_axes
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult, draw_pictures, load_function
 
 LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
 
@@ -192,7 +191,7 @@ class StudyResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw how each coefficient's error over its u is distributed."""
-        return on_axes(list(load_function("counterspin.studies.page:z_plots")(self)), axes)
+        return draw_pictures(load_function("counterspin.studies.page:z_plots")(self), axes)
 
 
 def summarise(

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from typing import ClassVar, Final, Literal
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.publication import ShownResult
-from counterspin.results import ResultPart
+from counterspin.results import ResultPart, ShownResult
 
 
 class Installation(ResultPart):

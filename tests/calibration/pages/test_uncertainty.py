@@ -12,7 +12,7 @@ from counterspin.calibration.pages.uncertainty import (
     knowledge_blocks,
 )
 from counterspin.calibration.result_parts import Knowledge
-from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.summary import BudgetLine
 from counterspin.reports.blocks import Paragraph, Table
 
 

@@ -17,10 +17,11 @@ from joint_campaign import (
     unknowns,
 )
 
-from counterspin.inference.joint.budget import HELD, NOISE, STATED, UNSTATED, budget, by_kind
+from counterspin.inference.joint.budget import budget, by_kind
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import INPUTS, TIMING
+from counterspin.inference.joint.summary import HELD, NOISE, STATED, UNSTATED
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 

@@ -10,10 +10,11 @@ from joint_campaign import LEVEL, RATES, noisy, simulated, unknowns
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import NOISE, budget
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.summary import NOISE
 from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.physics import simulation

@@ -9,9 +9,10 @@ import pytest
 from joint_campaign import RATES, noisy, simulated, three_rates, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
-from counterspin.inference.joint.budget import NOISE, budget
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.summary import NOISE
 from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise import unseen_noise
 from counterspin.inference.noise.model import WANTED, Noise

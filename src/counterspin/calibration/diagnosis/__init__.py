@@ -5,5 +5,4 @@
 - `reading_findings`: what speaks against readings and poses
 - `agreement`: each test method (at rest, poses, arm, double turntable) beside the others
 - `statements`: mountings and values that the data contradict, or cannot check
-- `limits`: estimates that no instrument has, or that are too large for the theory
 """

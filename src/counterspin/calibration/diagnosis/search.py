@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.calibration.diagnosis.limits import beyond_typical, incredible
 from counterspin.calibration.diagnosis.noise import (
     residual_findings,
     with_noise_by_run,
@@ -26,6 +25,7 @@ from counterspin.calibration.diagnosis.statements import OtherMounting, better, 
 from counterspin.calibration.diagnosis.words import Explanation, Wording
 from counterspin.calibration.findings import ACCOUNTABLE, CONTRADICTION_SIGMAS, Cause, from_numbers
 from counterspin.calibration.joint_problem import AccelerometerView
+from counterspin.calibration.limits import beyond_typical, incredible
 from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
 from counterspin.calibration.outcome import coefficient, knowledge, noise_lines, residual
 from counterspin.calibration.result_parts import AccelerometerResult, Finding

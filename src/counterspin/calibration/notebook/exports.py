@@ -19,8 +19,8 @@ from counterspin.calibration.notebook.forms import (
     latex_text,
     latex_unit,
 )
+from counterspin.characters import escape_controls
 from counterspin.errors import CounterspinError
-from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.reports.publication import LINES
 

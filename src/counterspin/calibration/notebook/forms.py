@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
-from counterspin.reports.blocks import escape_controls
 from counterspin.reports.numbers import format_compact
 from counterspin.units import SiUnit, own_unit, si_unit
 

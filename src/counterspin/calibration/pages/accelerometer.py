@@ -18,8 +18,7 @@ from counterspin.calibration.result_parts import (
     RunResult,
 )
 from counterspin.inference.identifiability import ConfoundedTerms
-from counterspin.inference.joint.agreement import Jackknife
-from counterspin.inference.joint.budget import BudgetLine
+from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.terms import is_term, term, words_of
 from counterspin.records.record import rejected_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table

@@ -7,7 +7,7 @@ from typing import Final, Protocol
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Knowledge
-from counterspin.inference.joint.budget import BudgetLine, WhatIf
+from counterspin.inference.joint.summary import BudgetLine, WhatIf
 from counterspin.physics.terms import words_of
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (

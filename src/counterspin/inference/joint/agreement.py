@@ -33,6 +33,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, relaxed_block, solve_blocks, solve_relaxed
 from counterspin.inference.joint.found_noise import losses, uncertain
 from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Block, Solution
 from counterspin.inference.noise.model import COMPONENTS
@@ -41,20 +42,6 @@ from counterspin.inference.noise.unseen_noise import Unseen, lengthened
 
 #: Part of an unknown's u below which a shift's own uncertainty is rounding.
 _LEAST_SHARE: Final = 1e-6
-
-
-@frozen
-class Jackknife:
-    """What becomes of one unknown without a run."""
-
-    run: str  #: The run left out.
-    #: The estimate without it; None where the other runs do not determine the unknown.
-    value: float | None = None
-    shift: float | None = None  #: By how much that is more than the estimate of all runs.
-    #: The shift over its own standard uncertainty; None where the run says next to nothing of the
-    #: unknown, so that both are what rounding leaves of them.
-    z: float | None = None
-    dof: float | None = None  #: Effective degrees of freedom of that uncertainty; None is infinite.
 
 
 def leave_out(estimated: Estimate, index: int) -> list[Jackknife]:

@@ -1,0 +1,117 @@
+"""Checks that drifts and tilts of the platform stay within the first-order theory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
+from counterspin.campaign.description import Campaign
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS, TERMS
+from counterspin.reports.numbers import field_unit, format_number
+
+#: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
+_FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
+
+
+def large_drifts(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
+    """Return the findings on drifts of the platform; `longest` run in s."""
+    findings = []
+    for unknown, c in coefficients.items():
+        if unknown.symbol in TERMS:
+            continue
+        if unknown.symbol.startswith("platform.drift") and c.value is not None:
+            findings += _large_drift(unknown.symbol, c, longest)
+    return findings
+
+
+def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[Finding]:
+    """Return a finding where a drift is, or with its uncertainty may be, too large."""
+    rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
+    limit = _FIRST_ORDER_LIMIT / longest**2
+    if rate + 2.0 * u <= limit:
+        return []
+    is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
+    text = (
+        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the first-order model of "
+        f"the platform's attitude holds only up to about {limit:.2g} deg/h."
+    )
+    return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
+
+
+def large_tilts(
+    campaign: Campaign,
+    runs: Mapping[str, Mapping[str, Coefficient]],
+    accelerometers: Mapping[str, AccelerometerResult],
+) -> list[Finding]:
+    """Return a finding where a tilt is, or with its uncertainty may be, too large.
+
+    With the tilt psi the platform senses f - psi x f + psi x (psi x f)/2 + ... The last of these
+    is not in the columns, nor is what the second moves of a_I^2. Along the input axis they look
+    like a scale factor, (psi_I^2 - psi^2)/2 and 2 K_II (psi x g)_I/g, and like a bias,
+    psi_I psi_up/2.
+    """
+    worst: dict[str, Finding] = {}
+    for run in campaign.runs:
+        size = _largest_tilt(campaign, runs.get(run.name, {}))
+        if not size.any():
+            continue
+        for name, accelerometer in accelerometers.items():
+            along = campaign.accelerometers[name].mounting.turned(run.attitude).input_axis
+            k_ii = accelerometer.coefficients.get("K_II")
+            square = abs(k_ii.value or 0.0) if k_ii is not None else 0.0
+            for symbol, shift in _second_order(size, np.abs(along), square).items():
+                c = accelerometer.coefficients.get(symbol)
+                if c is None or not c.estimated or not c.u or shift <= c.u:
+                    continue
+                finding = _large_tilt(run.name, size, f"{name}.{symbol}", shift, c)
+                before = worst.get(finding.subject)
+                if before is None or (before.size or 0.0) < (finding.size or 0.0):
+                    worst[finding.subject] = finding
+    return list(worst.values())
+
+
+def _largest_tilt(campaign: Campaign, estimated: Mapping[str, Coefficient]) -> Array:
+    """Return how large the tilt about each axis may be, |value| + 2 u, rad, shape (3,)."""
+    size = np.zeros(3)
+    for symbol, row in PLATFORM_TERMS.items():
+        if row.effect.kind != "tilt":
+            continue
+        known = estimated.get(symbol)
+        if symbol in campaign.model.considered:
+            prior = campaign.model.priors[symbol]
+            size[row.effect.axis] = abs(prior.value) + 2.0 * prior.u
+        elif known is not None and known.value is not None:
+            size[row.effect.axis] = abs(known.value) + 2.0 * (known.u or 0.0)
+    return size
+
+
+def _second_order(size: Array, along: Array, square: float) -> dict[str, float]:
+    """Return by coefficient what the second order moves it by, for sizes along all axes."""
+    own = float(size @ along)
+    across = float(size[0] * along[1] + size[1] * along[0])  # of (psi x g)/g
+    return {
+        "K_I": 0.5 * max(float(size @ size) - own**2, 0.0) + 2.0 * square * across,
+        "K_F": 0.5 * own * float(size[2]),
+    }
+
+
+def _large_tilt(
+    run: str, size: Array, subject: str, shift: float, coefficient: Coefficient
+) -> Finding:
+    assert coefficient.u
+    ratio = shift / coefficient.u
+    tilt = float(np.linalg.norm(size)) / ARCSEC
+    unit, factor = field_unit(coefficient.unit)
+    text = (
+        f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
+        f"moves {subject} by up to {format_number(shift * factor, 2)} {unit}, "
+        f"{format_number(ratio, 2)} times its u. "
+        f"The first-order model holds up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
+    )
+    return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

@@ -1,0 +1,119 @@
+"""Numbers of a joint fit that a result states: budget lines, what-if values and the jackknife."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Final, Literal
+
+import numpy as np
+
+from counterspin.frozen import frozen
+
+#: Kinds: what was measured, what the description states, what it does not state and is taken at its
+#: typical size, and what is known but not adjusted.
+Kind = Literal["noise", "stated", "unstated", "held"]
+NOISE: Final = "noise"
+STATED: Final = "stated"
+UNSTATED: Final = "unstated"
+HELD: Final = "held"
+
+
+@frozen
+class BudgetLine:
+    """One source of uncertainty (GUM table 1)."""
+
+    #: Name of a term or input; ``noise of Qx``, ``noise of Qx that does not show``; a part of a
+    #: run's rotation as its encoder leaves it open, such as ``run1.rate`` or ``run1.ripple1``.
+    source: str
+    kind: Kind  #: ``noise`` (an encoder's too), ``stated``, ``unstated`` or ``held``.
+    #: Standard uncertainty of the source, in `unit`; None for noise. Of noise that does not show in
+    #: the records, its level; of a ripple that of its sine and of its cosine.
+    u: float | None
+    unit: str  #: Of u.
+    #: Change of the coefficient per unit of the source; None for noise, which has one for every
+    #: sample. Of a ripple, whose sine and cosine are one line, its size.
+    sensitivity: float | None
+    contribution: float  #: Size of sensitivity × u, in the coefficient's unit.
+    share: float  #: Part of the coefficient's u^2, from 0 to 1.
+
+
+@frozen
+class WhatIf:
+    """What the uncertainties of coefficients depend on, as far as an update of them needs it."""
+
+    names: list[str]  #: Coefficients and sources, named as in a budget.
+    units: list[str]  #: Of each: SI, or g-units.
+    #: By source: its standard uncertainty beforehand; what is not there has none that can change.
+    known: dict[str, float]
+    #: The covariance that the weights minimise, rows and columns as `names`.
+    weighed: list[list[float]]
+    #: What held terms and noise that does not show add to it; empty: nothing.
+    beside: list[list[float]] = field(default_factory=list)
+    #: By held source: what its standard uncertainty moves each of `names` by.
+    held: dict[str, list[float]] = field(default_factory=dict)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether names, units and matrices belong together, as those of a file may not."""
+        names = set(self.names)
+        matrices = (self.weighed, self.beside or self.weighed)
+        return (
+            len(names) == len(self.names) == len(self.units)
+            and self.known.keys() <= names
+            and self.held.keys() <= self.known.keys()
+            and all(0.0 < u < math.inf for u in self.known.values())
+            and all(len(m) == len(names) == len(r) for m in matrices for r in m)
+            and all(len(moved) == len(names) for moved in self.held.values())
+            and all(math.isfinite(v) for m in (*matrices, self.held.values()) for r in m for v in r)
+        )
+
+    def u(self, name: str, known: Mapping[str, float]) -> float:
+        """Return the standard uncertainty of a coefficient if sources were known so well.
+
+        known: By source its standard uncertainty beforehand, above 0; others stay as they are.
+        """
+        return math.sqrt(sum(self.parts(name, known).values()))
+
+    def parts(self, name: str, known: Mapping[str, float]) -> dict[str, float]:
+        """Return the u^2 of a coefficient by source, and the rest, as ``""``; as `u`."""
+        if unknown := [source for source in known if source not in self.known]:
+            raise ValueError(f"there is no prior for {', '.join(unknown)}")
+        if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
+            raise ValueError("a standard uncertainty is a number above 0")
+        least = np.array(self.weighed)
+        beside = np.array(self.beside) if self.beside else np.zeros_like(least)
+        weighed = {source: u for source, u in known.items() if source not in self.held}
+        here = [self.names.index(source) for source in weighed]
+        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in weighed.items()])
+        inner = np.eye(len(here)) + least[np.ix_(here, here)] @ change
+        moved = np.eye(len(least))
+        moved[:, here] -= least[:, here] @ change @ np.linalg.inv(inner)
+        row = moved[self.names.index(name)]
+        covariances = row @ least  # with every name
+        variance = float(covariances[self.names.index(name)] + row @ beside @ row)
+        parts = {}
+        for source, u in (self.known | dict(known)).items():
+            if source in self.held:
+                moves = float(row @ self.held[source])
+                parts[source] = (moves * u / self.known[source]) ** 2
+                variance += parts[source] - moves**2
+            else:
+                # What a prior contributes is its u times the sensitivity to it, A / u^2.
+                parts[source] = float(covariances[self.names.index(source)] / u) ** 2
+        return parts | {"": max(variance - sum(parts.values()), 0.0)}
+
+
+@frozen
+class Jackknife:
+    """What becomes of one unknown without a run."""
+
+    run: str  #: The run left out.
+    #: The estimate without it; None where the other runs do not determine the unknown.
+    value: float | None = None
+    shift: float | None = None  #: By how much that is more than the estimate of all runs.
+    #: The shift over its own standard uncertainty; None where the run says next to nothing of the
+    #: unknown, so that both are what rounding leaves of them.
+    z: float | None = None
+    dof: float | None = None  #: Effective degrees of freedom of that uncertainty; None is infinite.

@@ -1,0 +1,92 @@
+"""Drifts and tilts of the platform beyond first order."""
+
+import math
+
+import numpy as np
+import pytest
+from campaigns import SMALL, changed, write
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.calibration.small_angles import large_drifts
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.terms import DEGREE_PER_HOUR
+from counterspin.simulation.simulate import simulate
+
+ARCMIN = math.radians(1.0 / 60.0)
+
+#: Nothing stated as exact; the same noise each time.
+QUIET = changed(
+    SMALL,
+    ('"1.002 g/g"\ndisp', '"1.002 ± 1e-4 g/g"\ndisp'),
+    ('"0.999 g/g"\ndisp', '"0.999 ± 1e-4 g/g"\ndisp'),
+    ('displacement = "0.01 m"', 'displacement = "0.0002 m"'),
+    ("[truth.spindle]", '[truth.platform]\ntilt = { north = "TILT" }\n\n[truth.spindle]'),
+)
+
+
+def calibrated(folder, tilt, prior, key="held"):
+    model = {"held": "hold", "estimated": "terms"}[key]
+    listed = '["platform.tilt.north"]'
+    if key == "estimated":
+        listed = '["K_F", "K_I", "K_II", "K_III", "platform.tilt.north"]'
+    text = changed(
+        QUIET,
+        ("TILT", tilt),
+        (
+            '[model]\nassume = "all"\n',
+            f'[model]\nassume = "all"\n{model} = {listed}\n'
+            f'priors = {{ "platform.tilt.north" = "{prior}" }}\n',
+        ),
+    )
+    simulate(write(folder, text, "plan.toml"), folder / "records", overwrite=True)
+    return calibrate(folder / "records")
+
+
+def large(result):
+    return {f.subject: f for f in result.findings if f.code == "large-tilt"}
+
+
+@pytest.mark.parametrize("key", ["held", "estimated"])
+def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
+    level = calibrated(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
+    tilted = calibrated(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)
+    assert large(level) == {}
+    found = large(tilted)
+    assert set(found) == {"Qx.K_I"}
+    one, other = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
+    # -psi^2/2 and, of K_II a_I^2 with a_I less psi, -2 K_II psi
+    expected = -0.5 * (20 * ARCMIN) ** 2 - 2.0 * 2.7e-5 * 20 * ARCMIN
+    assert other.value - one.value == pytest.approx(expected, abs=0.3 * other.u)
+    assert found["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
+    assert found["Qx.K_I"].size > 1.0
+    assert tilted.state == "reservations"
+    assert "may reach 1.2e+03 arcsec (value and 2 u)" in found["Qx.K_I"].text
+
+
+def test_a_tilt_along_the_input_axis_leaves_its_scale_factor(tmp_path):
+    found = large(calibrated(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
+    # About north: Qy's input axis, along which the platform turns.
+    assert "Qy.K_I" not in found
+
+
+@pytest.mark.parametrize(
+    ("drift", "u", "longest", "words"),
+    [
+        (0.3, 1e-6, 400.0, "is 0.3 deg/h"),
+        (0.1, 1e-6, 400.0, ""),
+        (0.1, 0.04, 400.0, ""),
+        (0.1, 0.06, 400.0, "may reach 0.22 deg/h"),
+        (0.3, 1e-6, 100.0, ""),
+        (0.1, 1e-6, 800.0, "is 0.1 deg/h"),
+    ],
+)
+def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
+    # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
+    unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
+    value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
+    fitted = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
+    findings = large_drifts({unknown: fitted}, longest)
+    assert len(findings) == bool(words)
+    assert all(words in finding.text for finding in findings)
+    assert all(finding.subject == "platform.drift.north" for finding in findings)
