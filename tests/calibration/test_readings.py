@@ -17,7 +17,7 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
-from counterspin.records.averages import mean_of_record
+from counterspin.records.averages import read_rows
 
 SIGMA = 2e-6
 HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
@@ -481,13 +481,13 @@ def test_records_on_the_arm_are_averaged(tmp_path):
         assert checksum == "sha256:" + sha256((tmp_path / name).read_bytes()).hexdigest()
 
     def change(path, *more):
-        read = mean_of_record(path, *more)
+        read = read_rows(path, *more)
         if path.name == "r3.csv":
             path.write_bytes(path.read_bytes() + b"10.0,1.0\n")
         return read
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("counterspin.calibration.readings.mean_of_record", change)
+        patch.setattr("counterspin.calibration.mean_records.read_rows", change)
         with pytest.raises(RecordError, match=r"r3\.csv: the file was changed while"):
             calibrate(tmp_path)
     shutil.copy(tmp_path / "r0.csv", tmp_path / "r9.csv")

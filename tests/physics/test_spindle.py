@@ -32,6 +32,26 @@ def recorded(spindle, noise, seed, times=TIMES):
 
 
 @BOTH
+def test_the_effective_rate_is_the_root_mean_square_and_its_u_covers_the_scatter(spindle):
+    """Closed form over whole revolutions; scatter of 200 fits within 3 standard errors of u."""
+    t = np.arange(1000) * (10.0 * 2.0 * math.pi / abs(spindle.rate) / 1000.0)
+    drift = spindle.rate**2 * (1.0 + spindle.drift * t[-1] + spindle.drift**2 * np.mean(t**2))
+    squares = drift + sum(0.5 * ripple.amplitude**2 for ripple in spindle.ripples)
+    exact = math.copysign(math.sqrt(squares), spindle.rate)
+    whole = fit_spindle(t, recorded(spindle, 0.0, 0, t), spindle.rate, harmonics=3)
+    assert whole.rate_at(t)[0] == pytest.approx(exact, rel=1e-8)
+    found = [
+        fit_spindle(t, recorded(spindle, 1e-3, seed, t), spindle.rate, harmonics=3).rate_at(t)
+        for seed in range(200)
+    ]
+    z = np.array([(rate - exact) / u for rate, u in found])
+    assert abs(np.mean(z**2) - 1.0) < 3.0 * math.sqrt(2.0 / len(z))
+    # Of a mean rate, the slope of a line through white noise.
+    line = 1e-3 * math.sqrt(12.0 / t.size) / (t[-1] - t[0])
+    assert found[0][1] == pytest.approx(line, rel=0.15)
+
+
+@BOTH
 def test_angle_rate_acceleration_and_jerk_are_integral_and_derivatives_of_equation_1(spindle):
     t, s = sp.symbols("t s", real=True)
     w0 = sp.Float(spindle.rate, 30)

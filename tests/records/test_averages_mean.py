@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.records.averages import mean_of_record, u_of_mean
+from counterspin.records.averages import mean_of_record, read_rows, stated_rotation, u_of_mean
 from counterspin.records.memory import memory_table
-from counterspin.records.record import ColumnSpec
+from counterspin.records.record import ColumnSpec, RecordColumns
 
 TIME, SIGNAL = ColumnSpec("t"), ColumnSpec("f", 2.0)
 
@@ -23,13 +23,18 @@ def table(t, f):
     return memory_table("r", {"t": t, "f": f})
 
 
+def mean(source, rate):
+    record = read_rows(source, RecordColumns(TIME, None, {"A": SIGNAL}), rate)
+    return mean_of_record(record, SIGNAL.name, stated_rotation(record.time, rate))[0]
+
+
 def test_waves_of_the_revolution_do_not_reach_the_mean(tmp_path):
     rate, t = 3.0, np.arange(0.0, 7.3, 0.013)
     wave = 0.7 * np.cos(rate * t + 1.0) + 0.1 * np.sin(2 * rate * t)
-    mean = mean_of_record(write(tmp_path, t, 5.0 + wave), TIME, SIGNAL, rate)
-    assert mean.value == pytest.approx(10.0, abs=1e-12)
-    assert mean.revolutions == 3
-    assert mean.samples == math.ceil(3 * 2 * math.pi / rate / 0.013)
+    found = mean(write(tmp_path, t, 5.0 + wave), rate)
+    assert found.value == pytest.approx(10.0, abs=1e-12)
+    assert found.revolutions == 3
+    assert found.samples == math.ceil(3 * 2 * math.pi / rate / 0.013)
 
 
 def test_u_covers_the_scatter_of_means(tmp_path):
@@ -40,8 +45,8 @@ def test_u_covers_the_scatter_of_means(tmp_path):
         covered = 0
         for _ in range(trials):
             noise = np.convolve(rng.normal(0.0, 1.0, t.size), np.ones(width) / width, "same")
-            mean = mean_of_record(table(t, noise), TIME, SIGNAL, 2.0 * math.pi)
-            covered += abs(mean.value) < 2.0 * mean.u
+            found = mean(table(t, noise), 2.0 * math.pi)
+            covered += abs(found.value) < 2.0 * found.u
         assert covered > trials * 0.95 - 4.0 * math.sqrt(trials * 0.95 * 0.05)
 
 
@@ -53,14 +58,14 @@ def test_a_row_in_a_thousand_that_is_far_off_does_not_move_the_mean(rate, size):
     t = np.arange(20_000) * 0.01
     f = 9.0 + rng.normal(0.0, 1e-3, t.size) + np.cumsum(rng.normal(0.0, 1e-5, t.size))
     f += 0.01 * np.cos(rate * t) if rate else 0.0
-    clean = mean_of_record(table(t, f), TIME, SIGNAL, rate)
+    clean = mean(table(t, f), rate)
     f[500::1000] += size * 1e-3
-    mean = mean_of_record(table(t, f), TIME, SIGNAL, rate)
-    assert abs(mean.value - clean.value) < 0.1 * clean.u
-    assert mean.u == pytest.approx(clean.u, rel=0.1)
-    left_out = mean.report.outliers["f"]
+    found = mean(table(t, f), rate)
+    assert abs(found.value - clean.value) < 0.1 * clean.u
+    assert found.u == pytest.approx(clean.u, rel=0.1)
+    left_out = found.report.outliers["f"]
     assert left_out - clean.report.outliers["f"] == 20
-    assert f"{left_out} outliers in column 'f' were left out." in mean.report.notes()
+    assert f"{left_out} outliers in column 'f' were left out." in found.report.notes()
 
 
 def test_a_cell_of_900_among_a_thousand_is_left_out(tmp_path):
@@ -68,10 +73,10 @@ def test_a_cell_of_900_among_a_thousand_is_left_out(tmp_path):
     t, f = np.arange(1000) * 0.01, 4.5 + rng.normal(0.0, 5e-5, 1000)
     f[400] = 450.0
     for source in (write(tmp_path, t, f), table(t, f)):
-        mean = mean_of_record(source, TIME, SIGNAL, 0.0)
-        assert mean.value == pytest.approx(9.0, abs=1e-5)
-        assert mean.u < 1e-5
-        assert mean.report.outliers == {"f": 1}
+        found = mean(source, 0.0)
+        assert found.value == pytest.approx(9.0, abs=1e-5)
+        assert found.u < 1e-5
+        assert found.report.outliers == {"f": 1}
 
 
 def test_a_dead_stretch_is_left_out():
@@ -79,10 +84,10 @@ def test_a_dead_stretch_is_left_out():
     t, f = np.arange(20_000) * 0.01, 4.5 + rng.normal(0.0, 1e-3, 20_000)
     f[7000:7200] = 0.0
     for rate in (0.0, 6.0):
-        mean = mean_of_record(table(t, f), TIME, SIGNAL, rate)
-        assert mean.value == pytest.approx(9.0, abs=5.0 * mean.u)
-        assert mean.u < 1e-4
-        assert 200 <= mean.report.outliers["f"] <= 400
+        found = mean(table(t, f), rate)
+        assert found.value == pytest.approx(9.0, abs=5.0 * found.u)
+        assert found.u < 1e-4
+        assert 200 <= found.report.outliers["f"] <= 400
 
 
 def test_repeated_rows_gaps_and_empty_cells_are_counted(tmp_path):
@@ -92,13 +97,13 @@ def test_repeated_rows_gaps_and_empty_cells_are_counted(tmp_path):
     f[[10, 20]] = np.nan
     t, f = np.insert(t, 300, t[299]), np.insert(f, 300, f[299])
     for source in (write(tmp_path, t, f), table(t, f)):
-        mean = mean_of_record(source, TIME, SIGNAL, 0.0)
-        report = mean.report
+        found = mean(source, 0.0)
+        report = found.report
         assert (report.rows, report.repeated, report.differing, report.gap_count) == (1001, 1, 0, 1)
         assert report.empty["f"] == 2
         assert report.gaps[0].length == pytest.approx(5.01)
-        assert mean.samples == 998
-        assert mean.value == pytest.approx(9.0, abs=5.0 * mean.u)
+        assert found.samples == 998
+        assert found.value == pytest.approx(9.0, abs=5.0 * found.u)
 
 
 def test_time_stamps_may_be_uneven():
@@ -107,23 +112,23 @@ def test_time_stamps_may_be_uneven():
     wave = 0.3 * np.cos(3.0 * t) + 0.05 * np.sin(6.0 * t)
     noise = rng.normal(0.0, 1e-3, t.size)
     for rate, f in ((0.0, 5.0 + noise), (3.0, 5.0 + wave + noise)):
-        mean = mean_of_record(table(t, f), TIME, SIGNAL, rate)
-        assert mean.value == pytest.approx(10.0, abs=4.0 * mean.u)
-        assert mean.u == pytest.approx(2e-3 / math.sqrt(mean.samples), rel=1.0)
-        assert not mean.report.outliers["f"]
+        found = mean(table(t, f), rate)
+        assert found.value == pytest.approx(10.0, abs=4.0 * found.u)
+        assert found.u == pytest.approx(2e-3 / math.sqrt(found.samples), rel=1.0)
+        assert not found.report.outliers["f"]
 
 
 def test_records_of_the_same_samples_have_one_digest(tmp_path):
     rng = np.random.default_rng(7)
     t, f = np.arange(100) * 0.1, rng.normal(0.0, 1.0, 100)
     first, again, other = (
-        mean_of_record(source, TIME, SIGNAL, 0.0).digest
+        mean(source, 0.0).digest
         for source in (write(tmp_path, t, f), table(t, f), table(t, f[::-1]))
     )
     assert first is not None
     assert first == again
     assert first != other
-    assert mean_of_record(table(t, np.ones(100)), TIME, SIGNAL, 0.0).digest is None
+    assert mean(table(t, np.ones(100)), 0.0).digest is None
 
 
 @pytest.mark.parametrize(
@@ -148,7 +153,7 @@ def test_records_of_the_same_samples_have_one_digest(tmp_path):
 def test_what_cannot_be_averaged_is_told(tmp_path, t, f, rate, message):
     path = write(tmp_path, np.asarray(t), np.asarray(f))
     with pytest.raises(RecordError, match=message):
-        mean_of_record(path, TIME, SIGNAL, rate)
+        mean(path, rate)
 
 
 def test_the_line_of_a_fault_counts_empty_cells(tmp_path):
@@ -157,15 +162,15 @@ def test_the_line_of_a_fault_counts_empty_cells(tmp_path):
     f = np.ones(100)
     f[[10, 20]] = np.nan
     with pytest.raises(RecordError, match="line 62: time runs backwards"):
-        mean_of_record(write(tmp_path, t, f), TIME, SIGNAL, 0.0)
+        mean(write(tmp_path, t, f), 0.0)
 
 
 def test_a_record_without_rows_and_one_with_comments(tmp_path):
     path = write(tmp_path, np.arange(100) * 0.1, np.ones(100))
     path.write_text("# before\n" + path.read_text("utf-8").replace("5.0,", "# here\n5.0,"), "utf-8")
-    assert mean_of_record(path, TIME, SIGNAL, 0.0).samples == 100
+    assert mean(path, 0.0).samples == 100
     with pytest.raises(RecordError, match="no rows"):
-        mean_of_record(write(tmp_path, np.empty(0), np.empty(0)), TIME, SIGNAL, 0.0)
+        mean(write(tmp_path, np.empty(0), np.empty(0)), 0.0)
 
 
 # u of a mean: what the next record differs by, whatever the noise

@@ -51,7 +51,7 @@ def calibration(
     findings = [
         *found.findings,
         *_asked_about(campaign),
-        *_other_rates(observed),
+        *_other_rates({**_rates(observed), **found.arm_rates}),
         *(
             finding
             for name, run in found.runs.items()
@@ -101,22 +101,30 @@ def calibration(
     return with_conformity(result, campaign.specifications)
 
 
-def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
+def _rates(observed: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
+    """Return run -> its rate by the recorded angle, and the stated rate, rad/s."""
+    return {
+        run.run.name: (run.rotation.spindle.rate, run.run.rate)
+        for run in observed
+        if run.rotation is not None
+    }
+
+
+def _other_rates(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Return the runs whose spindle turned at another rate than the description says.
 
     Where all runs did, by the same part, it is the time that they share.
+
+    rates: Run -> its rate by the recorded angle, and the stated rate, rad/s.
     """
     findings, parts = [], []
-    for run in observed:
-        if run.rotation is None:
-            continue
-        name, rate = run.run.name, run.rotation.spindle.rate
-        part = rate / run.run.rate - 1.0
+    for name, (rate, stated) in rates.items():
+        part = rate / stated - 1.0
         parts.append(part)
         if abs(part) > RATE_DIFFERENCE:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
-                f"{run.run.rate:.6f} rad/s; the recorded angle is used."
+                f"{stated:.6f} rad/s; the recorded angle is used."
             )
             findings.append(Finding(code="other-rate", subject=name, text=text, size=abs(part)))
     least, most = min(parts, default=0.0), max(parts, default=0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -106,7 +106,7 @@ def joint(problem: JointProblem) -> Outcome:
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
     accelerometers = {
-        view.name: _accelerometer(view, compared[view.name], read.means) for view in views
+        view.name: _accelerometer(view, compared[view.name], read.recorded.means) for view in views
     }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
@@ -144,7 +144,9 @@ def joint(problem: JointProblem) -> Outcome:
             *no_more_than_rounded(views),
             *hidden_walk(views),
             *other_noise(views),
+            *stated_rates_used(read.recorded.without_angle),
         ),
+        arm_rates=read.recorded.rates,
         residuals=residuals_of(estimated.fit, units),
     )
 
@@ -159,6 +161,15 @@ def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses
     if from_records is not None and not read:
         return from_records, ReadingsAndPoses()
     return with_readings(from_records, problem.model, campaign)
+
+
+def stated_rates_used(runs: Sequence[str]) -> Iterator[str]:
+    """Yield a remark where records on the arm have no angle."""
+    if runs:
+        yield (
+            f"The records of {', '.join(runs)} have no angle: the mean is that over whole "
+            "revolutions at the stated rate."
+        )
 
 
 def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:

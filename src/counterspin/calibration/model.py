@@ -149,6 +149,8 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
         inputs["", "centrifuge.radius"] = campaign.radius
     for one in map(campaign.recording_of, campaign.runs):
         inputs[one.recorder, CLOCK] = one.clock or Quantity(0.0, 0.0, "1")
+    if any(reading.by_clock for reading in campaign.readings):
+        inputs["", CLOCK] = campaign.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
         inputs["", TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
     return inputs

@@ -201,6 +201,20 @@ def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
     )
 
 
+def fit_rotation(
+    campaign: Campaign, time: Array, angle: Array, rate: float, count: Array, spread: Array
+) -> SpindleFit:
+    """Return the rotation identified from a recorded angle.
+
+    time, angle: Of the block means, s and rad, shape (n,).
+    rate: The stated one, rad/s.
+    count, spread: Of each block, the samples and the standard deviation of their times, s.
+    """
+    # The angle of a row was sampled `timing_offset` after its output.
+    late = campaign.timing_offset.value if campaign.timing_offset else 0.0
+    return fit_spindle(time + late, angle, rate, weights=count, spread=spread)
+
+
 def observe_run(
     campaign: Campaign, run: Run, record: Record, conditions: RunConditions = AT_REFERENCE
 ) -> ObservedRun:
@@ -210,14 +224,8 @@ def observe_run(
     """
     rotation = None
     if record.angle is not None:
-        late = campaign.timing_offset.value if campaign.timing_offset else 0.0
-        # The angle of a row was sampled `timing_offset` after its displacement.
-        rotation = fit_spindle(
-            record.time + late,
-            record.angle,
-            run.rate,
-            weights=record.count,
-            spread=record.time_sd,
+        rotation = fit_rotation(
+            campaign, record.time, record.angle, run.rate, record.count, record.time_sd
         )
     spindle = rotation.spindle if rotation else Spindle(run.rate)
     trajectory = Trajectory(spindle, campaign.radius.value, campaign.site, conditions=conditions)

@@ -234,7 +234,7 @@ def record_noise(
 
 @frozen
 class Outcome:
-    """What a method has found; attributes are those of `Result`, but for the last three."""
+    """The findings of a method; attributes are those of `Result`, except the last four."""
 
     model: str
     accelerometers: dict[str, AccelerometerResult]
@@ -248,6 +248,8 @@ class Outcome:
     causes: tuple[Cause, ...] = ()  #: What may be behind a misfit, the likeliest first.
     remarks: tuple[str, ...] = ()  #: What the result warns of, beside the campaign's own remarks.
     residuals: tuple[RunResiduals, ...] = ()  #: Whole ones, which no file keeps.
+    #: Run on the arm -> its rate by the recorded angle, and the stated rate, rad/s.
+    arm_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def run_result(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.calibration.observed import recorded_twice
+from counterspin.calibration.mean_records import MeanRecords, average_records
 from counterspin.calibration.result_parts import (
     Coefficient,
     NoiseLine,
@@ -31,7 +31,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses
 from counterspin.inference.readings import ReadingsFit, solve_readings
-from counterspin.records.averages import RecordMean, mean_of_record
+from counterspin.records.averages import RecordMean
 from counterspin.records.poses import Poses, read_poses
 from counterspin.records.record import ColumnSpec, RecordColumns, RecordReport
 
@@ -47,8 +47,7 @@ class ReadingsAndPoses:
     """Readings and poses of a campaign, and what was found in their records."""
 
     parts: tuple[FittedReadings, ...] = ()  #: How they fit.
-    #: By accelerometer and reading, what was found in the records whose means are readings.
-    means: Mapping[tuple[str, str], RecordMean] = field(default_factory=dict)
+    recorded: MeanRecords = field(default_factory=MeanRecords)  #: Records whose means are readings.
     #: By name, where each pose was found.
     poses: Mapping[str, FoundPose] = field(default_factory=dict)
 
@@ -63,16 +62,15 @@ def with_readings(
     _require_values(campaign)
     if estimated is None:
         _require_enough(campaign, model)
-    taken, posed = list(_averaged(campaign)), poses_of(campaign)
-    groups: list[Readings | TriadPoses] = [*groups_of(campaign, [one for one, _ in taken])]
+    (taken, recorded), posed = average_records(campaign), poses_of(campaign)
+    groups: list[Readings | TriadPoses] = [*groups_of(campaign, taken)]
     if posed:
         groups += poses_together(
             campaign, [one.pose for one in posed], noise_within(posed, campaign.gravity.value)
         )
     estimated, parts = with_groups(estimated, model, groups)
-    means = {(one.accelerometer, one.name): mean for one, mean in taken if mean is not None}
     found = {one.pose[0].name: one for one in posed}
-    return estimated, ReadingsAndPoses(parts, means, found)
+    return estimated, ReadingsAndPoses(parts, recorded, found)
 
 
 def with_groups(
@@ -179,26 +177,6 @@ def _found_in(mean: RecordMean | None) -> dict[str, Any]:
         return {}
     report = mean.report
     return {"samples": mean.samples, "counts": report.counts(), "notes": report.notes()}
-
-
-def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]:
-    """Yield the readings with their values: that of a record is its mean over whole revolutions."""
-    g = campaign.gravity.value
-    first_with: dict[bytes, Reading] = {}
-    for reading in campaign.readings:
-        if reading.record is None:
-            yield reading, None
-            continue
-        channel = campaign.accelerometers[reading.accelerometer].force
-        assert channel is not None
-        source = campaign.record_at(reading.record)
-        mean = mean_of_record(source, campaign.time, channel, reading.rate, campaign.dialect)
-        earlier = first_with.setdefault(mean.digest, reading) if mean.digest else reading
-        if earlier.record is not None and earlier.name != reading.name:
-            raise recorded_twice(campaign, earlier, reading)
-        # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
-        in_si = not channel.in_g
-        yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si), mean
 
 
 def residual_of(parts: Sequence[FittedReadings]) -> Residual:

@@ -194,7 +194,12 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         names=tuple(r.name for r in readings),
         site=campaign.site,
         stations=tuple(
-            Station(r.motion, r.axes, rate=r.rate, radius=campaign.radius.value if r.rate else 0.0)
+            Station(
+                r.motion,
+                r.axes,
+                rate=r.measured.value if r.measured else r.rate,
+                radius=campaign.radius.value if r.rate else 0.0,
+            )
             for r in readings
         ),
         mountings=tuple(r.mounting for r in readings),
@@ -213,6 +218,9 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         resolution=min(r.resolution for r in readings),
         position=tuple(r.position for r in readings),
         in_si=np.array([float(r.in_si) for r in readings]),
+        stated_rates=tuple(r.rate for r in readings),
+        u_rate=np.array([r.measured.u if r.measured else 0.0 for r in readings]),
+        by_clock=np.array([float(r.by_clock) for r in readings]),
     )
 
 

@@ -32,6 +32,14 @@ MOST_RECORDS: Final = 60
 
 
 @frozen
+class MeasuredRate:
+    """The rate of a run that its recorded angle shows."""
+
+    value: float  #: Root mean square over the rows used, with the sign of the sense, rad/s.
+    u: float  #: Standard uncertainty, without the part of the recorder's clock, rad/s.
+
+
+@frozen
 class Reading:
     """One reading of one accelerometer."""
 
@@ -41,7 +49,7 @@ class Reading:
     motion: MotionKind
     mounting: str
     axes: Mounting  #: In the frame of the motion.
-    rate: float  #: rad/s.
+    rate: float  #: Stated rate, rad/s.
     #: Indication in g by the nominal sensitivity, and its standard uncertainty; None: not stated.
     #: Of a record, 0 and None until it is read; NaN where `BLANK` stands.
     value: float
@@ -63,6 +71,9 @@ class Reading:
     #: setting it are no matter.
     position: str = ""
     head_angle: float = 0.0  #: What the dividing head shows, rad; 0 without one.
+    #: Whether its record has an angle, so that the recorder's clock measures the rate.
+    by_clock: bool = False
+    measured: MeasuredRate | None = None  #: The rate in its record; None: the stated one counts.
 
 
 def resolve_readings(
@@ -176,6 +187,14 @@ def positioned(readings: Sequence[Reading], setting: Quantity | None) -> tuple[R
     keys = dict.fromkeys(r.position for r in readings if setting and r.motion == "static")
     numbers = {key: str(number) for number, key in enumerate(keys, start=1)}
     return tuple(replace(r, position=numbers.get(r.position, "")) for r in readings)
+
+
+def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
+    """Return readings of which those with a record on the arm have an angle in it."""
+    return tuple(
+        replace(reading, by_clock=True) if reading.record and reading.rate else reading
+        for reading in readings
+    )
 
 
 def _position(run: Run) -> str:

@@ -27,7 +27,12 @@ from counterspin.campaign.model import (
     resolve_model,
 )
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading, positioned, resolve_readings
+from counterspin.campaign.readings import (
+    Reading,
+    positioned,
+    resolve_readings,
+    with_recorded_angles,
+)
 from counterspin.campaign.runs import (
     Run,
     is_pose,
@@ -216,7 +221,11 @@ class DescriptionReader:
             turns=turns,
         )
         known = [one for one in numbered if not is_pose(one[0])]
-        readings = parts["right_readings"] = positioned(read(known), fixture.position)
+        readings = positioned(read(known), fixture.position)
+        common = records.recording if records else NOT_RECORDED
+        if common.angle is not None:
+            readings = with_recorded_angles(readings)
+        parts["right_readings"] = readings
         whole = len(problems.lines) == before
         given = self.accelerometers.own_priors
         triad = resolve_triad(
@@ -229,7 +238,6 @@ class DescriptionReader:
             problems=problems,
         )
         priors = given
-        common = records.recording if records else NOT_RECORDED
         if settings is not None:
             apparatus = Apparatus(
                 self.accelerometers.mountings,

@@ -16,6 +16,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import Observation, Unknowns
 from counterspin.inference.least_squares import Block, Solution, reduce_block
 from counterspin.inference.noise.model import Noise
@@ -26,8 +27,16 @@ from counterspin.physics.terms import CONDITION_TERMS, TABLE, TERMS, is_term, mo
 #: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
 _STEP: Final = 1e-2
 
-#: Uncertain inputs that readings feel, and the step of each derivative: m, m/s^2, rad.
-INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
+#: Uncertain inputs that act on readings, and the step of each derivative: m, m/s^2, rad, 1.
+INPUT_STEPS: Final = {
+    "centrifuge.radius": 1e-4,
+    "site.gravity": 1e-3,
+    "site.latitude": 1e-3,
+    CLOCK: 1e-4,
+}
+
+#: Relative step of the derivative by the rate of each reading.
+_RATE_STEP: Final = 1e-5
 
 #: Step of the derivative by the dividing head's angle, rad.
 _HEAD_STEP: Final = 1e-5
@@ -83,6 +92,12 @@ class Readings:
     #: What the dividing head shows, rad, shape (n,).
     head_angle: Array | float = 0.0
     direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
+    #: Rates that the description states, rad/s, shape (n,); None: those of the stations.
+    stated_rates: tuple[float, ...] | None = None
+    #: Standard uncertainty of the rate of each reading, independent of the others, rad/s, shape
+    #: (n,); and 1 where the recorder's clock measured the rate, else 0.
+    u_rate: Array | float = 0.0
+    by_clock: Array | float = 0.0
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
@@ -145,7 +160,9 @@ class Readings:
         ):
             # Where an axis points is known to rounding only.
             axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
-            key = (axes, station.rate, mounting, *waves[place].tolist())
+            # A repeat is set to the same rate and turns at nearly the same.
+            rate = self.stated_rates[place] if self.stated_rates else station.rate
+            key = (axes, rate, mounting, *waves[place].tolist())
             same.setdefault(key, []).append(place)
         return tuple(tuple(places) for places in same.values() if len(places) > 1)
 
@@ -223,7 +240,7 @@ class LinearReadings(Observation):
     target: Array  # (n,), g, less what a perfect system indicates
     stated: Array | None  # (n,), g, without the head's part
     repeats: Array  # (n,)
-    head: Array  # (n,), what the head and squares of setting errors add, g
+    head: Array  # (n,), what the head, the rate and squares of setting errors add, g
     sigma: Array  # (n,), g, both together
 
     @property
@@ -255,6 +272,7 @@ class LinearReadings(Observation):
             index: unknown.symbol
             for index, unknown in enumerate(everything)
             if unknown.owner in ("", group.accelerometer)
+            and not (unknown.owner and unknown.symbol in INPUT_STEPS)
         }
         machine = {
             symbol: float(at[index])
@@ -270,7 +288,7 @@ class LinearReadings(Observation):
         for index, symbol in own.items():
             if symbol in machine:
                 rows.setdefault(term(symbol).symbol, []).append(index)
-        shift, unseen = np.zeros(group.size), here.variance_of_head()
+        shift, unseen = np.zeros(group.size), here.variance_of_head() + here.variance_of_rate()
         for row, indices in rows.items():
             # Each of the mountings, or positions, of a row has readings of its own.
             whose = np.full(group.size, -1)
@@ -492,9 +510,31 @@ class _Here:
         more, less = (mean_products(each, group.site) for each in both)
         return np.square(self.slope(more, less, _HEAD_STEP) * group.u_head)
 
+    def variance_of_rate(self) -> Array:
+        """Return the variance of the indications due to the rates, g^2, shape (n,)."""
+        group = self.group
+        if not np.any(group.u_rate):
+            return np.zeros(group.size)
+        more, less = (
+            mean_products([_faster(station, step) for station in self.stations], group.site)
+            for step in (_RATE_STEP, -_RATE_STEP)
+        )
+        rates = np.array([station.rate or 1.0 for station in self.stations])
+        variance: Array = (self.slope(more, less, _RATE_STEP) * group.u_rate / rates) ** 2
+        return variance
+
+
+def _faster(station: Station, part: float) -> Station:
+    """Return a station whose rate is larger by a part of itself."""
+    return replace(station, rate=station.rate * (1.0 + part))
+
 
 def with_input(group: Readings, name: str, by: float, machine: Collection[str]) -> Readings:
     """Return readings with an input changed; a mounting whose radius is a term keeps its own."""
+    if name == CLOCK:
+        # A clock that runs fast shows too much time for a revolution.
+        parts = np.broadcast_to(by * np.asarray(group.by_clock), group.size).tolist()
+        return replace(group, stations=tuple(map(_faster, group.stations, parts)))
     if name == "site.gravity":
         return replace(group, site=replace(group.site, gravity=group.site.gravity + by))
     if name == "site.latitude":

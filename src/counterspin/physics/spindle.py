@@ -20,6 +20,9 @@ from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part
 
 TURN: Final = 2.0 * math.pi  #: rad
 
+#: Rows whose functions of the angle's error are in memory at once.
+_ROWS: Final = 65536
+
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
 
 
@@ -154,6 +157,19 @@ class SpindleFit:
     #: How far the true angle may be from the model, in the harmonics that can reach a coefficient
     #: too, supported or not.
     error: AngleError
+
+    def rate_at(self, t: Array) -> tuple[float, float]:
+        """Return the root mean square of the rate at times, with its sign, and its u, rad/s.
+
+        t: s, shape (n,), in the time of the samples given.
+        """
+        rate = self.spindle.angular_rate(t)
+        value = math.copysign(math.sqrt(float(np.mean(rate**2))), self.spindle.rate)
+        slopes = np.zeros(self.error.deviation.size)
+        for part in (slice(start, start + _ROWS) for start in range(0, t.size, _ROWS)):
+            slopes += rate[part] @ self.error.functions(t[part])[1]
+        slopes /= t.size * value
+        return value, float(np.linalg.norm(slopes @ self.error.root))
 
 
 def fit_spindle(

@@ -103,7 +103,8 @@ class ArrayFile(ColumnFile):
                 numbers[name] = float(next(self._batches([name]))[name][0])
         return numbers
 
-    def _has(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
+        """Return whether the file has a column of this name."""
         return name in self._full
 
     def _require(self, wanted: Sequence[str]) -> None:

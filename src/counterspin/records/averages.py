@@ -1,7 +1,8 @@
 """A record as a few numbers: the mean of a signal and the course of a temperature.
 
-The mean is that over whole revolutions. The record passes what any record passes: its clock,
-repeated rows, empty cells, gaps and outliers (`counterspin.records.reading`).
+The mean is that over whole revolutions, which are those of the recorded angle where there is one.
+The record passes what any record passes: its clock, repeated rows, empty cells, gaps and outliers
+(`counterspin.records.reading`).
 
 The scatter of a record's own stretches tells u of its mean where they are independent. Where the
 level wanders they are alike, and u would be too small, of a walk by a factor of ten. So u is
@@ -31,11 +32,10 @@ from counterspin.arrays import Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile, in_pieces, piece_rows
-from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryTable
 from counterspin.records.reading import opened, read_record
-from counterspin.records.record import ColumnSpec, RecordColumns, RecordReport, StatedMotion
+from counterspin.records.record import Record, RecordColumns, RecordReport, StatedMotion
 from counterspin.records.run_file import RunFile
 from counterspin.records.spikes import FEWEST_SAMPLES, find_spikes
 from counterspin.units import ZERO_CELSIUS
@@ -58,8 +58,34 @@ _WHITE_ALONE: Final = 0.5
 #: Variance of the mean by the wander over that by white noise.
 _PROPORTIONS: Final = np.geomspace(0.1, 1e5, 13)
 
-#: What the record's only signal is called.
-_SIGNAL: Final = "reading"
+
+@frozen(eq=False)
+class RowRotation:
+    """The rotation of the spindle at the n rows of a record."""
+
+    angle: Array  #: rad, shape (n,); the same everywhere at rest.
+    #: The nominal signal of the centripetal force, in the signal's unit, shape (n,). Its variation
+    #: about its mean is removed before the noise is judged, since drift and ripple are not noise.
+    centripetal: Array
+    highest_harmonic: int = 0  #: Of the ripple that the rate may have.
+
+    @property
+    def turns(self) -> bool:
+        """Whether the spindle turns."""
+        return bool(np.ptp(self.angle) > 0.0)
+
+    def __getitem__(self, rows: np.ndarray) -> RowRotation:
+        """Return the rotation at some of the rows."""
+        return RowRotation(self.angle[rows], self.centripetal[rows], self.highest_harmonic)
+
+
+def stated_rotation(time: Array, rate: float) -> RowRotation:
+    """Return a rotation at the stated rate.
+
+    time: Of the rows, s, shape (n,).
+    rate: rad/s; 0 at rest.
+    """
+    return RowRotation(rate * time, np.zeros_like(time))
 
 
 @frozen
@@ -77,48 +103,58 @@ class RecordMean:
     digest: bytes | None = None
 
 
-def mean_of_record(
-    path: Path | MemoryTable,
-    time: ColumnSpec,
-    signal: ColumnSpec,
-    rate: float,
-    dialect: Dialect = TO_BE_FOUND,
-) -> RecordMean:
-    """Return the mean of a signal over the whole revolutions of a record.
+def read_rows(path: Path | MemoryTable, columns: RecordColumns, rate: float) -> Record:
+    """Return all rows of a record whose mean is a reading.
 
-    The waves that a revolution makes are fitted beside the mean, so that samples that do not
-    divide a revolution evenly do no harm. The uncertainty is what the next record of the same
-    length would differ by, as far as this one tells.
-
-    time, signal: Their columns; time in s after its factor.
-    rate: Of the spindle, rad/s; 0 at rest, where the whole record counts.
+    columns: Time, the angle where it is recorded, and one signal.
+    rate: The stated rate, rad/s; 0 at rest, where no angle is read.
     """
-    columns = RecordColumns(time, None, {_SIGNAL: signal}, dialect)
-    record = read_record(path, columns, StatedMotion(rate, steady=True), block=None)
-    there = np.isfinite(record.signals[_SIGNAL])
-    t, y = record.time[there], record.signals[_SIGNAL][there]
-    # Of all: how much of them counts hangs on the rate that the run states.
+    return read_record(path, columns, StatedMotion(rate, steady=True), block=None)
+
+
+def mean_of_record(
+    record: Record, column: str, rotation: RowRotation
+) -> tuple[RecordMean, np.ndarray]:
+    """Return the mean of a signal over whole revolutions, and the rows that were used.
+
+    The waves of a revolution are fitted together with the mean, so that samples that do not divide
+    a revolution evenly do no harm. The uncertainty is that by which the next record of the same
+    length would differ, as far as this record shows it.
+
+    record: All rows, with one signal.
+    column: The signal's, under whose name outliers are counted.
+    rotation: The rotation at these rows; at rest the whole record counts.
+    Returns: the mean, and the places of the rows, shape (m,).
+    """
+    ((_, signal),) = record.signals.items()
+    rows = np.flatnonzero(np.isfinite(signal))
+    t, y = record.time[rows], signal[rows]
+    # Of all rows: the rate decides how many of them count.
     differs = y.size and np.ptp(y) > 0.0
     digest = sha256(t.tobytes() + y.tobytes()).digest() if differs else None
-    turns = math.floor((t[-1] - t[0]) * abs(rate) / (2.0 * math.pi) + 1e-9) if y.size else 0
-    if rate:
-        inside = t - t[0] < turns * 2.0 * math.pi / abs(rate) * (1.0 + 1e-12)
-        t, y = t[inside], y[inside]
-    if y.size < FEWEST_SAMPLES:
-        raise RecordError(f"{path}: {y.size} samples are too few for a mean and its uncertainty.")
-    burst = _bursts(t, y, rate)
-    t, y = t[~burst], y[~burst]
-    value, left = _level(t, y, rate)
-    parts = np.array_split(left, stretches(y.size))
-    outliers = record.report.outliers[signal.name] + int(burst.sum())
-    return RecordMean(
+    turns = 0
+    if y.size and rotation.turns:
+        turned = np.abs(rotation.angle[rows] - rotation.angle[rows[0]])
+        turns = math.floor(turned[-1] / (2.0 * math.pi) + 1e-9)
+        rows = rows[turned < turns * 2.0 * math.pi * (1.0 + 1e-12)]
+    if rows.size < FEWEST_SAMPLES:
+        raise RecordError(
+            f"{record.report.path}: {rows.size} samples are too few for a mean and its uncertainty."
+        )
+    burst = _bursts(record.time[rows], signal[rows], rotation[rows])
+    rows = rows[~burst]
+    value, left = _level(signal[rows], rotation[rows])
+    parts = np.array_split(left, stretches(rows.size))
+    outliers = record.report.outliers[column] + int(burst.sum())
+    mean = RecordMean(
         value=value,
         u=u_of_mean(np.array([part.mean() for part in parts])),
-        samples=int(y.size),
+        samples=int(rows.size),
         revolutions=turns,
-        report=replace(record.report, outliers={signal.name: outliers}),
+        report=replace(record.report, outliers={**record.report.outliers, column: outliers}),
         digest=digest,
     )
+    return mean, rows
 
 
 def stretches(samples: int) -> int:
@@ -126,19 +162,21 @@ def stretches(samples: int) -> int:
     return min(_STRETCHES, samples // _SHORTEST_STRETCH)
 
 
-def _level(t: Array, y: Array, rate: float) -> tuple[float, Array]:
-    """Return the level beside the waves of a revolution, and what both leave, shape (n,)."""
-    angle = rate * (t - t[0])
-    waves = [np.ones_like(t)]
-    for n in range(1, _HARMONICS + 1) if rate else ():
+def _level(y: Array, rotation: RowRotation) -> tuple[float, Array]:
+    """Return the mean of a signal without the waves of a revolution, and the residuals, (n,)."""
+    y = y - (rotation.centripetal - rotation.centripetal.mean())
+    angle = rotation.angle - rotation.angle[0]
+    waves = [np.ones_like(y)]
+    highest = max(_HARMONICS, rotation.highest_harmonic)
+    for n in range(1, highest + 1) if rotation.turns else ():
         waves += [np.cos(n * angle), np.sin(n * angle)]
     design = np.column_stack(waves)
     fitted = np.linalg.lstsq(design, y, rcond=None)[0]
     return float(fitted[0]), y - design @ fitted
 
 
-def _bursts(t: Array, y: Array, rate: float) -> np.ndarray:
-    """Return which samples are of a stretch whose mean stands off its neighbours', shape (n,)."""
+def _bursts(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
+    """Return a mask of the samples in stretches whose mean is an outlier, shape (n,)."""
     count = y.size // _BURST
     found = np.zeros(y.size, dtype=bool)
     if count < FEWEST_SAMPLES:
@@ -146,7 +184,7 @@ def _bursts(t: Array, y: Array, rate: float) -> np.ndarray:
     edges = np.linspace(0, y.size, count + 1).astype(int)
     sizes = np.diff(edges)
     # Medians: a burst of a third of the record must not make waves.
-    left = y - median(y) if not rate else _level(t, y, rate)[1]
+    left = _level(y, rotation)[1] if rotation.turns else y - median(y)
     means, times = (np.add.reduceat(each, edges[:-1]) / sizes for each in (left, t))
     steps = np.diff(times)
     step = median(steps)

@@ -207,13 +207,14 @@ class ColumnFile(ABC):
 
     def require(self, wanted: Sequence[str]) -> None:
         """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
-        missing = [name for name in wanted if not self._has(name)]
+        missing = [name for name in wanted if not self.has(name)]
         if missing:
             raise RecordError(f"{self.path}: {self._missing_words(missing)}")
         with record_errors(self.path):
             self._require(wanted)
 
-    def _has(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
+        """Return whether the file has a column of this name."""
         return name in self.names
 
     def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:

@@ -91,6 +91,9 @@ def read_record(
     if columns.angle is not None and columns.angle.kind == "pulses":
         source = record if columns.pulses is None else columns.pulses
         pulses = in_reader_process(_pulse_times, source, columns)
+        if pulses is None:
+            columns = replace(columns, angle=None)
+    if columns.angle is not None and pulses is not None:
         try:
             pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
@@ -134,6 +137,7 @@ def opened(
     with ExitStack() as stack:
         files = [stack.enter_context(open_columns(path, columns.dialect))]
         files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
+        columns = columns.required(files[0])
         for one in files:
             one.stamps = columns.stamps
             one.require(columns.filed)
@@ -147,11 +151,15 @@ def opened(
 
 def _pulse_times(
     path: Path | MemoryTable, columns: RecordColumns
-) -> tuple[np.ndarray, FileIdentity | None]:
-    """Return the times of a record's pulses, s, and the file they are in."""
-    spec = columns.angle
-    assert spec is not None
+) -> tuple[np.ndarray, FileIdentity | None] | None:
+    """Return the times of a record's pulses, s, and the file they are in.
+
+    Returns: None where the file has no such column and does not need it.
+    """
     with open_columns(path, columns.dialect if columns.pulses is None else TO_BE_FOUND) as file:
+        spec = columns.required(file).angle
+        if spec is None:
+            return None
         file.require([spec.name])
         spec = spec.resolved(file)
         times = file.whole([spec.name])[spec.name]

@@ -202,6 +202,14 @@ class RecordColumns:
     part: tuple[float, float] = (-math.inf, math.inf)
     more: tuple[Path, ...] = ()  #: Files in which the record goes on.
     pulses: Path | None = None  #: The file that has the times of pulses; None: the record itself.
+    needs_angle: bool = True  #: Whether a file without the column of the angle is refused.
+
+    def required(self, file: ColumnFile) -> RecordColumns:
+        """Return the columns without an angle that a file does not have and that is not needed."""
+        angle = self.angle
+        if angle is None or self.needs_angle or self.pulses or file.has(angle.name):
+            return self
+        return replace(self, angle=None)
 
     def resolved(self, file: ColumnFile) -> RecordColumns:
         """Return the columns with the units that the file states; see `ColumnSpec.resolved`."""
