@@ -108,15 +108,22 @@ def truth(rows=ROWS, bias=BIAS):
     return SIGNS * np.array([*bias, *lower])
 
 
-def unknowns(extra=()):
-    """Return them as unknowns of a fit, further pairs of owner and symbol behind them."""
+def unknowns(extra=(), *, defaults=False):
+    """Return them as unknowns of a fit, further pairs of owner and symbol behind them.
+
+    defaults: Whether they have the default priors of consumer grade, for where they are needed.
+    """
     from counterspin.inference.joint.unknowns import Unknown, Unknowns
     from counterspin.physics.terms import term
 
     return Unknowns(
         tuple(
             Unknown(
-                name, symbol, (term(symbol).nominal, np.inf), term(symbol).sizes("consumer").limit
+                name,
+                symbol,
+                (term(symbol).nominal, np.inf),
+                term(symbol).sizes("consumer").limit,
+                default=term(symbol).sizes("consumer").typical if defaults else np.inf,
             )
             for name, symbol in (*PARAMETERS, *extra)
         )

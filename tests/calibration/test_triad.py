@@ -235,6 +235,28 @@ def test_faces_say_what_they_do_not_determine(tmp_path):
     assert "6 poses are fewer than the 9 unknowns" in subjects["Z.delta_P"]
 
 
+def test_many_poses_in_six_directions_give_no_angles_and_no_matrix(tmp_path):
+    faces = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 4, axis=0)
+    generator = np.random.default_rng(15)
+    values = triads.indications(faces) + NOISE * generator.standard_normal((24, 3))
+    result = cs.calibrate(triads.table(tmp_path, values))
+    parameters = result.triad.parameters
+    for k, name in enumerate(triads.NAMES):
+        offset, size = parameters[f"offset.{name}"], parameters[f"sensitivity.{name}"]
+        assert abs(offset.value - triads.BIAS[k]) < 4.0 * offset.u < 20.0 * NOISE
+        assert abs(size.value - triads.ROWS[k, k]) < 4.0 * size.u < 20.0 * NOISE
+    for name in ("angle.X.Y", "angle.X.Z", "angle.Y.Z"):
+        assert parameters[name].value is None
+        assert name in result.triad.why_no_matrix
+    assert result.triad.matrix is None
+    texts = {f.subject: f.text for f in result.findings if f.code == "not-determined"}
+    assert texts.keys() == {"Y.delta_P", "Z.delta_O", "Z.delta_P"}
+    assert "24 poses have only 6 different directions" in texts["Y.delta_P"]
+    # The default prior of a misalignment contributes to what depends on it.
+    budget = {line.source: line for line in result.accelerometers["Y"].budget["K_I"]}
+    assert budget["Z.delta_P"].kind == "unstated"
+
+
 def test_faces_determine_biases_and_scale_factors_where_angles_are_not_asked_for(tmp_path):
     faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
     description = triads.head(model='typical = { K_II = "1 ug/g^2" }')

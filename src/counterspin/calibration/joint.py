@@ -74,6 +74,9 @@ from counterspin.records.averages import RecordMean
 #: An input axis that no pose turns below the level by more than asin of this was never down.
 _DOWN: Final = 0.3
 
+#: Poses whose directions differ by less count as one direction in words, rad (3 deg).
+_APART: Final = math.radians(3.0)
+
 
 def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
     """Return an estimate as far as it is from what is stated of it: a shorter arm is no mistake."""
@@ -237,6 +240,7 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> li
         not_determined(
             f"{view.name}.{symbol}",
             symbol,
+            "poses" if only_posed(view) else "records",
             more=too_few_poses(view)
             or (squares if at_rest and symbol in ("K_F", "K_II", *SQUARES) else ""),
         )
@@ -388,9 +392,14 @@ def unseen_ripple(view: AccelerometerView) -> list[Finding]:
     return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]
 
 
+def only_posed(view: AccelerometerView) -> bool:
+    """Return whether an accelerometer has poses of unknown attitude and no other data."""
+    return bool(view.poses) and not view.readings and not view.has_records
+
+
 def too_few_poses(view: AccelerometerView) -> str:
     """Return what poses would have to be added; empty where readings or records are there too."""
-    if not view.poses or view.readings or view.has_records:
+    if not only_posed(view):
         return ""
     axes: dict[str, list[Array]] = {}
     for part in view.poses:
@@ -399,16 +408,36 @@ def too_few_poses(view: AccelerometerView) -> str:
         there = group.at(view.fit.model, view.fit.solution.estimate)
         for name, own in zip(group.accelerometers, group.axes, strict=True):
             axes.setdefault(name, []).append(there.direction @ own[0])
-    count = sum(part.readings.size for part in view.poses)
-    free = sum(math.isinf(unknown.prior[1]) for unknown in view.fit.model.unknowns)
+    count, distinct = _count_directions(view)
+    free = sum(math.isinf(u.prior[1]) or u.defaulted for u in view.fit.model.unknowns)
     said = []
     if count < free:
         said.append(f" {count} poses are fewer than the {free} unknowns without a prior.")
+    elif distinct < free:
+        said.append(
+            f" The {count} poses have only {distinct} different directions, fewer than the {free} "
+            "unknowns without a prior."
+        )
     for way, sign in (("up", -1.0), ("down", 1.0)):
         never = [name for name, own in axes.items() if np.min(sign * np.concatenate(own)) > -_DOWN]
         if never:
             said.append(f" No pose has {' or '.join(never)} pointing {way}.")
     return (
-        "".join(said) + " Take poses whose directions are spread over the whole sphere, or ask for "
-        "fewer coefficients in model.terms: the others then enter with their typical size."
+        "".join(said) + " Take poses whose directions are spread over the whole sphere, or "
+        "request fewer coefficients in model.terms: the others then enter with their default "
+        "priors."
     )
+
+
+def _count_directions(view: AccelerometerView) -> tuple[int, int]:
+    """Return the number of poses, and of directions that differ by more than `_APART`."""
+    found: list[Array] = []
+    count = 0
+    for part in view.poses:
+        group = part.readings
+        assert isinstance(group, TriadPoses)
+        count += group.size
+        for direction in group.at(view.fit.model, view.fit.solution.estimate).direction:
+            if all(direction @ other < math.cos(_APART) for other in found):
+                found.append(direction)
+    return count, len(found)

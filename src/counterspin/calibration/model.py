@@ -50,8 +50,9 @@ def model_of(campaign: Campaign) -> Unknowns:
         prior, unstated = prior_of(campaign, owner, symbol, known)
         limit = campaign.limit_of(symbol, owner)
         if symbol in wanted:
+            default = math.inf if known else campaign.typical_of(symbol, owner)
             prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
-            asked.append(Unknown(owner, symbol, prior, limit, unstated=unstated))
+            asked.append(Unknown(owner, symbol, prior, limit, unstated=unstated, default=default))
         elif symbol in kept:
             held.append(Considered(owner, symbol, prior, limit, asked=False, unstated=unstated))
         elif known or prior[1] > 0.0:

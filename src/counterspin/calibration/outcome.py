@@ -53,7 +53,7 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
     unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
     unit = unknown.unit
     if not assessment.determined[unknown.name]:
-        known = math.isfinite(unknown.prior[1])
+        known = math.isfinite(unknown.prior[1]) and not unknown.defaulted
         return Coefficient(
             value=unknown.prior[0] if known else None,
             u=unknown.prior[1] if known else None,

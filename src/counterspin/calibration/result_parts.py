@@ -340,6 +340,8 @@ class TriadResult(ResultPart):
     matrix: list[list[float]] | None = None
     u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix.
     bias: list[float] | None = None  #: The three offsets, g; null with the matrix.
+    #: Why the matrix is not given; null where it is given, and in files of earlier versions.
+    why_no_matrix: str | None = None
     #: Root mean square over the poses of the size of f less g, by the nominal sensitivities, m/s^2;
     #: null without poses.
     rms_before: float | None = None

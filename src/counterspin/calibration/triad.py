@@ -32,6 +32,7 @@ from counterspin.inference.identifiability import PRIOR_LEFT
 from counterspin.inference.joint.budget import budget_of, by_kind_of
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import Unknown
+from counterspin.inference.least_squares import Combination
 from counterspin.inference.poses import LINEAR, PosesAt, TriadPoses, levers
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
@@ -39,6 +40,10 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
 _TRACE_POINTS: Final = 600
 
 _SYMBOLS: Final = tuple(TERMS)
+
+#: A parameter follows unknowns that are not determined if its slope by one is larger, and if the
+#: data take away less than half of what their default priors contribute.
+_FOLLOWS: Final = 0.5
 
 #: An angle depends no more on where the axes point than by rounding.
 _NOTHING: Final = 1e-12
@@ -69,8 +74,8 @@ def triad_result(
     parameters = dict(_parameters(campaign, at, estimated))
     found = {name: _coefficient(estimated, one, read.parts) for name, one in parameters.items()}
     determined = [name for name, c in found.items() if c.estimated]
-    whole = all(found[name].value is not None for name in found if "." in name)
-    matrix = at.inverse() if whole else None
+    lacking = [name for name, c in found.items() if c.value is None]
+    matrix = None if lacking else at.inverse()
     poses: list[PoseResult] = []
     before, after = [], []
     model = estimated.fit.model
@@ -96,6 +101,7 @@ def triad_result(
         matrix=None if matrix is None else matrix.tolist(),
         u_matrix=None if matrix is None else _u_matrix(estimated, at, matrix),
         bias=None if matrix is None else at.bias.tolist(),
+        why_no_matrix=f"The poses do not determine {', '.join(lacking)}." if lacking else None,
         rms_before=_rms(before, gravity),
         rms_after=_rms(after, gravity),
         poses=poses,
@@ -181,6 +187,7 @@ def _parameters(
     for place, name in enumerate(names):
         limit = campaign.limit_of("K_I", name)
         own = at.by_row(place, units[place])
+        own = own + _second_order_slopes(at, name, float(sizes[place]), estimated.fit.model.asked)
         yield f"sensitivity.{name}", _Parameter(float(sizes[place]), own, "g/g", limit)
     for one, other in combinations(range(len(names)), 2):
         a, b = units[one], units[other]
@@ -201,6 +208,21 @@ def _parameters(
                 yield f"{name}.{symbol}", _Parameter(value, own, TERMS[symbol].unit, limit)
 
 
+def _second_order_slopes(
+    at: _Linear, name: str, size: float, requested: Sequence[Unknown]
+) -> Array:
+    """Return slopes of a sensitivity, (p,), that stand for the squares of its misalignments.
+
+    A misalignment d adds d^2/2 to the length of a vector. Of one that is not determined, this has
+    the mean s^2/2 and the variance s^4/2 over its default prior s; the slope times s is the root
+    mean square.
+    """
+    default = {u.symbol: u.default for u in requested if u.owner == name and u.defaulted}
+    across = {symbol: s for symbol, s in default.items() if symbol.startswith("delta_")}
+    share = math.sqrt(len(across) / 4.0 + 0.5)
+    return at.slopes(name, {symbol: share * s / size for symbol, s in across.items()})
+
+
 def _coefficient(
     estimated: Estimate, one: _Parameter, read: Sequence[FittedReadings]
 ) -> Coefficient:
@@ -209,7 +231,7 @@ def _coefficient(
     if np.max(np.abs(one.slopes), initial=0.0) < _NOTHING:
         return Coefficient(value=one.value, u=0.0, unit=one.unit, estimated=False)
     combined = fit.solution.combine(one.slopes)
-    if not combined.u < one.limit:
+    if not combined.u < one.limit or _follows_defaults(estimated, one, combined):
         return Coefficient(value=None, u=None, unit=one.unit, estimated=False)
     own = np.flatnonzero(np.abs(one.slopes) > _NOTHING)
     known = float(np.linalg.norm(one.slopes[own] * fit.solution.prior_sd[own]))
@@ -227,6 +249,16 @@ def _coefficient(
         unit=one.unit,
         estimated=True,
     )
+
+
+def _follows_defaults(estimated: Estimate, one: _Parameter, combined: Combination) -> bool:
+    """Return whether a parameter is known only by default priors of undetermined unknowns."""
+    fit = estimated.fit
+    defaulted = [unknown.defaulted for unknown in fit.model.unknowns]
+    slopes, contributed = one.slopes[defaulted], combined.prior[defaulted]
+    before = np.linalg.norm(slopes * fit.solution.prior_sd[defaulted])
+    large = np.max(np.abs(slopes), initial=0.0) > _FOLLOWS
+    return bool(large and np.linalg.norm(contributed) > _FOLLOWS * before)
 
 
 def _dof(estimated: Estimate, slopes: Array, read: Sequence[FittedReadings]) -> float:

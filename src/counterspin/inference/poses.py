@@ -110,9 +110,7 @@ class TriadPoses:
     ) -> LinearReadings:
         """Return one row a pose at an estimate, the pose's angles eliminated."""
         point = self.at(model, estimate)
-        columns = np.zeros((self.size, 3, len(point.everything)))
-        for index, place, term, lever in levers(self, point.everything):
-            columns[:, place, index] = point.products[:, place, term] * lever
+        columns = self._columns(point)
         perfect = point.indicated - columns @ point.values
         for index, unknown in enumerate(point.everything):
             if unknown.symbol == "site.gravity":
@@ -123,6 +121,30 @@ class TriadPoses:
         nothing = np.zeros(self.size)
         target = np.sum(along * (self.value - perfect), axis=1)
         return LinearReadings.whole(self, model, rows, target, stated, self.repeats, nothing)
+
+    def _columns(self, point: PosesAt) -> Array:
+        """Return the derivatives of the indications by everything, shape (n, 3, p)."""
+        columns = np.zeros((self.size, 3, len(point.everything)))
+        for index, place, term, lever in levers(self, point.everything):
+            columns[:, place, index] = point.products[:, place, term] * lever
+        return columns
+
+    def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
+        """Return the second-order change of each row as the unknowns move, shape (n, m).
+
+        A move turns the force that the indications give. As |f| is known, its length then changes
+        by half the square of the turn.
+
+        moves: Of the unknowns from the estimate, shape (p, m).
+        """
+        point = self.at(model, estimate)
+        _, slopes = _products(self.axes, point.direction, point.effective)
+        columns = self._columns(point)[:, :, : len(moves)]
+        change = np.linalg.solve(slopes, columns @ moves)
+        along = np.einsum("nj,njm->nm", point.direction, change)
+        turned = change - point.direction[:, :, None] * along[:, None, :]
+        squares: Array = np.sum(turned**2, axis=1)
+        return 0.5 * point.growth[:, None] * squares
 
     def at(self, model: Unknowns, estimate: Array) -> PosesAt:
         """Return the poses under the coefficients of an estimate, their angles found.

@@ -24,6 +24,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.linear_readings import LinearReadings, Readings
 from counterspin.inference.noise.model import Noise
+from counterspin.inference.pose_rank import candidates_of, undetermined_parameters
 from counterspin.inference.poses import TriadPoses
 
 U = TypeVar("U", bound=Unknown)
@@ -70,10 +71,32 @@ def solve_readings(
 ) -> ReadingsFit:
     """Estimate a model from readings, together with what records say.
 
+    A requested parameter of a triad that the directions of its poses do not determine gets its
+    default prior; the model of the fit says which.
+
     model: What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     """
+    posed = {name for g in readings if isinstance(g, TriadPoses) for name in g.accelerometers}
+    first = None
+    if candidates := candidates_of(model, posed):
+        first = _solved_or_held(readings, model.with_default_priors(candidates), records)
+        model = model.with_default_priors(undetermined_parameters(first.fit, model, candidates))
+    found = _solved_or_held(readings, model, records, first)
+    return replace(found, groups=tuple(group.under(found.fit) for group in found.groups))
+
+
+def _solved_or_held(
+    readings: Sequence[Readings | TriadPoses],
+    model: Unknowns,
+    records: JointFit | None,
+    start: ReadingsFit | None = None,
+) -> ReadingsFit:
+    """Return the solved problem, with what hides the noise held where few readings tell both.
+
+    start: A fit to begin with; None: the prior means, or the ellipsoid of the poses.
+    """
     try:
-        return _solved(readings, model, records)
+        return _solved(readings, model, records, start)
     except NotIdentifiableError:
         bare = _without_unasked(readings, model)
         set_by_hand = any(group.u is None and any(group.position) for group in readings)
@@ -83,8 +106,8 @@ def solve_readings(
     # nobody asks for do. The residuals show both together, and the noise is taken to be as large as
     # that.
     unset = [replace(g, position=()) if isinstance(g, Readings) else g for g in readings]
-    together = _solved(unset, bare, records)
-    return _solved(readings, model, records, together)
+    together = _solved(unset, bare, records, start)
+    return _solved(readings, model, records, start, together)
 
 
 def _place(
@@ -138,23 +161,26 @@ def _solved(
     readings: Sequence[Readings | TriadPoses],
     model: Unknowns,
     records: JointFit | None,
+    start: ReadingsFit | None = None,
     together: ReadingsFit | None = None,
 ) -> ReadingsFit:
-    """Return the solved problem; of `together`, where it is given, the noise is taken."""
+    """Return the solved problem, its groups not yet judged under the fit.
+
+    start: As of `_solved_or_held`.
+    together: A fit whose noise is taken; None: the noise is estimated.
+    """
     everything = [*model.unknowns, *model.considered]
     known = np.array([unknown.prior_mean for unknown in everything])
-    point = known
-    for group in readings:
+    point = known if start is None else start.fit.relaxed.estimate[: known.size]
+    for group in readings if start is None else ():
         point = group.start(everything, point) if isinstance(group, TriadPoses) else point
     limits = np.array([unknown.limit for unknown in everything])
     # One reading with the wrong sign drives what is known beforehand so far that nothing is linear.
     stated = np.array([math.isfinite(unknown.prior[1]) for unknown in everything])
     farthest = np.where(stated, _FARTHEST * limits, np.inf)
-    noise = (
-        [_first_noise(group) for group in readings]
-        if together is None
-        else [g.noise for g in together.groups]
-    )
+    noise = [_first_noise(group) for group in readings]
+    if (known_noise := together or start) is not None:
+        noise = [group.noise for group in known_noise.groups]
     # What is considered is in the residuals too. Noise and the point of the derivatives are found
     # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
     # looks like it would leave its prior so far that derivatives there are not the machine's.
@@ -216,7 +242,7 @@ def _solved(
         noises = {**records.noise, **told}
         fit = replace(fit, solution=hidden, noise=noises, unseen=records.unseen)
     groups = (
-        FittedReadings(group, part, size, freedom).under(fit)
+        FittedReadings(group, part, size, freedom)
         for group, part, size, freedom in zip(readings, parts, noise, dof, strict=True)
     )
     return ReadingsFit(fit, tuple(groups))

@@ -101,6 +101,8 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
                 for axis, row in zip("xyz", triad.matrix, strict=True)
             ),
         )
+    elif triad.why_no_matrix is not None:
+        yield Paragraph(f"Corrected output: not given. {triad.why_no_matrix}", "warning")
     for name, record in triad.records.items():
         yield Paragraph(
             f"{name}: {record.poses} {'pose' if record.poses == 1 else 'poses'}, found where the "

@@ -107,11 +107,13 @@ class JointFit:
     def assessment(self) -> Assessment:
         """Which of the coefficients that are asked for are determined."""
         asked = self.model.asked
-        return assess(
+        assessment = assess(
             self.solution,
             [unknown.name for unknown in asked],
             nominal=[unknown.nominal for unknown in asked],
         )
+        not_determined = {unknown.name: False for unknown in asked if unknown.defaulted}
+        return replace(assessment, determined=assessment.determined | not_determined)
 
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:

@@ -60,6 +60,14 @@ class Unknown:
     #: Whether the description does not state the prior's uncertainty, which then is the typical one
     #: of the table of terms.
     unstated: bool = False
+    #: Default standard uncertainty of a requested parameter without a prior, which it gets if the
+    #: directions of a triad's poses do not determine it; infinite: none.
+    default: float = math.inf
+
+    @property
+    def defaulted(self) -> bool:
+        """Whether a requested parameter is not determined and has its default prior."""
+        return self.asked and self.unstated and self.prior[1] == self.default
 
     @property
     def unit(self) -> str:
@@ -115,6 +123,18 @@ class Unknowns:
     def asked(self) -> tuple[Unknown, ...]:
         """What is asked for: the first of the unknowns."""
         return tuple(unknown for unknown in self.unknowns if unknown.asked)
+
+    def with_default_priors(self, chosen: Collection[Unknown]) -> Unknowns:
+        """Return the model with the default priors of some requested parameters."""
+        return replace(
+            self,
+            unknowns=tuple(
+                replace(unknown, prior=(unknown.nominal, unknown.default), unstated=True)
+                if unknown in chosen
+                else unknown
+                for unknown in self.unknowns
+            ),
+        )
 
     @property
     def has_inputs(self) -> bool:
