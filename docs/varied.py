@@ -87,13 +87,14 @@ class Kind:
     unstated
         Whether it has errors that its description does not state, or is assumed to have none.
     noise
-        Whether its description states the noise; None: drawn.
+        How its description gives the noise: "stated", "found" (left out) or "estimate"; None: drawn
+        from the first two.
     first
         Seed of the first one.
     """
 
     unstated: bool
-    noise: bool | None = None
+    noise: str | None = None
     first: int = 7000
 
 
@@ -108,8 +109,12 @@ def draw(rng: np.random.Generator, kind: Kind) -> Drawn:
     walk = WALK if rng.random() < 0.3 and observable != "specific_force" else 0.0
     noise = [f'{observable} = "{white!r} {UNITS[observable]}"']
     noise += [f'acceleration = "{walk!r} m/s^2/Hz^0.5"'] if walk else []
-    drawn = rng.random() < 0.5
-    stated = noise if (drawn if kind.noise is None else kind.noise) else []
+    how = kind.noise, "stated" if rng.random() < 0.5 else "found"
+    stated = {
+        "stated": noise,
+        "found": [],
+        "estimate": [f'{line.partition(" ")[0]} = "estimate"' for line in noise],
+    }[how[0] or how[1]]
     truth: dict[str, dict[str, float]] = {}
     tables = []
     for axis in axes:
@@ -281,8 +286,9 @@ TABLE: Final = KeptTable("varied", DOCS / "trust.md", Row, render)
 
 KINDS: Final = {
     "nothing assumed, every unstated error drawn at its typical size": Kind(True),
-    'perfect machines, `assume = "all"`, noise stated': Kind(False, True, 110_000),
-    'perfect machines, `assume = "all"`, noise found': Kind(False, False, 110_000),
+    'perfect machines, `assume = "all"`, noise stated': Kind(False, "stated", 110_000),
+    'perfect machines, `assume = "all"`, noise found': Kind(False, "found", 110_000),
+    'perfect machines, `assume = "all"`, noise = "estimate"': Kind(False, "estimate", 110_000),
 }
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_campaigns import SITE, considered, unknown
+from reading_campaigns import SITE, considered, readings, tumble, unknown
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
@@ -202,3 +202,23 @@ def test_small_tumbles_set_by_hand_cover():
     assert rms.max() < high
     assert inside.min() >= stats.binom.ppf(1e-5, trials, 0.95)
     assert np.abs(np.mean(z, axis=0)).max() < 4.4 / math.sqrt(trials)
+
+
+def test_squares_that_noise_alone_leaves_have_the_moments_of_the_whole_matrix():
+    """R = 1 - rows C rows' of a fit with priors: traces of its powers, and draws of noise."""
+    rng = np.random.default_rng(3)
+    group = replace(readings(tumble(), np.zeros(12), SIGMA), value=np.ones(12))
+    others = (unknown("K_PP", (0.0, 0.3 * SIGMA)), unknown("head.zero", (0.0, SIGMA), owner=""))
+    own = (unknown("K_F"), unknown("K_I"))
+    fit = solve_readings([group], Unknowns((*own, *others)))
+    part, solution = fit.groups[0].linear, fit.solution
+    rows = part.design / part.sigma[:, None]
+    left = np.eye(12) - rows @ solution.least_covariance @ rows.T
+    squares = np.linalg.eigvalsh(left) ** 2
+    scale, dof = part.moments_of_noise(solution)
+    assert scale * dof == pytest.approx(squares.sum(), rel=1e-9)
+    assert 2.0 * scale**2 * dof == pytest.approx(2.0 * np.sum(squares**2), rel=1e-9)
+    drawn = np.sum((left @ rng.standard_normal((12, 20_000))) ** 2, axis=0)
+    # The distribution itself, at its lower tail: 200 of 20,000 within 4 standard deviations.
+    below = np.mean(drawn < scale * stats.chi2.ppf(0.01, dof))
+    assert below == pytest.approx(0.01, abs=4.0 * np.sqrt(0.01 / 20_000))

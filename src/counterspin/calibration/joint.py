@@ -10,7 +10,12 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.diagnosis.agreement import MethodComparison, compare_methods
-from counterspin.calibration.diagnosis.noise import hidden_walk, other_noise, residual_findings
+from counterspin.calibration.diagnosis.noise import (
+    hidden_walk,
+    other_noise,
+    overstated_noise,
+    residual_findings,
+)
 from counterspin.calibration.diagnosis.reading_findings import (
     no_more_than_rounded,
     outliers_of_means,
@@ -145,6 +150,7 @@ def joint(problem: JointProblem) -> Outcome:
             *unseen_axes(mountings),
             *untested_statements(views),
             *no_more_than_rounded(views),
+            *overstated_noise(views),
             *hidden_walk(views),
             *other_noise(views),
             *stated_rates_used(read.recorded.without_angle),

@@ -31,7 +31,12 @@ from counterspin.calibration.result_parts import (
     ParabolaResult,
     Residual,
 )
-from counterspin.calibration.two_stage_findings import findings, nothing_known, sums_of_alike
+from counterspin.calibration.two_stage_findings import (
+    findings,
+    nothing_known,
+    overstated_noise,
+    sums_of_alike,
+)
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
@@ -90,12 +95,13 @@ def two_stage(
         if coefficients[unknown.symbol].estimated
     }
     budgets = {symbol: budget(second.fit, index, name) for symbol, index in places.items()}
+    left = _residual(second.parabolas, view.estimate.components.get(name))
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
         correlation=correlation(view),
         confounded=[*confounded(view), *sums_of_alike(view, second, coefficients)],
-        residual=_residual(second.parabolas, view.estimate.components.get(name)),
+        residual=left,
         noise=from_rest(
             _noise_lines(second.parabolas, view), campaign, problem.noise[name], "displacement"
         ),
@@ -103,6 +109,7 @@ def two_stage(
         what_if=what_if(second.fit, places, budgets, name),
         findings=[
             *findings(view, second, coefficients, options.model),
+            *overstated_noise(view, left, second.parabolas[0].sigma),
             *incredible(campaign.limit_of, name, {**coefficients, "K_I": _shown_by_waves(records)}),
         ],
         **own_description(accelerometer, coefficients),

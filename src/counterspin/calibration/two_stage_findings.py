@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Final
 
@@ -14,9 +15,13 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_problem import AccelerometerView
-from counterspin.calibration.result_parts import Coefficient, Finding
+from counterspin.calibration.result_parts import Coefficient, Finding, Residual
 from counterspin.campaign.description import Campaign
-from counterspin.inference.diagnostics import agreement_of, normal_equivalent
+from counterspin.inference.diagnostics import (
+    CHI_SQUARE_SIGNIFICANCE,
+    agreement_of,
+    normal_equivalent,
+)
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import ConfoundedTerms, write_combination
 from counterspin.inference.joint.alternatives import of_priors, scores
@@ -27,6 +32,9 @@ from counterspin.reports.numbers import field_unit, format_number
 
 #: Below this probability a misfit is no accident.
 _SMALLEST_P: Final = 0.001
+
+#: Chi-square of strobes without any noise.
+_LEAST_SQUARES: Final = 1e-12
 
 #: Sizes of tests that differ by less are one: the first of them is named.
 _SAME_SIZE: Final = 1e-6
@@ -170,6 +178,22 @@ def _wrong_priors(view: AccelerometerView) -> Iterator[Finding]:
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,
     )
+
+
+def overstated_noise(
+    view: AccelerometerView, residual: Residual, sigma: float
+) -> Iterator[Finding]:
+    """Yield the finding that strobes scatter by less than the stated noise of a sample, in m."""
+    p, level = residual.lack_of_fit_p, CHI_SQUARE_SIGNIFICANCE / len(view.campaign.accelerometers)
+    if p is None or residual.chi2 is None or p <= 1.0 - level:
+        return
+    times = math.sqrt(max(residual.chi2, _LEAST_SQUARES) / residual.dof)
+    text = (
+        f"The strobes scatter by only {format_number(times, 2)} times the stated noise: by "
+        f"{format_number(times * sigma, 2)} m instead of {format_number(sigma, 2)} m. u is too "
+        "large. Check the stated noise, or have it estimated."
+    )
+    yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / times)
 
 
 def _misfit(name: str, second: SecondStage) -> list[Finding]:

@@ -87,12 +87,17 @@ class FittedReadings:
         return self.linear.sigma
 
     @property
+    def stated(self) -> bool:
+        """Whether the uncertainty of the readings was stated."""
+        return self.readings.u is not None
+
+    @property
     def weighed(self) -> bool:
         """Whether residuals are held against a noise that they did not tell: stated, or the least.
 
         Those that are no more than rounding say nothing of each other's size.
         """
-        return self.readings.u is not None or self.noise <= self.readings.least_noise
+        return self.stated or self.noise <= self.readings.least_noise
 
     def under(self, fit: JointFit) -> Self:
         """Return how the same readings fit what a fit, which has them, says."""

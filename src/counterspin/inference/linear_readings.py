@@ -409,6 +409,25 @@ class LinearReadings(Observation):
         """Return the readings less what the fit follows of them."""
         return float(np.sum(1.0 - self.leverages(solution)))
 
+    def moments_of_noise(self, solution: Solution) -> tuple[float, float]:
+        """Return scale and degrees of freedom of the squares that noise alone leaves.
+
+        The residuals are R e, of noise e with unit variance and R = 1 - rows C rows'. Their sum of
+        squares is distributed as scale times chi-square (Satterthwaite, Biometrics Bulletin 2
+        (1946) 110): tr R^4 / tr R^2 and (tr R^2)^2 / tr R^4. Errors of the machine only add to it.
+        """
+        rows = self.design / self.sigma[:, None]
+        followed = self._covariance(solution) @ (rows.T @ rows)
+        square = followed @ followed
+        # tr H^k of H = rows C rows' is that of the smaller matrix C rows' rows.
+        first, second = float(np.trace(followed)), float(np.trace(square))
+        third, fourth = float(np.sum(square * followed.T)), float(np.sum(square * square.T))
+        of_squares = len(rows) - 2.0 * first + second
+        of_fourths = len(rows) - 4.0 * first + 6.0 * second - 4.0 * third + fourth
+        if not (of_squares > 1e-9 and of_fourths > 1e-9):
+            return 1.0, 0.0
+        return of_fourths / of_squares, of_squares**2 / of_fourths
+
     def freedom_of_noise(self, solution: Solution) -> float:
         """Return the degrees of freedom of an estimated noise that the residuals give it.
 

@@ -7,20 +7,29 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.diagnosis.reading_findings import pose_findings, readings_fit
+import numpy as np
+
+from counterspin.arrays import median
+from counterspin.calibration.diagnosis.reading_findings import TRIAD, pose_findings, readings_fit
 from counterspin.calibration.findings import equivalent_deviations, lack_of_fit
 from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.outcome import found_timing, residual
 from counterspin.calibration.result_parts import Finding
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, FALSE_ALARMS, SIGNIFICANCE
+from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint.agreement import slow_parts
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import relax, solve_joint
 from counterspin.inference.joint.uneven_noise import noise_by_run
+from counterspin.inference.linear_readings import Readings
 from counterspin.reports.numbers import format_number
 
 #: Noise of a run that is so many times the stated one, or less by as much, is another one.
 _OTHER_NOISE: Final = 1.1
+
+#: Fewest degrees of freedom by which the size of residuals is compared with the stated noise.
+_FEWEST_FOR_SIZE: Final = 0.5
 
 #: Runs that a finding names.
 _MOST_NAMED: Final = 3
@@ -86,9 +95,11 @@ def wrong_noise(view: AccelerometerView) -> Iterator[Finding]:
         if min(run.sign_p, run.peak_p, math.erfc(abs(off) / math.sqrt(2.0))) < least:
             return
     times = math.sqrt(ratio)
+    white, unit = view.fit.noise[name].white, OBSERVABLES[view.accelerometer.observable]
+    shown = f", {format_number(times * white, 3)} {unit}," if white > 0.0 else ""
     text = (
-        f"Noise {format_number(times, 4)} times as large as stated would fit: the residuals have "
-        f"this size in every run and are independent of each other. Check the stated noise, "
+        f"Noise {format_number(times, 4)} times as large as stated{shown} would fit: the residuals "
+        "have this size in every run and are independent of each other. Check the stated noise, "
         "or have it estimated."
     )
     yield Finding(code="wrong-noise", subject=name, text=text, size=max(times, 1.0 / times))
@@ -161,6 +172,31 @@ def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
                 f"scattered by {timing * 1e6:.2g} us; rows are weighted accordingly. If the time "
                 "stamps do scatter, state it as timing in [noise]."
             )
+
+
+def overstated_noise(views: Sequence[AccelerometerView]) -> Iterator[str]:
+    """Yield a remark for each group of readings or poses that scatters less than is stated.
+
+    u is then too large, which speaks against nothing.
+    """
+    stated = {id(part.readings): part for view in views for part in view.parts if part.stated}
+    for part in stated.values():
+        scale, dof = part.linear.moments_of_noise(views[0].fit.solution)
+        if dof < _FEWEST_FOR_SIZE:
+            continue
+        squares = float(np.sum((part.residuals / part.sigma) ** 2))
+        times = math.sqrt(squares / (scale * dof))
+        p = 1.0 - chi_square_tail(dof, squares / scale)
+        if p >= CHI_SQUARE_SIGNIFICANCE / len(stated) or times * _OTHER_NOISE > 1.0:
+            continue
+        u = median(part.sigma)
+        shown, said = (f"{format_number(1e6 * size, 2)} ug" for size in (times * u, u))
+        name = part.readings.accelerometer if isinstance(part.readings, Readings) else TRIAD
+        yield (
+            f"{name}: the {part.words} scatter by {shown}, {format_number(times, 2)} times "
+            f"the stated uncertainty of {said}. u is too large. "
+            "State the noise of single readings, and errors that all of them share as priors."
+        )
 
 
 def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:
