@@ -143,3 +143,36 @@ def test_without_the_column_of_the_angle_the_stated_rate_counts():
     assert warning.startswith("The records of in 1, in 4, in 6, in 9, in 15, out 1")
     assert read(result)[0].rate == math.sqrt(GRAVITY / RADIUS)
     assert abs(errors(result)["K_I"][0]) < 3.0 * errors(result)["K_I"][1]
+
+
+SIMULATED = """[simulation]
+sampling_rate = "50 Hz"
+revolutions = 30
+[truth.A]
+K_F = "2e-3 g"
+K_I = "1.0006 g/g"
+K_II = "1.5e-5 g/g^2"
+K_III = "1e-6 g/g^3"
+[truth.spindle]
+rate_error = 0.01
+drift = "1e-5 1/s"
+ripple = [{ ratio = 1e-4 }]
+[truth.records]
+clock = "20 ppm"
+[truth.noise]
+specific_force = "1e-5 m/s^2"
+angle = "1e-5 rad"
+"""
+
+
+def test_simulated_records_are_calibrated_to_their_truth():
+    """At another rate than the stated one, with a clock that is known to be fast."""
+    text = HEAD.replace("[records]", '[records]\nclock = "20 ± 1e-3 ppm"') + SIMULATED
+    for side in (1, -1):
+        for level in LEVELS:
+            rate = math.sqrt(level * GRAVITY / RADIUS)
+            text += arm_run(f"{'in' if side > 0 else 'out'} {level:.0f}", side, rate)
+    result = cs.calibrate(cs.simulate(cs.make_campaign(tomllib.loads(text))))
+    assert all(abs(error) < 4.0 * u for error, u in errors(result).values())
+    assert errors(result)["K_I"][1] < 1e-6
+    assert {finding.code for finding in result.findings} == {"time-base"}

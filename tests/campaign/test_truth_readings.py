@@ -2,7 +2,7 @@
 
 import pytest
 from campaigns import campaign_of
-from reading_descriptions import ACCELEROMETER, on_arm, place
+from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.truth import TruthSettings
@@ -68,6 +68,21 @@ def test_each_slip_is_told_with_its_key(tmp_path, slip):
     with pytest.raises(CampaignError) as caught:
         truth_of(tmp_path, slip + "\n")
     assert any(SLIPS[slip] in line for line in caught.value.problems), caught.value.problems
+
+
+@pytest.mark.parametrize(
+    ("run", "said"),
+    [
+        (RUN + "truth = { tilt = { north = '1 arcsec' } }\n", "has the tilt of a platform"),
+        (RUN + "truth = { drift = '1 m' }\n", "runs[0].truth.drift: "),
+        (at_rest("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"), "does not turn"),
+    ],
+)
+def test_each_slip_in_the_truth_of_a_run_is_told(tmp_path, run, said):
+    with pytest.raises(CampaignError) as caught:
+        campaign_of(tmp_path, place("1 m") + ACCELEROMETER + run + "[truth.A]\n")
+    (line,) = caught.value.problems
+    assert said in line
 
 
 def test_without_truth_a_reading_needs_its_value(tmp_path):

@@ -176,6 +176,73 @@ def test_a_record_on_the_arm_has_the_wave_of_the_earths_rate(tmp_path):
     np.testing.assert_allclose(force / G, expected, rtol=1e-14)
 
 
+SPINDLE = """[truth.spindle]
+rate_error = 0.01
+drift = "2e-4 1/s"
+ripple = [{ harmonic = 2, ratio = 3e-3, phase = "40 deg" }]
+start_angle = "20 deg"
+"""
+W0 = -6.0 * 1.01
+
+
+def closed_forms(t):
+    """Angle, rate and acceleration of the spindle, written out."""
+    wave, phase = 2.0 * W0 * t + math.radians(40.0), math.radians(40.0)
+    angle = math.radians(20.0) + W0 * (t + 1e-4 * t**2)
+    angle -= 3e-3 / 2.0 * (np.cos(wave) - math.cos(phase))
+    rate = W0 * (1.0 + 2e-4 * t + 3e-3 * np.sin(wave))
+    return angle, rate, W0 * (2e-4 + 3e-3 * 2.0 * W0 * np.cos(wave))
+
+
+def test_a_record_on_the_arm_turns_as_the_spindle_truly_does(tmp_path):
+    """All three specific forces of the arm, by the formula of the documentation."""
+    run = ARM.replace('reading = "?"', 'record = "in.csv"\nrevolutions = 10')
+    run = run.replace('pendulous = "forward"', 'pendulous = "up"')
+    text = HEAD.replace(
+        "[accelerometers", 'angle = { column = "a", unit = "rad" }\n[accelerometers'
+    )
+    text += '[simulation]\nsampling_rate = "20 Hz"\n' + SPINDLE + run
+    text = text.replace(f'K_III = "{K_III} g/g^3"', 'K_IP = "1e-3 g/g^2"\ndelta_P = "0.01 rad"\n')
+    text += '[truth.records]\ntiming_offset = "3 ms"\n'
+    text += '[truth.encoder]\nharmonic = { 1 = { sin = "1 mrad" } }\n'
+    campaign = campaign_of(tmp_path, text)
+    time, recorded, force = simulate_mean_record(campaign, campaign.readings[0], 0.0)
+    later = closed_forms(time + 3e-3)[0]
+    np.testing.assert_allclose(recorded, later + 1e-3 * np.sin(later), rtol=0, atol=1e-12)
+    angle, w, alpha = closed_forms(time)
+    inward = R * (w**2 + 2.0 * w * OMEGA * math.sin(LATITUDE)) / G
+    up = 1.0 + 2.0 * R * w * OMEGA * math.cos(LATITUDE) * np.sin(angle) / G
+    perfect = K_F + K_I * inward + K_II * inward**2 + 1e-3 * inward * up
+    # delta_P turns the input axis towards the output axis or away from it, which is forward.
+    across = (force / G - perfect) / (R * alpha / G)
+    np.testing.assert_allclose(np.abs(across), 0.01, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "rate"),
+    [
+        ("ripple = [{ ratio = 0.03 }]", lambda t: 6.0 * (1.0 + 0.03 * np.sin(6.0 * t))),
+        ('drift = "1e-3 1/s"', lambda t: 6.0 * (1.0 + 1e-3 * t)),
+        ("rate_error = 0.01", lambda t: np.full_like(t, 6.06)),
+    ],
+)
+def test_a_reading_on_the_arm_is_that_at_the_mean_square_of_the_true_rate(tmp_path, text, rate):
+    """Over 20 revolutions, stated for all runs or for this one."""
+    run = ARM.replace('reading = "?"', 'reading = "?"\nrevolutions = 20')
+    length = 20.0 * 2.0 * math.pi / 6.0
+    t = (np.arange(200_000) + 0.5) * length / 200_000
+    expected = indicated(-math.sqrt(np.mean(rate(t) ** 2)))
+    common = f"[truth.spindle]\n{text}\n{run}"
+    own = f"[truth.spindle]\nstart_angle = '5 deg'\n{run}truth = {{ {text} }}\n"
+    for described in (common, own):
+        assert values(tmp_path, described) == [pytest.approx(expected, rel=1e-9)]
+
+
+def indicated(w):
+    inward = R * (w**2 + 2.0 * w * OMEGA * math.sin(LATITUDE)) / G
+    return K_F + K_I * inward + K_II * inward**2 + K_III * inward**3
+
+
 # Positions that are set by hand
 
 SET = '[fixture]\nposition = "0 ± 1 deg"\n'

@@ -210,9 +210,12 @@ class Campaign:
 
     def recording_of(self, run: Run) -> Recording:
         """Return how the record of a run is read."""
-        return run.recording or Recording(
-            self.time, self.angle, self.dialect, self.temperature, clock=self.clock
-        )
+        return run.recording or self.recording
+
+    @property
+    def recording(self) -> Recording:
+        """How records are read of which their run says nothing else."""
+        return Recording(self.time, self.angle, self.dialect, self.temperature, clock=self.clock)
 
     def record_at(self, file: Path) -> Path | MemoryTable:
         """Return the record in memory that stands in the place of a file, or else the file."""

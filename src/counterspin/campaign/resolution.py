@@ -253,7 +253,12 @@ class DescriptionReader:
             parts["recorded_temperatures"] = {
                 run.name for run in placed.values() if (run.recording or common).temperature
             }
-        simulation = self._simulation(placed, readings if whole else None)
+        truths = {
+            str(raw["name"]): (raw["truth"], (*path, "truth"))
+            for raw, path in numbered
+            if isinstance(raw, Mapping) and "name" in raw and isinstance(raw.get("truth"), Mapping)
+        }
+        simulation = self._simulation(placed, readings if whole else None, truths)
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(observables, priors)
         parts["accelerometers"] = accelerometers
@@ -318,21 +323,23 @@ class DescriptionReader:
         return tuple(sorted({self.file.parent / name for name in named}))
 
     def _simulation(
-        self, runs: Mapping[int, Run], readings: Sequence[Reading] | None
+        self,
+        runs: Mapping[int, Run],
+        readings: Sequence[Reading] | None,
+        truths: Mapping[str, tuple[Mapping[str, Any], KeyPath]],
     ) -> Simulation | None:
-        """Return how records are simulated; parameters as of `TruthReader.simulation`."""
+        """Return how records are simulated; parameters as of `DescribedRuns`."""
         if not self.simulated:
             return None
-        from counterspin.campaign.simulated_truth import TruthReader
+        from counterspin.campaign.simulated_truth import DescribedRuns, TruthReader
 
         recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
         names = list(self.accelerometers.raw)
         truth = TruthReader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
         noise, centrifuge = self.parts.get("noise"), self.parts.get("centrifuge")
         outputs = self.accelerometers.outputs
-        return truth.simulation(
-            self._sampling(), outputs, noise, runs, readings, centrifuge, recorders
-        )
+        described = DescribedRuns(runs, readings, truths)
+        return truth.simulation(self._sampling(), outputs, noise, described, centrifuge, recorders)
 
     def _sampling(self) -> Simulation:
         kind, raw = _simulation(), table_of(self.raw, "simulation")

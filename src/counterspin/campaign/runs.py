@@ -222,7 +222,6 @@ class Run(SettingsSection):
         {"drift": "2e-6 1/s"},
         None,
         absent="that of `[truth]`",
-        of=RECORDS,
     )
 
     _recording: Recording | None = PrivateAttr(None)
@@ -320,6 +319,16 @@ class Run(SettingsSection):
             # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
             ("." in self.mounting, f'"{self.mounting}" has a dot; leave it out', "mounting"),
             (static and turns, "a static run does not turn; leave the rate out", "rate motion"),
+            (
+                static and self.truth,
+                "a static run does not turn, and its truth is that of the spindle; leave it out",
+                "truth motion",
+            ),
+            (
+                "tilt" in (self.truth or {}),
+                "has the tilt of a platform, which readings do not show; leave that out",
+                "truth motion reading",
+            ),
             (
                 not static and not turns,
                 f"is missing: a run with motion {self.motion} turns",

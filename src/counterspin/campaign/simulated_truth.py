@@ -71,6 +71,8 @@ class SimulatedTruth:
     start_velocity: Mapping[str, float]
     noise: StatedNoise  #: True noise of records; every component a number.
     runs: Mapping[str, RunTruth]  #: Run -> what is true of its motion and of what all share.
+    #: The same for runs that turn and whose mean is a reading, by name and stated rate, rad/s.
+    read: Mapping[tuple[str, float], RunTruth] = field(default_factory=dict)
     #: Recorder (of its clock; else empty) and input -> true value, SI; those that are not there are
     #: what the description states.
     inputs: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -104,6 +106,21 @@ class Simulation(SettingsSection):
 
 
 # Read
+
+
+@frozen
+class DescribedRuns:
+    """The runs that a description has, for the simulation."""
+
+    runs: Mapping[int, Run]  #: Those with records, by their places in the description.
+    #: None where there are mistakes in them, so that it is not known what they depend on.
+    readings: Sequence[Reading] | None
+    #: Run whose mean is a reading -> its `truth`, and where that is.
+    truths: Mapping[str, tuple[Mapping[str, Any], KeyPath]]
+
+    def truth_of(self, reading: Reading) -> tuple[Mapping[str, Any], KeyPath]:
+        """Return what differs in the run of a reading, and where that is."""
+        return self.truths.get(reading.name, ({}, ("truth", "spindle")))
 
 
 class TruthReader:
@@ -142,13 +159,16 @@ class TruthReader:
         stretch = self.problems.attempt(path, exact, text, term(_STRETCH).unit)
         self.tables["centrifuge"] = centrifuge.model_copy(update={"stretch": stretch})
 
-    def _of_run(self, run: Run, path: KeyPath) -> RunTruth | None:
+    def _of_run(
+        self, rate: float, truth: Mapping[str, Any] | None, path: KeyPath
+    ) -> RunTruth | None:
         """Return the true spindle and machine of one run; its own values take precedence.
 
-        path: Where its `truth` is.
+        rate: The stated rate, rad/s.
+        truth, path: Its `truth`, and where that is.
         """
         common = self.tables["spindle"]
-        own: Any = self.problems.check(RunTruthSettings, run.truth or {}, path)
+        own: Any = self.problems.check(RunTruthSettings, truth or {}, path)
         shared = {family: self.tables[family] for family in _SHARED}
         if common is None or None in shared.values() or own is None:
             return None
@@ -157,7 +177,7 @@ class TruthReader:
             values = (getattr(own, key), getattr(common, key), default)
             return next(value for value in values if value is not None)
 
-        true_rate = run.rate * (1.0 + first("rate_error", 0.0))
+        true_rate = rate * (1.0 + first("rate_error", 0.0))
         ripple_path: KeyPath = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
         ripples = tuple(
             _ripple(entry, true_rate, ripple_path, self.problems) for entry in first("ripple", ())
@@ -178,8 +198,7 @@ class TruthReader:
         sampled: Simulation,
         outputs: Mapping[str, Output | None],
         noise: StatedNoise | None,
-        runs: Mapping[int, Run],
-        readings: Sequence[Reading] | None,
+        described: DescribedRuns,
         centrifuge: CentrifugeSettings | None,
         recorders: Mapping[str, str],
     ) -> Simulation:
@@ -187,8 +206,6 @@ class TruthReader:
 
         outputs: Accelerometer -> what its readings are in, where that is no mistake; coefficients
             may be in its unit, as ``mA/g``.
-        runs: By their places in the description.
-        readings: None where there are mistakes in them, so that nobody knows what they depend on.
         centrifuge: The machine; a true radius may be given as such.
         recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
         """
@@ -198,15 +215,24 @@ class TruthReader:
             self.problems.add(("truth", name), said)
         own = {name: self._accelerometer(name, output) for name, output in outputs.items()}
         tables = {name: table for name, (table, _) in own.items() if table is not None}
-        turned = {r.name: self._of_run(r, ("runs", place, "truth")) for place, r in runs.items()}
+        turned = {
+            run.name: self._of_run(run.rate, run.truth, ("runs", place, "truth"))
+            for place, run in described.runs.items()
+        }
+        read = {
+            (one.name, one.rate): self._of_run(one.rate, *described.truth_of(one))
+            for one in described.readings or ()
+            if one.rate
+        }
         truth = SimulatedTruth(
             coefficients={name: own[name][1] for name in tables},
             start_offset={name: table.start_offset for name, table in tables.items()},
             start_velocity={name: table.start_velocity for name, table in tables.items()},
             noise=self._of_records(noise),
             runs={name: of_run for name, of_run in turned.items() if of_run is not None},
+            read={key: of_run for key, of_run in read.items() if of_run is not None},
             inputs=true_inputs(self.tables, recorders, self.problems),
-            machine=self._of_machine(readings, centrifuge),
+            machine=self._of_machine(described.readings, centrifuge),
             reading_noise=self._of_readings(outputs),
         )
         return sampled.completed(truth=truth)

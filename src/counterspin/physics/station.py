@@ -66,17 +66,27 @@ class Station:
     #: Small right-handed turn of the instrument about the axes of the frame, rad, shape (3,).
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def force(self, site: Site, angle: Array) -> Array:
-        """Return the specific force in the station's frame at constant rate.
+    def force(
+        self,
+        site: Site,
+        angle: Array,
+        rate: Array | None = None,
+        acceleration: Array | float = 0.0,
+    ) -> Array:
+        """Return the specific force in the station's frame.
 
         site: Gravity, latitude and the Earth's rotation.
         angle: Of the spindle, from east towards north, rad, shape (n,).
+        rate: There, rad/s, shape (n,); None: that of the station.
+        acceleration: Of the angle there, rad/s^2, shape (n,), on an arm.
         Returns: m/s^2, shape (n, 3).
 
         Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
         the turn of the plumb line across the radius.
         """
-        force: Array = _forces([self], site, angle)[0]
+        force: Array = _forces([self], site, angle, rate)[0]
+        if self.motion == "arm":
+            force[:, 1] += self.radius * acceleration
         return force
 
     def axes_under_load(self) -> Array:
@@ -90,12 +100,19 @@ class Station:
         return float(mean_products([self], site)[0] @ values)
 
 
-def _forces(stations: Sequence[Station], site: Site, angles: Array) -> Array:
-    """Return `Station.force` of several stations, shape (stations, angles, 3)."""
+def _forces(
+    stations: Sequence[Station], site: Site, angles: Array, rates: Array | None = None
+) -> Array:
+    """Return `Station.force` of several stations without acceleration, (stations, angles, 3).
+
+    rates: At the angles, rad/s, shape (angles,); None: those of the stations.
+    """
     w, radius, stretch = (
         np.array([[part] for part in parts])
         for parts in zip(*((s.rate, s.radius, s.stretch) for s in stations), strict=True)
     )
+    if rates is not None:
+        w = np.broadcast_to(rates, (len(stations), angles.size))
     about_east, about_north = (
         np.array([[s.axis_tilt[axis]] for s in stations]) for axis in range(2)
     )
@@ -115,7 +132,7 @@ def _forces(stations: Sequence[Station], site: Site, angles: Array) -> Array:
     # The machine's axes lean with its spindle: gravity and the Earth's rotation as they see them.
     w, radius = w[carried], radius[carried]
     leaning = np.column_stack([about_east, about_north, np.zeros(len(stations))])[carried]
-    machine = _turned(np.broadcast_to(np.eye(3), (w.size, 3, 3)), leaning)
+    machine = _turned(np.broadcast_to(np.eye(3), (len(w), 3, 3)), leaning)
     earth = (machine @ site.earth_rotation)[:, :, None]
     plumb = site.gravity * machine[:, :, 2, None]
     forces[carried, :, 0] = (

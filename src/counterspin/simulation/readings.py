@@ -33,6 +33,8 @@ from counterspin.frozen import frozen
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import indications_along
 from counterspin.input import read_file
+from counterspin.physics.motion import encoder_error
+from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
@@ -120,14 +122,47 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     truth, readings = campaign.simulation.truth, campaign.readings
     errors = head_errors(readings, stream(campaign, 0))
     values, machine = np.zeros(len(readings)), true_machine(campaign)
+    rates = true_rates(campaign)
     for group, places in numbered_groups(campaign):
         coefficients = truth.coefficients.get(group.accelerometer, {})
-        was = at_true_inputs(campaign, group)
+        was = at_rates(at_true_inputs(campaign, group), rates[places])
         values[places] = indications(was, coefficients, machine, errors[places])
     return tuple(
         reading if reading.record else replace(reading, value=value)
         for reading, value in zip(readings, values.tolist(), strict=True)
     ), errors
+
+
+def true_rates(campaign: Campaign) -> Array:
+    """Return the root mean square of the true rate in each reading, rad/s, shape (n,).
+
+    It is that over the revolutions of the reading, with the sign of the sense; 0 at rest.
+    """
+    assert campaign.simulation is not None
+    read = campaign.simulation.truth.read
+    return np.array(
+        [
+            _mean_rate(read[r.name, r.rate].spindle, r.duration or 0.0) if r.rate else 0.0
+            for r in campaign.readings
+        ]
+    )
+
+
+def _mean_rate(spindle: Spindle, duration: float) -> float:
+    """Return the root mean square of a rate, with its sign, rad/s.
+
+    The phase of the ripple has no effect on whole revolutions at constant rate.
+    """
+    drift = spindle.drift * duration
+    slow = spindle.rate**2 * (1.0 + drift + drift**2 / 3.0)
+    ripple = sum(0.5 * one.amplitude**2 for one in spindle.ripples)
+    return math.copysign(math.sqrt(slow + ripple), spindle.rate)
+
+
+def at_rates(group: Readings, rates: Array) -> Readings:
+    """Return readings taken at other rates, rad/s, shape (n,)."""
+    every = zip(group.stations, rates.tolist(), strict=True)
+    return replace(group, stations=tuple(replace(one, rate=rate) for one, rate in every))
 
 
 def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
@@ -172,7 +207,9 @@ def stream(campaign: Campaign, *which: int) -> np.random.Generator:
 def simulate_mean_record(
     campaign: Campaign, reading: Reading, head_error: float
 ) -> tuple[Array, Array, Array]:
-    """Return time (s), angle (rad) and indicated specific force (m/s^2), each shape (n,).
+    """Return time (s), recorded angle (rad) and indicated force (m/s^2), each shape (n,).
+
+    The angle is that of the encoder without noise.
 
     head_error: Error of the dividing head's angle, rad.
     """
@@ -181,18 +218,39 @@ def simulate_mean_record(
     if reading.duration is None:
         raise ValueError(f'the run "{reading.name}" states no duration')
     time = np.arange(sample_count(reading.duration, rate)) / rate
-    angle = reading.rate * time
     (group,) = (at_true_inputs(campaign, one) for one in groups_of(campaign, [reading]))
     stations = group.stations_with(true_machine(campaign))
     (station,) = group.turned(stations, np.array([head_error]))
     (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
-    return time, angle, _instantaneous(station, group, effective, angle)
+    if not reading.rate:
+        still = np.zeros_like(time)
+        return (
+            time,
+            still,
+            _instantaneous(group, effective, station, station.force(group.site, still)),
+        )
+    of_run = truth.read[reading.name, reading.rate]
+    spindle = of_run.spindle
+    station = replace(station, rate=_mean_rate(spindle, reading.duration))
+    force = station.force(
+        group.site,
+        spindle.angle(time),
+        spindle.angular_rate(time),
+        spindle.angular_acceleration(time),
+    )
+    late = with_true_inputs(campaign).timing_offset
+    angle = spindle.angle(time + (late.value if late else 0.0))
+    angle = angle + encoder_error(of_run.shared, angle)
+    return time, angle, _instantaneous(group, effective, station, force)
 
 
-def _instantaneous(station: Station, group: Readings, effective: Array, angle: Array) -> Array:
-    """Return the indicated specific force at each angle, m/s^2."""
+def _instantaneous(group: Readings, effective: Array, station: Station, force: Array) -> Array:
+    """Return the indicated specific force, m/s^2, shape (n,).
+
+    force: In the station's frame, m/s^2, shape (n, 3).
+    """
     gravity = group.site.gravity
-    a_ipo = station.axes_under_load() @ station.force(group.site, angle).T / gravity
+    a_ipo = station.axes_under_load() @ force.T / gravity
     products = np.stack([row.effect.evaluate(a_ipo) for row in TERMS.values()])
     found: Array = gravity * (effective @ products)
     return found

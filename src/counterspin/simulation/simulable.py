@@ -12,7 +12,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import MOST_RECORDS
-from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS, Run
+from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.series import CLOCK, TIMING
@@ -103,6 +103,11 @@ def unfit_readings(campaign: Campaign) -> list[str]:
             "truth.noise.specific_force: missing; a sensor without noise at rest would "
             "be taken for a stopped one, and no pose would be found in its record"
         )
+    for (name, _), of_run in truth.read.items():
+        length = max((r.duration or 0.0 for r in campaign.readings if r.name == name), default=0.0)
+        problems += [
+            f'truth of run "{name}": {words}' for words in _unsteady(of_run.spindle, length)
+        ]
     for reading in campaign.all_readings:
         if reading.record is not None:
             if reading.motion == "static" and reading.duration is None:
@@ -296,10 +301,9 @@ def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
     return group
 
 
-def stamped_over_true(campaign: Campaign, run: Run) -> float:
+def stamped_over_true(campaign: Campaign, recording: Recording) -> float:
     """Return what a recorder of this clock shows of a time, less the error that is stated of it."""
     assert campaign.simulation is not None
-    recording = campaign.recording_of(run)
     stated = recording.clock.value if recording.clock else 0.0
     true = campaign.simulation.truth.inputs.get((recording.recorder, CLOCK), stated)
     return (1.0 + true) / (1.0 + stated)

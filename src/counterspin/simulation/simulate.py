@@ -236,7 +236,8 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
             accelerometer = campaign.accelerometers[reading.accelerometer]
             time, angle, signal = simulate_mean_record(campaign, reading, error)
             if not columns:
-                stamps = _noisy(generator, time, noise.timing)
+                shown = stamped_over_true(campaign, campaign.recording)
+                stamps = _noisy(generator, time * shown, noise.timing)
                 columns[campaign.time.name] = stamps / campaign.time.factor
                 if campaign.angle is not None:
                     angle = _noisy(generator, angle, noise.angle)
@@ -352,7 +353,7 @@ def simulate_run(
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = true_noise(campaign)
-    stamps = _noisy(generator, times * stamped_over_true(campaign, run), noise.timing)
+    stamps = _noisy(generator, times * stamped_over_true(campaign, recording), noise.timing)
     columns = {recording.time.name: stamps / recording.time.factor}
     if recording.angle is not None:
         late = true.timing_offset.value if true.timing_offset else 0.0

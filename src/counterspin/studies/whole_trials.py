@@ -17,7 +17,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.readings import with_groups
 from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.readings import MeasuredRate, Reading
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import CLOCK, TIMING, Series
@@ -33,11 +33,13 @@ from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.physics.terms import shown_by_readings
 from counterspin.records.averages import stretches
 from counterspin.simulation.readings import (
+    at_rates,
     head_errors,
     indications,
     numbered_groups,
     true_directions,
     true_poses,
+    true_rates,
 )
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
 from counterspin.studies.work import JointRequest, Trials
@@ -165,14 +167,15 @@ class TrialReadings:
     #: is; infinite where it is stated; shape (m,).
     scattered: Array
     poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes beside them.
+    rates: Array  #: True rate of each reading, rad/s, shape (m,).
 
     @classmethod
     def of(cls, campaign: Campaign) -> TrialReadings:
         """Return what is read of a campaign; raise ValueError if it has no noise."""
         assert campaign.simulation is not None
-        known = campaign.simulation.truth.reading_noise
+        known, rates = campaign.simulation.truth.reading_noise, true_rates(campaign)
         readings, noise, scattered = [], [], []
-        for reading in campaign.readings:
+        for reading, rate in zip(campaign.readings, rates.tolist(), strict=True):
             own = known.get(reading.accelerometer)
             true = (reading.u or 0.0) if own is None else own / math.sqrt(reading.repeats)
             dof = math.inf
@@ -182,7 +185,9 @@ class TrialReadings:
                 raise ValueError(f"{_NO_NOISE}: {reading.name}")
             # What is drawn is not rounded.
             own_u = true if math.isfinite(dof) else reading.u
-            readings.append(replace(reading, value=0.0, u=own_u, resolution=0.0))
+            # An angle shows the true rate; of its noise, u of the rate is negligible.
+            measured = MeasuredRate(rate, 0.0) if reading.by_clock else None
+            readings.append(replace(reading, value=0.0, u=own_u, resolution=0.0, measured=measured))
             noise.append(true)
             scattered.append(dof)
         ready = replace(campaign, readings=tuple(readings))
@@ -192,6 +197,7 @@ class TrialReadings:
             np.array(noise),
             np.array(scattered),
             tuple(_drawn_poses(campaign)),
+            rates,
         )
 
     def groups(
@@ -246,7 +252,7 @@ class TrialReadings:
             at = list(places)
             own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
             # The analysis assumes what is stated of the inputs, whatever is true.
-            actual = group
+            actual = at_rates(group, self.rates[at])
             for symbol, by in off.items():
                 actual = with_input(actual, symbol, by, known | machine.keys())
             value = indications(actual, own, machine, errors[at])
