@@ -72,6 +72,19 @@ def test_angle_rate_acceleration_and_jerk_are_integral_and_derivatives_of_equati
         np.testing.assert_allclose(got, values, rtol=1e-15, atol=3e-14)
 
 
+@BOTH
+def test_a_later_time_zero_leaves_the_rotation_as_it_is(spindle):
+    delay = -5e-3
+    later = spindle.later(delay)
+    # The harmonics' frequency changes by the drift over the delay, 1e-8, over 20 turns.
+    np.testing.assert_allclose(
+        later.angle(TIMES), spindle.angle(TIMES + delay), rtol=0.0, atol=2e-8
+    )
+    np.testing.assert_allclose(
+        later.angular_rate(TIMES), spindle.angular_rate(TIMES + delay), rtol=0.0, atol=2e-8
+    )
+
+
 def test_angle_without_drift_or_ripple_is_uniform_rotation():
     assert Spindle(2.0, start_angle=1.0).angle(np.array([3.0]))[0] == 7.0
     assert Spindle(2.0).highest_harmonic == 0

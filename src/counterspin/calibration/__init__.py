@@ -5,6 +5,7 @@
 - `observed`: records brought together with the rotation they were taken on, and with how warm it
   was
 - `mean_records`: records whose means are readings, and the rotation of those on an arm
+- `timing`: the timing offset at which the fit takes derivatives
 - `assembly`: from observed runs to a `Result`, by either method
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
 - `joint_problem`: the joint fit's data and noise; the fit as one accelerometer sees it

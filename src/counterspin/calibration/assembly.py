@@ -17,6 +17,7 @@ from counterspin.calibration.options import Method, TwoStageOptions, command_wor
 from counterspin.calibration.outcome import many_outliers
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
+from counterspin.calibration.timing import with_located_delay
 from counterspin.calibration.two_stage import in_two_stages
 from counterspin.campaign.conditions import origin_of, temperatures_of
 from counterspin.campaign.description import Campaign
@@ -46,7 +47,8 @@ def calibration(
 
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
-    problem = JointProblem(campaign, observed)
+    problem = with_located_delay(JointProblem(campaign, observed))
+    observed = problem.observed
     found = joint(problem) if method == "joint" else in_two_stages(problem, options)
     findings = [
         *found.findings,

@@ -28,7 +28,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
 from counterspin.inference.joint.found_noise import level_dof
 from counterspin.inference.joint.prepared import Prepared
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import TIMING, Series
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import Readings
@@ -46,11 +46,22 @@ class JointProblem:
 
     campaign: Campaign  #: The description.
     observed: Sequence[ObservedRun] = ()  #: Its runs.
+    #: By how much the timing offset in `observed` differs from the stated one, s.
+    delay: float = 0.0
 
     @cached_property
     def model(self) -> Unknowns:
         """What is unknown."""
-        return model_of(self.campaign)
+        model = model_of(self.campaign)
+        if self.delay == 0.0:
+            return model
+        unknowns = (
+            replace(unknown, prior=(-self.delay, unknown.prior[1]))
+            if unknown.symbol == TIMING
+            else unknown
+            for unknown in model.unknowns
+        )
+        return replace(model, unknowns=tuple(unknowns))
 
     @cached_property
     def series(self) -> tuple[Series, ...]:

@@ -82,7 +82,8 @@ def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list
         if other.asked or other.symbol in encoder.SYMBOLS:
             continue
         stated = stated_inputs.get(other.name)
-        base = stated.value if stated else 0.0
+        # The prior of an input is a deviation from the value at which derivatives are taken.
+        base = stated.value - other.prior[0] if stated else 0.0
         found = u_found = None
         if place < len(model.unknowns):
             found = base + other.nominal + float(solution.estimate[place])

@@ -135,6 +135,24 @@ class Spindle:
             )
         return t
 
+    def later(self, delay: float) -> Spindle:
+        """Return the same rotation with its time zero later by a delay in s.
+
+        The harmonics keep their angular frequency, except for the drift over the delay.
+        """
+        turn = self.rate * delay
+        rate = self.rate * (1.0 + self.drift * delay)
+        return replace(
+            self,
+            rate=rate,
+            drift=self.drift * self.rate / rate,
+            ripples=tuple(
+                replace(ripple, phase=ripple.phase + ripple.harmonic * turn)
+                for ripple in self.ripples
+            ),
+            start_angle=float(self.angle(np.array([delay]))[0]),
+        )
+
     @property
     def highest_harmonic(self) -> int:
         """The highest ripple harmonic, 0 without ripple."""

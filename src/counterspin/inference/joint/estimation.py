@@ -25,7 +25,13 @@ from counterspin.inference.joint.found_noise import (
     uncertain,
     widened,
 )
-from counterspin.inference.joint.prepared import Prepared, condense, prepare_columns, prepared_for
+from counterspin.inference.joint.prepared import (
+    Prepared,
+    condense,
+    prepare_columns,
+    prepared_for,
+    white_level,
+)
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.uneven_noise import Uneven, uneven_noise
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
@@ -181,6 +187,25 @@ def first_fit(series: tuple[Series, ...], model: Unknowns, requests: Mapping[str
     fit = solve_joint(*condense(prepared, model, white), _rough(requests))
     none = used_rows.nothing_left_out(series)
     return _State(requests, series, model, known, at, prepared, none, fit)
+
+
+def locate_input(
+    series: tuple[Series, ...], model: Unknowns, requests: Mapping[str, Noise], symbol: str
+) -> float:
+    """Return the estimate of an input by a first fit with white noise, less nominal.
+
+    The noise is the stated white noise, or that which the records show from row to row.
+    """
+    state = first_fit(series, model, requests)
+    levels: dict[str, float] = {}
+    for part in state.prepared:
+        stated = math.sqrt(requests[part.accelerometer].known.sample_variance)
+        level = stated or white_level(part) or 1.0
+        levels[part.accelerometer] = max(level, levels.get(part.accelerometer, 0.0))
+    noise = {name: Noise(level) for name, level in levels.items()}
+    fit = solve_joint(state.prepared, state.model, noise)
+    place = [unknown.symbol for unknown in model.unknowns].index(symbol)
+    return float(fit.solution.estimate[place])
 
 
 def reject_outliers(state: _State) -> _State:

@@ -308,9 +308,9 @@ def with_input(
         spindle = series.trajectory.spindle
         step = _STEP / abs(spindle.rate)
         # Angles that were taken later were reached later: the spindle was behind by that time, for
-        # what the errors make of the motion too. In these its ripple no longer counts.
-        behind = replace(spindle, start_angle=spindle.start_angle - spindle.rate * step)
-        late = series.columns(symbols, scale_factor, replace(series.trajectory, spindle=behind))
+        # what the errors make of the motion too.
+        behind = replace(series.trajectory, spindle=spindle.later(-step))
+        late = series.columns(symbols, scale_factor, behind)
         return series.reference(later=-step), late, step
     if name == CLOCK:
         there = series.by_clock(_STEP)
