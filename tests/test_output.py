@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.errors import CounterspinError
-from counterspin.output import make_folder, mark, marked, write_text, write_whole
+from counterspin.output import begin, make_folder, mark, marked, write_text, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
@@ -153,3 +153,72 @@ def test_a_file_of_two_kinds_or_of_none_is_of_neither(tmp_path):
     assert (report.recognises(page), comparison.recognises(page)) == (False, False)
     page.write_text("<html>")
     assert not report.recognises(page)
+
+
+# Windows
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    monkeypatch.setattr("sys.platform", "win32")
+    monkeypatch.setattr("time.sleep", lambda _: None)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("CON", "CON is the name of a device"),
+        ("nul.json", "nul.json is the name of a device"),
+        ("COM1.toml", "COM1.toml is the name of a device"),
+        ("LPT¹ .x", "is the name of a device"),
+        ("aux/result.json", "aux is the name of a device"),
+        ("10:30.csv", "no ':'"),
+        ("what?.csv", "no '\\?'"),
+        ("result.", "no dot or blank at its end"),
+        ("run 1 /result.json", "no dot or blank at its end"),
+    ],
+)
+def test_names_that_windows_takes_for_others_are_refused(windows, tmp_path, name, reason):
+    for act in (make_folder, begin, lambda path: write_text(path, "x")):
+        with pytest.raises(CounterspinError, match=f"{reason}.*; choose another name"):
+            act(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_names_and_other_systems(tmp_path, monkeypatch):
+    (tmp_path / "x").mkdir()
+    names = ("console.json", "com10.json", "nulls", "x/../a.b.json", "µ-1.json")
+    write_text(tmp_path / "nul.json", "a name as any other")
+    monkeypatch.setattr("sys.platform", "win32")
+    for name in names:
+        write_text(tmp_path / name, "x")
+
+
+def test_a_file_that_a_scanner_has_open_is_waited_for_on_windows(windows, tmp_path, monkeypatch):
+    target, replace, refused = tmp_path / "result.json", Path.replace, []
+    target.write_text("old")
+
+    def locked(part, place):
+        if len(refused) < 3:
+            refused.append(part)
+            raise PermissionError(13, "Access is denied")
+        return replace(part, place)
+
+    monkeypatch.setattr(Path, "replace", locked)
+    write_text(target, "new", overwrite=True)
+    assert (target.read_text(), len(refused)) == ("new", 3)
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_file_that_another_program_has_open_is_told_on_windows(windows, tmp_path, monkeypatch):
+    target = tmp_path / "result.json"
+    target.write_text("old")
+
+    def locked(*_):
+        raise PermissionError(13, "The process cannot access the file")
+
+    monkeypatch.setattr(Path, "replace", locked)
+    with pytest.raises(CounterspinError, match=r"another program has it open.*close it in that"):
+        write_text(target, "new", overwrite=True)
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -17,6 +19,16 @@ _END_BYTES: Final = 1 << 18
 
 #: What `mark` puts into a file.
 _MARK: Final = re.compile(rb"Made by counterspin: ([a-z ]+)\.")
+
+#: Names of devices on Windows, with any ending: ``NUL.json`` discards what is written.
+_DEVICE: Final = re.compile(
+    r"(?:CON|PRN|AUX|NUL|CONIN\$|CONOUT\$|(?:COM|LPT)[0-9¹²³]) *(?:\..*)?", re.I
+)
+#: Characters that no name of a file has on Windows; what follows a colon names a hidden stream.
+_FORBIDDEN: Final = re.compile(r'[<>:"|?*\x00-\x1f]')
+#: How often, and after which time in s, a file that another program has open is tried again.
+_REPLACE_ATTEMPTS: Final = 10
+_REPLACE_PAUSE: Final = 0.1
 
 
 @frozen
@@ -99,8 +111,28 @@ def _ends(path: Path) -> tuple[bytes, bytes]:
         return head, file.read()
 
 
+def require_valid_name(path: Path) -> None:
+    """Raise CounterspinError if Windows takes a name for a device or stores it under another name.
+
+    Other systems have no such names.
+    """
+    if sys.platform != "win32":
+        return
+    for part in path.parts[1:] if path.anchor else path.parts:
+        if _DEVICE.fullmatch(part):
+            reason = f"{part} is the name of a device on Windows"
+        elif found := _FORBIDDEN.search(part):
+            reason = f"a name has no {found[0]!r} on Windows"
+        elif part[-1] in ". " and part not in (".", ".."):
+            reason = "a name has no dot or blank at its end on Windows"
+        else:
+            continue
+        raise CounterspinError(f"{path}: cannot be written: {reason}; choose another name")
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder, and those above it, where it is not there; CounterspinError if it cannot."""
+    require_valid_name(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -185,8 +217,22 @@ def finish(
             reserve(path, kind, overwrite=overwrite)
             if not overwrite:
                 continue  # what was in the way is gone
-            part.replace(place)
+            _replace(part, place)
         return
+
+
+def _replace(part: Path, place: Path) -> None:
+    """Replace a file; on Windows, wait for a virus scanner or indexer that has it open."""
+    attempts = _REPLACE_ATTEMPTS if sys.platform == "win32" else 1
+    for attempt in range(attempts):
+        try:
+            part.replace(place)
+        except PermissionError:
+            if attempt == attempts - 1:
+                raise
+            time.sleep(_REPLACE_PAUSE)
+        else:
+            return
 
 
 def _take(part: Path, place: Path) -> None:
@@ -226,6 +272,7 @@ def _pour(path: Path, write: Callable[[Path], object]) -> None:
 
 def _place(path: Path) -> Path:
     """Return where a path leads, links and all; CounterspinError if that is nowhere."""
+    require_valid_name(path)
     try:
         place = path.resolve()
         around = place.is_symlink()
@@ -244,4 +291,9 @@ def _refusal(path: Path, error: OSError) -> str:
     if isinstance(error, IsADirectoryError) or path.is_dir():
         return f"{path}: cannot be written because it is a folder; give the name of a file"
     reason = error.strerror or str(error)
+    if sys.platform == "win32" and isinstance(error, PermissionError) and path.is_file():
+        return (
+            f"{path}: cannot be replaced ({reason}): another program has it open, or it is "
+            "write-protected; close it in that program, or name another file"
+        )
     return f"{path}: cannot be written ({reason}); choose another place or make it writable"

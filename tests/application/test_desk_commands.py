@@ -36,6 +36,12 @@ def test_every_command_is_tried():
     assert made == set(SHOWN)
 
 
+def test_commands_are_quoted_for_the_shells_of_windows(monkeypatch):
+    monkeypatch.setattr("sys.platform", "win32")
+    shown = desk.compare_command([Path(r"C:\my runs\a.json"), Path(r"C:\runs\b.json")])
+    assert shown == r'counterspin compare "C:\my runs\a.json" C:\runs\b.json'
+
+
 @pytest.mark.parametrize("shown", SHOWN.values(), ids=SHOWN)
 def test_the_command_line_takes_what_is_shown(shown):
     program, *words = shlex.split(shown)

@@ -102,6 +102,46 @@ def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, mo
     assert not file.parent.exists()
 
 
+def test_on_windows_private_files_lie_in_a_folder_of_the_user(tmp_path, monkeypatch):
+    """Rights of files have no effect there, and all users may share TEMP."""
+    (mine := tmp_path / "mine").mkdir()
+    private = []
+
+    def lead(folder, link):
+        private.append((folder, link))
+        return "file:///nowhere"
+
+    monkeypatch.setattr(server, "_leading", lead)
+    monkeypatch.setattr(server, "_load", lambda *_: None)
+    monkeypatch.setattr(server, "server_of", lambda *_: SimpleNamespace(run=lambda **_: None))
+    monkeypatch.setattr(server, "listening", lambda _: socket.socket())
+    monkeypatch.setenv("LOCALAPPDATA", str(mine))
+    monkeypatch.setattr("sys.platform", "win32")
+    monkeypatch.setattr(socket.socket, "getsockname", lambda _: ("127.0.0.1", 1))
+    monkeypatch.setattr("threading.Timer", lambda *_: SimpleNamespace(start=lambda: None))
+    server.serve(tmp_path, say=lambda _: None)
+    assert [folder.parent for folder, _ in private] == [mine]
+    assert list(mine.iterdir()) == []
+
+
+def test_on_windows_no_other_process_may_take_the_port(monkeypatch):
+    """SO_REUSEADDR lets it there."""
+    options = []
+
+    class Listener:
+        def setsockopt(self, level, option, value):
+            options.append((level, option, value))
+
+        def bind(self, address): ...
+        def listen(self): ...
+
+    monkeypatch.setattr("sys.platform", "win32")
+    monkeypatch.setattr(socket, "SO_EXCLUSIVEADDRUSE", -5, raising=False)
+    monkeypatch.setattr(socket, "socket", lambda *_: Listener())
+    server.listening(0)
+    assert options == [(socket.SOL_SOCKET, -5, 1)]
+
+
 def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))

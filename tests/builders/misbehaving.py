@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 from counterspin.errors import DamagedFileError, RecordError
@@ -18,6 +19,10 @@ def crash(_path: Path) -> None:
 
 def take_memory(_path: Path) -> int:
     return len(bytearray(1 << 36))
+
+
+def wait(_path: Path) -> None:
+    time.sleep(1000.0)
 
 
 def refuse(path: Path) -> None:

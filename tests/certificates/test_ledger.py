@@ -1,9 +1,11 @@
 """A ledger tells of every byte that was altered, and loses no entry."""
 
+import errno
 import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -124,6 +126,28 @@ def test_writers_at_once_lose_nothing(tmp_path):
     assert sorted(names) == sorted(f"{name}{n}" for name in "abc" for n in range(10))
     for name in "abc":  # of each writer in its order
         assert [n for n in names if n[0] == name] == [f"{name}{n}" for n in range(10)]
+
+
+def test_a_writer_on_windows_waits_longer_than_ten_seconds(tmp_path, monkeypatch):
+    calls, waited = [], []
+
+    def locking(file, mode, count):
+        calls.append((mode, os.lseek(file, 0, os.SEEK_CUR), count))
+        if mode == "try" and len(calls) <= 400:
+            raise OSError(errno.EACCES, "Permission denied")
+
+    system = SimpleNamespace(LK_NBLCK="try", LK_UNLCK="unlock", locking=locking)
+    monkeypatch.setitem(sys.modules, "msvcrt", system)
+    monkeypatch.setattr("time.sleep", waited.append)
+    monkeypatch.setattr("sys.platform", "win32")
+    path = tmp_path / "ledger.jsonl"
+    given = entered(path, 1)
+    assert sum(waited) > 15.0
+    # A byte that no ledger has: Windows would keep others from reading a locked one.
+    assert set(calls) == {("try", 0x7FFF0000, 1), ("unlock", 0x7FFF0000, 1)}
+    assert calls[-1][0] == "unlock"
+    monkeypatch.undo()
+    assert verify_ledger(path).entries == tuple(given)
 
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path):

@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from types import SimpleNamespace
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
@@ -141,6 +142,26 @@ def test_a_command_signs_with_a_key_that_is_never_seen(tmp_path, keys, kind):
     key, cert = write_pair(tmp_path / "k", keys[kind])
     text = SIGNS.format(key=str(key), curve=kind == "ec")
     assert fits(command_signer(program(tmp_path, text), cert), keys[kind])
+
+
+def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch):
+    started = []
+    _, cert = write_pair(tmp_path / "k", keys["ec"])
+
+    def run(words, **_):
+        started.append(words)
+        return SimpleNamespace(returncode=1, stderr=b"no card")
+
+    monkeypatch.setattr("sys.platform", "win32")
+    monkeypatch.setattr("subprocess.run", run)
+    signer = command_signer(r'"C:\my tools\sign.exe" --slot 1', cert)
+    with pytest.raises(CounterspinError, match=r'command "C:\\my tools\\sign.exe" --slot 1 ended'):
+        signer.signed(b"x")
+    assert started == [[r"C:\my tools\sign.exe", "--slot", "1"]]
+    with pytest.raises(
+        CounterspinError, match=r"cannot be run \(there is no such program in PATH\)"
+    ):
+        command_signer("no-such-signer", cert).signed(b"x")
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from shlex import join
 from typing import Any, Final, TypeVar
 
+from counterspin import shell
 from counterspin.application.folder import NotThereError, OutsideError, ServedFolder
 from counterspin.application.guard import Tickets
 from counterspin.application.jobs import Jobs, LiveViews
@@ -109,7 +109,7 @@ def watch_command(campaign: Path, goal: str) -> str:
 
 
 def _typed(words: Sequence[str]) -> str:
-    return join(["counterspin", *words])
+    return shell.join_command(["counterspin", *words])
 
 
 T = TypeVar("T")

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 import socket
+import sys
 import tempfile
 import threading
 import webbrowser
@@ -283,7 +285,8 @@ def serve(
         command, cert = signing
         options = {"signer": command, "cert": str(cert)}
         desk = Desk(ServedFolder(folder), command_signer(command, cert), options)
-    with listening(port) as listener, tempfile.TemporaryDirectory(prefix="counterspin-") as own:
+    private = partial(tempfile.TemporaryDirectory, prefix="counterspin-", dir=_private_place())
+    with listening(port) as listener, private() as own:
 
         def tell(link: str) -> None:
             say("That link has been used; each works once. For another browser or window:")
@@ -310,6 +313,14 @@ def serve(
             ended.set()
             loading.join(_LONGEST_LOADING)
     say("Ended.")
+
+
+def _private_place() -> str | None:
+    """Return a folder of this user alone, for files that others may not read; None: any will do.
+
+    Windows ignores the rights that a file is made with, and TEMP may be a folder that all share.
+    """
+    return os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
 
 
 def _leading(folder: Path, link: str) -> str:
@@ -370,7 +381,10 @@ def listening(port: int) -> socket.socket:
     """Return a socket that listens to this machine alone; CounterspinError if it cannot be had."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if sys.platform == "win32":  # where another process may take a port that is reused
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((_ADDRESS, port))
         listener.listen()
     except (OSError, OverflowError) as error:

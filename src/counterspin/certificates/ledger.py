@@ -7,12 +7,14 @@ kept elsewhere, shows even that. A line counts once its end is on the disk.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import sys
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
@@ -21,11 +23,16 @@ from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.input import DOCUMENT_BYTES, read_file, require_file
-from counterspin.output import finish, reserve, write_whole
+from counterspin.output import finish, require_valid_name, reserve, write_whole
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 
 #: What the first entry says of the one before.
 _BEGINNING: Final = "0" * 64
+
+#: Where Windows locks a ledger, in bytes: beyond the largest, whose bytes others may read.
+_LOCKED_BYTE: Final = 0x7FFF_0000
+#: Time between two attempts to lock a ledger on Windows, s.
+_LOCK_PAUSE: Final = 0.05
 
 _NO_LEDGER: Final = (
     "entry 1 was altered, or this is not a ledger; do not rely "
@@ -147,6 +154,7 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
 
     Whoever has it keeps others waiting, and lets go when it dies.
     """
+    require_valid_name(path)
     made = not path.exists()
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
     try:
@@ -167,14 +175,35 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
             os.fsync(folder)
             os.close(folder)
     finally:
+        _unlock(file)
         os.close(file)
+
+
+def _unlock(file: int) -> None:
+    """Unlock a ledger at once; Windows would do so some time after its end."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        with suppress(OSError):  # it was not locked
+            os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(file, msvcrt.LK_UNLCK, 1)
 
 
 def _lock(file: int) -> None:
     if sys.platform == "win32":
         import msvcrt
 
-        msvcrt.locking(file, msvcrt.LK_LOCK, 1)
+        # LK_LOCK gives up after ten attempts in as many seconds.
+        os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
+        while True:
+            try:
+                msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+                break
+            except OSError as error:
+                if error.errno not in (errno.EACCES, errno.EDEADLK):
+                    raise
+                time.sleep(_LOCK_PAUSE)
+        os.lseek(file, 0, os.SEEK_SET)
     else:
         import fcntl
 

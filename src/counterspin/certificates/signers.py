@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import field
@@ -13,6 +12,7 @@ from typing import Any, Final
 from counterspin.errors import REASON_LENGTH, CounterspinError, installing
 from counterspin.frozen import frozen
 from counterspin.input import read_file
+from counterspin.shell import find_program, join_command, split_command
 
 #: The smallest keys: RSA by NIST SP 800-131A, elliptic curves likewise; bits.
 _RSA_BITS: Final = 2048
@@ -117,7 +117,7 @@ def command_signer(command: str, certificate: Path) -> Signer:
     """
     _require_cryptography()
     try:
-        words = shlex.split(command)
+        words = split_command(command)
     except ValueError as error:
         raise CounterspinError(f"`signer`: {command!r} is not a command ({error})") from error
     if not words:
@@ -135,11 +135,15 @@ def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
     from cryptography.exceptions import InvalidSignature
 
     def failed(why: str) -> CounterspinError:
-        return CounterspinError(f"the signer's command {shlex.join(words)} {why}")
+        return CounterspinError(f"the signer's command {join_command(words)} {why}")
 
     try:
         made = subprocess.run(
-            words, input=data, capture_output=True, timeout=_COMMAND_SECONDS, check=False
+            [find_program(words[0]), *words[1:]],
+            input=data,
+            capture_output=True,
+            timeout=_COMMAND_SECONDS,
+            check=False,
         )
     except OSError as error:
         raise failed(f"cannot be run ({error.strerror})") from error

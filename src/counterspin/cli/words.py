@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from inspect import cleandoc
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Final, TextIO, TypeVar
 
 from cyclopts import App, Parameter
@@ -17,6 +16,7 @@ from counterspin.characters import Lines, encodable, escape_controls
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, reserve
+from counterspin.shell import quote_word
 
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
@@ -112,7 +112,7 @@ _ARGUMENT: Final = re.compile(
 
 def shell_word(path: Path) -> str:
     """Return a path as it may be typed into a shell, blanks and all."""
-    return quote(str(path))
+    return quote_word(str(path))
 
 
 def say(*lines: str) -> None:
@@ -163,6 +163,6 @@ def spoken(message: str, app: App, words: Iterable[str]) -> str:
             return match[0]
         option = options[name]
         flag = option.negatives[0] if match["truth"] == "False" else option.name
-        return flag if text is None else f"{flag} {quote(text)}"
+        return flag if text is None else f"{flag} {quote_word(text)}"
 
     return _ARGUMENT.sub(typed, message)

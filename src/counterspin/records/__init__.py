@@ -14,5 +14,6 @@
 - `memory`: columns that a program holds, in the place of a file
 - `averages`: the mean of a record with its uncertainty, and the course of a temperature
 - `poses`: where a sensor with three axes lay still, in one long record
-- `isolation`: the process of its own in which native code reads
+- `isolation`, `reader_limits`: the process of its own in which native code reads, and the limits
+  on its time and memory
 """

@@ -29,6 +29,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NoReturn, TypeVar
 
 from counterspin.errors import CounterspinError, DamagedFileError
+from counterspin.records.reader_limits import (
+    WINDOWS_TIME_STATUS,
+    limit_reading,
+    omit_core_file,
+    waiting_seconds,
+)
 
 if TYPE_CHECKING:
     from counterspin.records.memory import MemoryTable
@@ -53,16 +59,16 @@ _LONG_TEXT_BYTES: Final = 1 << 24
 _THREADED: Final = ("polars",)
 #: Seconds without work after which the reader's process ends.
 _IDLE_SECONDS: Final = 60.0
-#: Processor time that reading may take: seconds for any file, and bytes of it a second.
-_READING_SECONDS: Final = 8.0
-_BYTES_PER_SECOND: Final = 2e6
-#: Memory that reading may take: bytes for any file, bytes for each of its own, and a thread's.
-_READING_BYTES: Final = 1 << 30
-_BYTES_PER_BYTE: Final = 64
-_THREAD_BYTES: Final = 8 << 20
 
 #: Status of a process that another one is to follow.
 _NEXT: Final = 75
+_TOO_LONG: Final = "the file is damaged: reading it takes far longer than its size explains."
+#: How processes end on Windows -> what that means.
+_WINDOWS_DEATHS: Final = {
+    0xC000_0005: "access violation",
+    0xC000_00FD: "stack overflow",
+    0xC000_0409: "abort",
+}
 #: Seconds that a process is given to end.
 _ENDING_SECONDS: Final = 5.0
 
@@ -146,9 +152,13 @@ class _Reader:
                     process = self._started(suffix)
                     if process is None:
                         return None
-                    reply = self._exchange(process, message)
+                    reply, in_time = self._exchange_in_time(process, message, path)
+                    if not in_time:
+                        self._kill()
                     if reply is not None:
                         return reply
+                    if not in_time:
+                        return DamagedFileError(f"{path}: {_TOO_LONG}")
                     if not self._ready:
                         self._kill()
                         self._startable = False
@@ -184,6 +194,26 @@ class _Reader:
         except OSError:
             self._startable = False
         return self._process
+
+    def _exchange_in_time(
+        self, process: subprocess.Popen[bytes], message: bytes, path: Path
+    ) -> tuple[tuple[Any] | BaseException | None, bool]:
+        """Return the answer, and whether it came before the process was ended for its time."""
+        expired = threading.Event()
+
+        def expire() -> None:
+            expired.set()
+            _end(process)
+
+        timer = threading.Timer(waiting_seconds(path), expire)
+        timer.daemon = True
+        timer.start()
+        try:
+            reply = self._exchange(process, message)
+        finally:
+            timer.cancel()
+            timer.join()
+        return reply, not expired.is_set()
 
     def _exchange(
         self, process: subprocess.Popen[bytes], message: bytes
@@ -311,7 +341,7 @@ def _read_and_exit(libraries: list[str], requests: Any, replies: BinaryIO) -> No
 def _end_as(status: int) -> NoReturn:
     """End as the process that was forked did: with its status, or of its signal."""
     if status < 0:
-        _bound("RLIMIT_CORE", 0)
+        omit_core_file()
         with suppress(OSError, ValueError):
             signal.signal(-status, signal.SIG_DFL)
         os.kill(os.getpid(), -status)
@@ -342,7 +372,7 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
     try:
         if directory is not None:
             os.chdir(directory)
-        _limit(path)
+        limit_reading(path)
         return (function(path, *args),)
     except CounterspinError as error:
         return error
@@ -370,40 +400,6 @@ def _comes_in_time(number: int) -> bool:
     return bool(select.select([number], [], [], _IDLE_SECONDS)[0])
 
 
-def _limit(path: Path) -> None:
-    """Bound the processor time and the memory of what comes, by the file's size."""
-    if sys.platform == "win32":
-        return
-    import resource
-
-    try:
-        size = path.stat().st_size
-    except (OSError, ValueError):
-        return  # reading says why
-    spent = resource.getrusage(resource.RUSAGE_SELF)
-    seconds = _READING_SECONDS + size / _BYTES_PER_SECOND
-    _bound("RLIMIT_CPU", spent.ru_utime + spent.ru_stime + seconds)
-    with suppress(OSError, ValueError):
-        # Memory that this process may write to: what files are mapped to is not counted.
-        status = Path("/proc/self/status").read_text("ascii")
-        taken = 1024 * int(status.partition("VmData:")[2].split()[0])
-        more = _READING_BYTES + _BYTES_PER_BYTE * size + _THREAD_BYTES * (os.cpu_count() or 1)
-        _bound("RLIMIT_DATA", taken + more)
-    _bound("RLIMIT_CORE", 0)
-
-
-def _bound(what: str, limit: float) -> None:
-    """Set a limit of this process, as far as the one set for good lets it."""
-    if sys.platform == "win32":
-        return
-    import resource
-
-    kind: int = getattr(resource, what)
-    _, hard = resource.getrlimit(kind)
-    soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
-    resource.setrlimit(kind, (soft, hard))
-
-
 def _directory() -> str | None:
     try:
         return os.getcwd()  # noqa: PTH109 - a name that is passed on
@@ -416,9 +412,9 @@ def _death_words(status: int) -> str:
     try:
         name = signal.Signals(-status).name
     except ValueError:
-        name = f"exit status {status}"
-    if name == "SIGXCPU":
-        return "the file is damaged: reading it takes far longer than its size explains."
+        name = _WINDOWS_DEATHS.get(status, f"exit status {status}")
+    if name == "SIGXCPU" or (sys.platform == "win32" and status == WINDOWS_TIME_STATUS):
+        return _TOO_LONG
     if name == "SIGABRT":
         return (
             "the file is damaged or needs more memory than is allowed: its reader "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
@@ -29,6 +28,7 @@ from counterspin.physics.terms import (
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact, format_number
+from counterspin.shell import join_command
 
 _OBSERVED: Final = {
     "displacement": "S(t) = S₀ + V₀ t + ∬ (g a_ind − a_h) dt dt",
@@ -178,7 +178,7 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     options += acceptance_words(result.accepted_misfit)
     description = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
     where = "." if description == DESCRIPTION_NAME else description
-    yield Paragraph(shlex.join(("counterspin", "calibrate", where, *options)), "command")
+    yield Paragraph(join_command(("counterspin", "calibrate", where, *options)), "command")
 
 
 def readings_of(result: Result) -> dict[str, list[ReadingResult]]:

@@ -1,0 +1,162 @@
+"""Limits on the processor time and the memory of the process that reads a file.
+
+- Linux: resource limits for both.
+- macOS: a resource limit on the processor time; the system ignores those on memory.
+- Windows: a job object for both.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+#: Processor time that reading may take: seconds for any file, and bytes of it a second.
+_READING_SECONDS: Final = 8.0
+_BYTES_PER_SECOND: Final = 2e6
+#: Memory that reading may take: bytes for any file, bytes for each of its own, and a thread's.
+_READING_BYTES: Final = 1 << 30
+_BYTES_PER_BYTE: Final = 64
+_THREAD_BYTES: Final = 8 << 20
+#: Time that a reader is waited for, in units of its processor time: it may share a busy machine.
+_WAITING_FACTOR: Final = 30.0
+
+#: Exit status of a process that a job object ends for its processor time, ERROR_NOT_ENOUGH_QUOTA.
+WINDOWS_TIME_STATUS: Final = 1816
+
+#: Of JOBOBJECT_EXTENDED_LIMIT_INFORMATION: its number, and the limits that it sets.
+_EXTENDED_LIMITS: Final = 9
+_LIMIT_PROCESS_TIME: Final = 0x0000_0002
+_LIMIT_PROCESS_MEMORY: Final = 0x0000_0100
+#: Time of Windows, in units of 100 ns.
+_TICKS_PER_SECOND: Final = 10_000_000
+
+
+def processor_seconds(size: int) -> float:
+    """Return the processor time that the reading of a file of this many bytes may take, s."""
+    return _READING_SECONDS + size / _BYTES_PER_SECOND
+
+
+def waiting_seconds(path: Path) -> float:
+    """Return how long the process that asks waits for the reading of a file, s."""
+    try:
+        size = path.stat().st_size
+    except (OSError, ValueError):
+        size = 0  # reading says why
+    return _WAITING_FACTOR * processor_seconds(size)
+
+
+def limit_reading(path: Path) -> None:
+    """Limit the processor time and the memory of this process, which reads a file next."""
+    try:
+        size = path.stat().st_size
+    except (OSError, ValueError):
+        return  # reading says why
+    seconds = processor_seconds(size)
+    more = _READING_BYTES + _BYTES_PER_BYTE * size + _THREAD_BYTES * (os.cpu_count() or 1)
+    if sys.platform == "win32":
+        _JOB.limit(seconds, more)
+        return
+    import resource
+
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    _set_limit("RLIMIT_CPU", spent.ru_utime + spent.ru_stime + seconds)
+    with suppress(OSError, ValueError):
+        # Memory that this process may write to: what files are mapped to is not counted.
+        status = Path("/proc/self/status").read_text("ascii")
+        taken = 1024 * int(status.partition("VmData:")[2].split()[0])
+        _set_limit("RLIMIT_DATA", taken + more)
+    omit_core_file()
+
+
+def omit_core_file() -> None:
+    """Keep this process from writing its memory to a file if it crashes."""
+    _set_limit("RLIMIT_CORE", 0)
+
+
+def _set_limit(name: str, limit: float) -> None:
+    """Set a limit of this process, at most the hard limit."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    kind: int = getattr(resource, name)
+    _, hard = resource.getrlimit(kind)
+    soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
+    resource.setrlimit(kind, (soft, hard))
+
+
+class _WindowsJob:
+    """The job object of this process, which is made when the first limit is set."""
+
+    def __init__(self) -> None:
+        self._job: Any = None
+
+    def limit(self, seconds: float, memory: int) -> None:
+        """Limit the further processor time, s, and the further memory, bytes, of this process.
+
+        Windows ends a process after its time, and refuses it memory beyond the limit.
+        """
+        if sys.platform != "win32":
+            return
+        system: Any = ctypes.WinDLL("kernel32")
+        system.CreateJobObjectW.restype = system.GetCurrentProcess.restype = ctypes.c_void_p
+        process = ctypes.c_void_p(system.GetCurrentProcess())
+        if self._job is None:
+            job = ctypes.c_void_p(system.CreateJobObjectW(None, None))
+            if not system.AssignProcessToJobObject(job, process):
+                return  # the job of the process that started this one permits no other
+            self._job = job
+        counters = _MemoryCounters(cb=ctypes.sizeof(_MemoryCounters))
+        system.K32GetProcessMemoryInfo(process, ctypes.byref(counters), counters.cb)
+        limits = _JobLimits()
+        limits.PerProcessUserTimeLimit = int(_TICKS_PER_SECOND * (os.times().user + seconds))
+        limits.ProcessMemoryLimit = counters.PagefileUsage + memory
+        limits.LimitFlags = _LIMIT_PROCESS_TIME | _LIMIT_PROCESS_MEMORY
+        system.SetInformationJobObject(
+            self._job, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits)
+        )
+
+
+_JOB: Final = _WindowsJob()
+
+
+class _JobLimits(ctypes.Structure):
+    """JOBOBJECT_EXTENDED_LIMIT_INFORMATION of Windows, with the parts of its parts."""
+
+    _fields_ = (
+        ("PerProcessUserTimeLimit", ctypes.c_int64),
+        ("PerJobUserTimeLimit", ctypes.c_int64),
+        ("LimitFlags", ctypes.c_uint32),
+        ("MinimumWorkingSetSize", ctypes.c_size_t),
+        ("MaximumWorkingSetSize", ctypes.c_size_t),
+        ("ActiveProcessLimit", ctypes.c_uint32),
+        ("Affinity", ctypes.c_size_t),
+        ("PriorityClass", ctypes.c_uint32),
+        ("SchedulingClass", ctypes.c_uint32),
+        ("IoInfo", ctypes.c_uint64 * 6),
+        ("ProcessMemoryLimit", ctypes.c_size_t),
+        ("JobMemoryLimit", ctypes.c_size_t),
+        ("PeakProcessMemoryUsed", ctypes.c_size_t),
+        ("PeakJobMemoryUsed", ctypes.c_size_t),
+    )
+
+
+class _MemoryCounters(ctypes.Structure):
+    """PROCESS_MEMORY_COUNTERS of Windows; PagefileUsage is the memory that is committed."""
+
+    _fields_ = (
+        ("cb", ctypes.c_uint32),
+        ("PageFaultCount", ctypes.c_uint32),
+        ("PeakWorkingSetSize", ctypes.c_size_t),
+        ("WorkingSetSize", ctypes.c_size_t),
+        ("QuotaPeakPagedPoolUsage", ctypes.c_size_t),
+        ("QuotaPagedPoolUsage", ctypes.c_size_t),
+        ("QuotaPeakNonPagedPoolUsage", ctypes.c_size_t),
+        ("QuotaNonPagedPoolUsage", ctypes.c_size_t),
+        ("PagefileUsage", ctypes.c_size_t),
+        ("PeakPagefileUsage", ctypes.c_size_t),
+    )

@@ -1,0 +1,103 @@
+"""Limits of the process that reads a file; those of Linux are tested with the process."""
+
+import ctypes
+import os
+from functools import partial
+
+import misbehaving
+import pytest
+from record_files import table, write
+
+from counterspin.errors import DamagedFileError
+from counterspin.records import isolation, reader_limits
+from counterspin.records.isolation import in_reader_process
+
+
+class Kernel:
+    """What kernel32 of Windows is asked for, and answers."""
+
+    def __init__(self, assigned=1):
+        self.limits = []
+        self.jobs = 0
+        self.GetCurrentProcess = lambda: 2**64 - 1
+        self.CreateJobObjectW = partial(self.create)
+        self.AssignProcessToJobObject = lambda job, process: assigned * job.value
+        self.K32GetProcessMemoryInfo = self.count
+        self.SetInformationJobObject = self.set
+
+    def create(self, *names):
+        assert names == (None, None)
+        self.jobs += 1
+        return 7
+
+    def count(self, process, counters, size):
+        assert size == 72  # as of the 64-bit Windows
+        counters._obj.PagefileUsage = 10**9
+
+    def set(self, job, kind, limits, size):
+        assert (job.value, kind, size) == (7, 9, 144)
+        # The fields at their places in the documentation of Windows.
+        raw = bytes(limits._obj)
+        whole = [int.from_bytes(raw[n : n + 8], "little") for n in (0, 16, 112)]
+        self.limits.append((whole[0] / 1e7, whole[1], whole[2]))
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    def start(kernel):
+        monkeypatch.setattr("sys.platform", "win32")
+        monkeypatch.setattr(ctypes, "WinDLL", lambda name: kernel, raising=False)
+        monkeypatch.setattr(reader_limits, "_JOB", reader_limits._WindowsJob())
+        return kernel
+
+    return start
+
+
+def test_a_job_object_limits_time_and_memory_on_windows(windows, tmp_path):
+    kernel, file = windows(Kernel()), tmp_path / "run.parquet"
+    file.write_bytes(b"")
+    used = os.times().user
+    reader_limits.limit_reading(file)
+    with file.open("ab") as stream:
+        stream.truncate(20_000_000)
+    reader_limits.limit_reading(file)
+    reader_limits.limit_reading(tmp_path / "nowhere.parquet")
+    (first, flags, memory), (second, _, more) = kernel.limits
+    assert kernel.jobs == 1
+    assert flags == 0x102
+    assert first == pytest.approx(used + 8.0, abs=1.0)
+    assert second - first == pytest.approx(10.0, abs=1.0)
+    assert memory == 10**9 + (1 << 30) + (8 << 20) * os.cpu_count()
+    assert more - memory == 64 * 20_000_000
+
+
+def test_without_a_job_object_the_file_is_read_all_the_same(windows, tmp_path):
+    kernel, file = windows(Kernel(assigned=0)), tmp_path / "run.parquet"
+    file.touch()
+    reader_limits.limit_reading(file)
+    assert kernel.limits == []
+
+
+def test_a_reader_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
+    """It takes no processor time, so that no limit of the system ends it."""
+    file = write(tmp_path / "run.parquet", table())
+    process = in_reader_process(misbehaving.process, file)
+    monkeypatch.setattr(reader_limits, "_WAITING_FACTOR", 0.02)
+    with pytest.raises(DamagedFileError, match=r"run\.parquet: .*far longer than its size"):
+        in_reader_process(misbehaving.wait, file)
+    monkeypatch.undo()
+    assert in_reader_process(misbehaving.process, file) != process
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        (1816, "takes far longer than its size explains"),
+        (0xC0000005, r"crashed on it \(access violation\)"),
+        (3, r"crashed on it \(exit status 3\)"),
+    ],
+)
+def test_how_a_reader_ends_on_windows(monkeypatch, status, words):
+    monkeypatch.setattr("sys.platform", "win32")
+    with pytest.raises(AssertionError, match=words):
+        raise AssertionError(isolation._death_words(status))
