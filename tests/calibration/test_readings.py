@@ -74,7 +74,7 @@ def test_a_tumble(tmp_path):
     result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
     a = result.accelerometers["A"]
     assert result.state == "good"
-    assert result.warnings == []
+    assert all("would not show these single faults" in text for text in result.warnings)
     for symbol, truth in LEVEL_TERMS.items():
         c = a.coefficients[symbol]
         assert abs(c.value - truth) < 4.0 * c.u

@@ -26,6 +26,7 @@ from counterspin.calibration.diagnosis.statements import (
     unseen_axes,
     untested_statements,
 )
+from counterspin.calibration.diagnosis.unseen_faults import remarks_of, unseen_faults
 from counterspin.calibration.findings import (
     not_determined,
 )
@@ -113,8 +114,10 @@ def joint(problem: JointProblem) -> Outcome:
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
+    faults = unseen_faults(views)
     accelerometers = {
-        view.name: _accelerometer(view, compared[view.name], read.recorded.means) for view in views
+        view.name: _accelerometer(view, compared[view.name], read.recorded.means, faults[view.name])
+        for view in views
     }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
@@ -147,6 +150,7 @@ def joint(problem: JointProblem) -> Outcome:
         ],
         causes=causes_of(views, accelerometers, mountings),
         remarks=(
+            *remarks_of(faults),
             *unseen_axes(mountings),
             *untested_statements(views),
             *no_more_than_rounded(views),
@@ -197,6 +201,7 @@ def _accelerometer(
     view: AccelerometerView,
     compared: MethodComparison,
     means: Mapping[tuple[str, str], RecordMean],
+    faults: list[str],
 ) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
     own = {
@@ -223,6 +228,7 @@ def _accelerometer(
         readings=[line for part in view.readings for line in results_of(part, means)],
         kinds=compared.results,
         output=in_output_units(view.campaign, name, own),
+        unseen_faults=faults,
         findings=[
             *compared.findings,
             *residual_findings(compared.residual_view),

@@ -410,6 +410,9 @@ class AccelerometerResult(ResultPart):
     #: Whether it may be relied on: ``good``, ``reservations`` or ``contradicted``.
     state: State | None = None
     findings: list[Finding] = []  #: What speaks against it, the gravest first.
+    #: Single faults of typical size that the residuals of its readings would not show, and by how
+    #: much each would move a coefficient; the worst first.
+    unseen_faults: list[str] = []
     serial_number: str | None = None  #: As the campaign states it.
     coefficients: dict[str, Coefficient]  #: The terms that the campaign asked for.
     #: Further terms of which something is known beforehand, as the campaign states it; the fit has

@@ -44,6 +44,7 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
     ASYMMETRY,
     HYSTERESIS,
     SENSE,
+    RANGE,
     STEP,
 ) = KINDS = (
     "wave",
@@ -58,6 +59,7 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
     "asymmetry",
     "hysteresis",
     "sense",
+    "range",
     "step",
 )
 
@@ -77,6 +79,9 @@ _TURN: Final = 1e-4
 #: At most so many steps are tried, evenly spread; readings on each side of one, at least.
 _STEPS: Final = 24
 _FEWEST_BESIDE: Final = 2
+
+#: Digits after the point, of g, to which two sizes of the force are one.
+_DIGITS: Final = 3
 
 #: Time constants of a warm-up, in parts of the whole series.
 _WARM_UPS: Final = (0.1, 0.3)
@@ -169,6 +174,7 @@ def candidates(
         *in_order(readings, forces),
         *_of_the_turning(readings),
         *_of_asymmetry(forces),
+        *_of_ranges(forces),
         *_of_approach(readings),
         *_of_sense(readings),
     ):
@@ -275,6 +281,17 @@ def _of_asymmetry(forces: Array) -> Iterator[_Column]:
         yield ASYMMETRY, SCALE_FACTOR, np.abs(forces)
 
 
+def _of_ranges(forces: Array) -> Iterator[_Column]:
+    """Yield that the gain changes above a size of the force, as between two ranges of a meter.
+
+    forces: g, shape (n,).
+    """
+    sizes = np.unique(np.round(np.abs(forces), _DIGITS))
+    between = 0.5 * (sizes[1:] + sizes[:-1])
+    for level in between[:: max(math.ceil(between.size / _STEPS), 1)].tolist():
+        yield RANGE, f"{level:.2g} g", forces * (np.abs(forces) > level)
+
+
 def _of_approach(readings: Readings) -> Iterator[_Column]:
     """Yield from which side each position was come to: that of the head, or of the rate's size.
 
@@ -373,10 +390,13 @@ def most_followed(
             for k, other in enumerate(kept)
             if alike[k, tried[best]].all() or gains[k] > gains[best] - _DECISIVE_CHI2 * scale
         ]
-        # Steps differ by where they are only: the best one stands for all.
-        steps = [k for k, other in enumerate(kept) if other.kind == STEP]
-        step = max(steps, key=lambda k: gains[k], default=None)
-        as_good = [o for o in as_good if o.kind != STEP or (step is not None and o is kept[step])]
+        # Steps differ by where they are only, and so do ranges: the best one stands for all.
+        for kind in (STEP, RANGE):
+            alike_of = [k for k, other in enumerate(kept) if other.kind == kind]
+            first = max(alike_of, key=lambda k: gains[k], default=None)
+            as_good = [
+                o for o in as_good if o.kind != kind or (first is not None and o is kept[first])
+            ]
         as_good.sort(key=lambda other: KINDS.index(other.kind))
         found.append(Followed(place, tuple(as_good) or (_wave(kept, tried[best]),), p, 0))
     return [Followed(each.group, each.alternatives, each.p, tests) for each in found]

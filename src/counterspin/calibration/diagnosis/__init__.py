@@ -5,4 +5,5 @@
 - `reading_findings`: what speaks against readings and poses
 - `agreement`: each test method (at rest, poses, arm, double turntable) beside the others
 - `statements`: mountings and values that the data contradict, or cannot check
+- `unseen_faults`: single faults that the residuals of readings would not show
 """

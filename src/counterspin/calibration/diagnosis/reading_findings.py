@@ -21,7 +21,6 @@ from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.fitted_readings import FEWEST_FREEDOM, FittedReadings, Outlying
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit, relax
-from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses
 from counterspin.inference.reading_tests import (
     APPROACH,
@@ -31,6 +30,7 @@ from counterspin.inference.reading_tests import (
     FORCE,
     HEAD,
     HYSTERESIS,
+    RANGE,
     SCALE,
     SENSE,
     STEP,
@@ -191,17 +191,23 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
     if not testable:
         return
     groups = [group_of(part, part.place_in(fit) or 0) for part in testable.values()]
-    acting = [unknown for unknown in fit.model.unknowns if unknown.owner in (view.name, "")]
-    own = [unknown for unknown in acting if unknown.owner]
-    known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
-    columns = [
-        tuple(candidates(group.readings, group.place, {one.symbol for one in acting}, known))
-        for group in groups
-        if isinstance(group.readings, Readings)
-    ]
+    columns = [columns_beside(fit, group) for group in groups]
     places = list(testable)
     for one in most_followed(fit, groups, columns):
         yield places[one.group], one
+
+
+def columns_beside(fit: JointFit, group: Group) -> tuple[Alternative, ...]:
+    """Return the columns that the residuals of readings or poses may follow, beside a fit."""
+    readings = group.readings
+    unknown = {(u.owner, u.symbol): math.isfinite(u.prior[1]) for u in fit.model.unknowns}
+    if isinstance(readings, TriadPoses):
+        known = {key for key, stated in unknown.items() if stated}
+        return tuple(pose_candidates(readings, group.place, fit, unknown, known))
+    name = readings.accelerometer
+    acting = {symbol for owner, symbol in unknown if owner in (name, "")}
+    own = {symbol for (owner, symbol), stated in unknown.items() if owner == name and stated}
+    return tuple(candidates(readings, group.place, acting, own))
 
 
 def group_of(part: FittedReadings, place: int) -> Group:
@@ -272,6 +278,7 @@ def clause_of(other: Alternative) -> str:
         TURN: f"look like positions that rotate steadily with {when}",
         SWING: f"swing {other.symbol.partition(' ')[2].partition(' ')[0]} times with {when}",
         ASYMMETRY: f"look like a {other.symbol} that differs for negative forces",
+        RANGE: f"look like a gain that changes above {other.symbol}, as between ranges of a meter",
         STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
         HYSTERESIS: f"depend on {_CAME.get(other.symbol)} (hysteresis)",
@@ -384,13 +391,7 @@ def _followed_by_poses(fit: JointFit, posed: Sequence[FittedReadings]) -> list[F
     fit = relax(fit)
     testable = [k for k, part in enumerate(posed) if min(part.dof, part.freedom) >= FEWEST_FREEDOM]
     groups = [group_of(posed[k], posed[k].place_in(fit) or 0) for k in testable]
-    unknown = {(u.owner, u.symbol): u for u in fit.model.unknowns}
-    known = {key for key, u in unknown.items() if math.isfinite(u.prior[1])}
-    columns = [
-        tuple(pose_candidates(group.readings, group.place, fit, unknown, known))
-        for group in groups
-        if isinstance(group.readings, TriadPoses)
-    ]
+    columns = [columns_beside(fit, group) for group in groups]
     for one in most_followed(fit, groups, columns) if testable else ():
         if one.p * one.tests < 0.5 * SIGNIFICANCE:
             found[testable[one.group]] = one

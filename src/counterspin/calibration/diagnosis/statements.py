@@ -191,7 +191,7 @@ def wrong_mounting(other: OtherMounting) -> Finding:
     )
     if symbol:
         times = format_number(size, 2)
-        text += f" {symbol} would move by {_shown(symbol, shift)}, {times} times its u."
+        text += f" {symbol} would move by {shown_size(symbol, shift)}, {times} times its u."
     return Finding(
         code="wrong-mounting",
         subject=name,
@@ -221,7 +221,7 @@ def unseen_axes(others: Sequence[OtherMounting]) -> Iterator[str]:
             f"{name}: the records do not show where the pendulous axis points, and the "
             f"stated {values} of {_listed(resting)} {rest} on it. With {found} for "
             f"{stated} they "
-            f"would fit as well, and {symbol} would be {_shown(symbol, abs(shift))} {way}, "
+            f"would fit as well, and {symbol} would be {shown_size(symbol, abs(shift))} {way}, "
             f"{format_number(size, 2)} times its u."
         )
 
@@ -271,10 +271,10 @@ def untested_statements(views: Sequence[AccelerometerView]) -> Iterator[str]:
     for view in views:
         found = []
         for place, thing in enumerate(things):
-            symbol, shift, times = _most_moved(view, thing, moved[:, place])
+            symbol, shift, times = most_moved(view, thing.places, moved[:, place])
             if times >= _WORTH_OF_UNTESTED:
-                off = f"{thing.words} is off by {_shown(thing.symbol, float(size[place]))}"
-                much = f"{_shown(symbol, abs(shift))} ({format_number(times, 2)} times its u)"
+                off = f"{thing.words} is off by {shown_size(thing.symbol, float(size[place]))}"
+                much = f"{shown_size(symbol, abs(shift))} ({format_number(times, 2)} times its u)"
                 found.append((times, f"if {off}, {symbol} is wrong by {much}"))
         found.sort(reverse=True)
         if found:
@@ -319,20 +319,27 @@ def _clocks(fit: JointFit) -> Iterator[_Thing]:
             yield _Thing(words, CLOCK, unknown.prior[1], (place,), data, none)
 
 
-def _most_moved(view: AccelerometerView, thing: _Thing, moved: Array) -> tuple[str, float, float]:
-    """Return which coefficient moves most over its u, by how much, and by how many of its u."""
+def most_moved(
+    view: AccelerometerView, places: Sequence[int], moved: Array
+) -> tuple[str, float, float]:
+    """Return which coefficient moves most over its u, by how much, and by how many of its u.
+
+    places: Of unknowns that do not count.
+    moved: By how much each unknown moves, shape (p,).
+    """
     found = [
         (symbol, float(moved[place]), abs(float(moved[place])) / u)
         for symbol, place in view.places.items()
         if view.assessment.determined[f"{view.name}.{symbol}"]
-        and place not in thing.places
+        and place not in places
         and (u := float(view.fit.solution.u[place])) > 0.0
     ]
     return max(found, key=lambda one: one[2], default=("", 0.0, 0.0))
 
 
-def _shown(symbol: str, size: float) -> str:
+def shown_size(symbol: str, size: float, digits: int = 2) -> str:
+    """Return a size of a term in the unit in which it is shown."""
     unit, factor = field_unit(unit_of(symbol))
     if unit == "1":
         unit, factor = "ppm", 1e6
-    return f"{format_number(size * factor, 2)} {unit}"
+    return f"{format_number(size * factor, digits)} {unit}"

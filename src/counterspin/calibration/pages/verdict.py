@@ -40,7 +40,7 @@ _COLUMNS = (
 def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return in words whether an accelerometer's result is good, and why."""
     assert accelerometer.state is not None
-    opening = f"{name} {_OPENINGS[accelerometer.state]}"
+    opening = f"{name} {_opening(accelerometer)}"
     speaks_for = "; ".join(clause for _, clause in supports(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
@@ -53,6 +53,13 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     else:
         sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
     return " ".join(sentences)
+
+
+def _opening(accelerometer: AccelerometerResult) -> str:
+    assert accelerometer.state is not None
+    if accelerometer.state == "good" and accelerometer.unseen_faults:
+        return "is good as far as its readings can show"
+    return _OPENINGS[accelerometer.state]
 
 
 def finding_text(finding: Finding) -> str:
@@ -83,7 +90,7 @@ def verdict_tables(result: Result) -> Iterator[Block]:
         why = f"{count} findings, the most serious first" if found else "no check found a fault"
         why = "1 finding" if count == 1 else why
         yield Paragraph(
-            f"{name} {_OPENINGS[accelerometer.state]}: {why}.",
+            f"{name} {_opening(accelerometer)}: {why}.",
             "plain" if accelerometer.state == "good" else "warning",
         )
         rows = [(_check(name, finding), finding_text(finding)) for finding in found]

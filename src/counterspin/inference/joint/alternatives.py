@@ -219,6 +219,18 @@ def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
     )
 
 
+def effects_of(fit: JointFit, alternatives: Sequence[Alternative]) -> tuple[Array, Array]:
+    """Return what one unit of each alternative does, where the fit knows nothing of it.
+
+    Returns: the size of what it leaves in the residuals, in standard deviations, shape (m,), and by
+        how much it moves the unknowns, shape (p, m).
+    """
+    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
+    data, priors = _columns(alternatives, blocks, solution, beside)
+    left = np.linalg.norm(solution.unexplained(data, priors), axis=0)
+    return left, solution.taken_up(data, priors)
+
+
 def _places(blocks: Sequence[Block]) -> tuple[slice, ...]:
     ends = np.cumsum([block.factor.shape[0] for block in blocks]).tolist()
     return tuple(map(slice, [0, *ends], ends))
