@@ -16,6 +16,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.observed import fit_rotation, recorded_twice
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.readings import MeasuredRate, Reading
+from counterspin.errors import ConvergenceError, NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import SpindleFit
 from counterspin.records.averages import (
@@ -115,9 +116,12 @@ def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFi
     """Return the rotation that the angle of a record shows, identified from block means."""
     blocks = _angle_blocks(record, reading.rate)
     assert blocks.angle is not None
-    return fit_rotation(
-        campaign, blocks.time, blocks.angle, reading.rate, blocks.count, blocks.time_sd
-    )
+    try:
+        return fit_rotation(
+            campaign, blocks.time, blocks.angle, reading.rate, blocks.count, blocks.time_sd
+        )
+    except (NotIdentifiableError, ConvergenceError) as error:
+        raise RecordError(f"{record.report.path}: {error}") from None
 
 
 def _angle_blocks(record: Record, rate: float) -> Blocks:

@@ -1,6 +1,7 @@
 """Checks of records: runs while the centrifuge turns, and sensors at rest.
 
 - `check`: one record: clock, angle, rate, residuals, and the campaign's expected uncertainty
+- `mean_run`: one record on an arm or at rest, whose mean is a reading
 - `watch`: the states of a campaign whose records grow
 - `observer`: the existing records, read again only where they have changed; of a table its new rows
 - `run_state`: what a run, a record of poses and all records together show, and whether it is enough

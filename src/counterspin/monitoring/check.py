@@ -13,6 +13,7 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
+from counterspin.monitoring.mean_run import MeanRun, check_mean, mean_runs
 from counterspin.monitoring.observer import Observer, Recorded, recordings
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.monitoring.run_state import (
@@ -73,10 +74,12 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
     meant = _meant(campaign, file, name)
-    own = meant if file is None else _of_file(meant, file)
     if file is None:
-        table: MemoryTable = memory_table(f"{own.name} in memory", record)
-        campaign = replace(campaign, frames={**campaign.frames, own.record: table})
+        table: MemoryTable = memory_table(f"{meant.name} in memory", record)
+        campaign = replace(campaign, frames={**campaign.frames, meant.record: table})
+    if isinstance(meant, MeanRun):
+        return check_mean(campaign, meant, file or meant.record)
+    own = meant if file is None else _of_file(meant, file)
     campaign = _with_recorded(campaign, lambda run: own if run is meant else run)
     own_check = _by_itself(campaign, own)
     if own_check.fit is None and own_check.state.poses is None:
@@ -120,9 +123,9 @@ def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None
     return replace(campaign, runs=runs, triad=triad)
 
 
-def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded:
+def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded | MeanRun:
     """Return the run whose record is meant."""
-    every = recordings(campaign)
+    every = (*recordings(campaign), *mean_runs(campaign))
     by_name = {run.name: run for run in every}
     if name is not None:
         if name not in by_name:

@@ -83,7 +83,8 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         yield from _facts_of_poses(run, run.poses)
         return
     if run.rate is None or run.u_rate is None:
-        yield "Angle", "not recorded: the nominal rate is used"
+        if run.nominal_rate:
+            yield "Angle", "not recorded: the nominal rate is used"
     else:
         part = run.rate / run.nominal_rate - 1.0
         yield (
@@ -96,6 +97,9 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         rms = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
         yield "Angle residuals", f"rms {rms}"
     yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
+    for name, mean in run.means.items():
+        over = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
+        yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{over}"
     for name, residual in run.residuals.items():
         stated = f", stated {format_number(residual.stated)}" if residual.stated else ""
         p = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"

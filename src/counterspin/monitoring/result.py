@@ -35,6 +35,14 @@ class PosesState(ResultPart):
     missing: list[str]
 
 
+class MeanState(ResultPart):
+    """The mean of a record over whole revolutions, or at rest."""
+
+    value: float  #: By the nominal sensitivity, g.
+    u: float  #: Its standard uncertainty, g.
+    revolutions: int  #: Whole ones; 0 at rest.
+
+
 class RunState(ResultPart):
     """What one run shows so far."""
 
@@ -63,6 +71,7 @@ class RunState(ResultPart):
     angle_rms: float | None = None  #: Of the recorded angle about the model, rad.
     residuals: dict[str, ResidualState] = {}  #: By accelerometer.
     poses: PosesState | None = None  #: Of a record of poses of unknown attitude.
+    means: dict[str, MeanState] = {}  #: By accelerometer, of a record on an arm or at rest.
 
 
 class ReachedCoefficient(ResultPart):

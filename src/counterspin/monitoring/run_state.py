@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
 from counterspin.calibration.diagnosis.reading_findings import pose_findings
 from counterspin.calibration.joint import estimate_campaign
@@ -40,10 +41,12 @@ from counterspin.monitoring.result import (
     ResidualState,
     RunState,
 )
+from counterspin.physics.spindle import SpindleFit
 from counterspin.physics.terms import TERMS
 from counterspin.planning.plan_file import read_plan, resolve_goal
 from counterspin.planning.plan_sections import GoalSettings
 from counterspin.planning.stations import every_up, pointing_up, words_of_up
+from counterspin.records.record import RecordReport
 
 
 def run_state(
@@ -53,36 +56,53 @@ def run_state(
 
     views: A fit with it, as each accelerometer sees it; empty if there is none.
     """
-    run, report, rotation = observed.run, observed.record.report, observed.rotation
-    spindle = observed.trajectory.spindle
-    ripple = max(spindle.ripples, key=lambda r: abs(r.amplitude), default=None)
-    time = observed.record.time
+    run = observed.run
     return RunState(
         run=run.name,
         record=record_name(run.record, campaign.folder),
         state="read",
-        rows=report.rows,
-        seconds=float(time[-1] - time[0]),
         stated_seconds=run.duration,
-        sampling_rate=1.0 / report.step,
-        repeated=report.repeated,
-        empty=sum(report.empty.values()),
-        outliers=sum(report.outliers.values()),
-        gaps=report.gap_count,
-        longest_gap=max((gap.length for gap in report.gaps), default=0.0),
-        rate=spindle.rate if rotation else None,
-        u_rate=rotation.u_rate if rotation else None,
         nominal_rate=run.rate,
-        drift=spindle.drift if rotation else None,
-        ripple=abs(ripple.amplitude) if ripple else None,
-        harmonic=ripple.harmonic if ripple else None,
-        angle_rms=rotation.rms if rotation else None,
+        **of_report(observed.record.report, observed.record.time),
+        **of_rotation(observed.rotation),
         residuals={
             view.name: state
             for view in views
             if (state := _residuals(campaign, view, run.name)) is not None
         },
     )
+
+
+def of_report(report: RecordReport, time: Array) -> dict[str, Any]:
+    """Return the fields of `RunState` that the rows of a record determine.
+
+    time: Of the first row to that of the last, s, shape (n,).
+    """
+    return {
+        "rows": report.rows,
+        "seconds": float(time[-1] - time[0]),
+        "sampling_rate": 1.0 / report.step,
+        "repeated": report.repeated,
+        "empty": sum(report.empty.values()),
+        "outliers": sum(report.outliers.values()),
+        "gaps": report.gap_count,
+        "longest_gap": max((gap.length for gap in report.gaps), default=0.0),
+    }
+
+
+def of_rotation(rotation: SpindleFit | None) -> dict[str, Any]:
+    """Return the fields of `RunState` that the recorded angle determines."""
+    if rotation is None:
+        return {}
+    ripple = max(rotation.spindle.ripples, key=lambda one: one.amplitude, default=None)
+    return {
+        "rate": rotation.spindle.rate,
+        "u_rate": rotation.u_rate,
+        "drift": rotation.spindle.drift,
+        "ripple": ripple.amplitude if ripple else None,
+        "harmonic": ripple.harmonic if ripple else None,
+        "angle_rms": rotation.rms,
+    }
 
 
 def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> ResidualState | None:
@@ -279,14 +299,7 @@ def poses_state(
         run=record.name,
         record=record_name(record.record, campaign.folder),
         state="read",
-        rows=report.rows,
-        seconds=float(poses.time[-1] - poses.time[0]),
-        sampling_rate=1.0 / report.step,
-        repeated=report.repeated,
-        empty=sum(report.empty.values()),
-        outliers=sum(report.outliers.values()),
-        gaps=report.gap_count,
-        longest_gap=max((gap.length for gap in report.gaps), default=0.0),
+        **of_report(report, poses.time),
         nominal_rate=0.0,
         poses=PosesState(
             count=len(found),

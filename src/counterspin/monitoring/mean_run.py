@@ -1,0 +1,151 @@
+"""A record on an arm or at rest, whose mean is a reading: the rotation, the mean, what it adds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from counterspin.calibration.mean_records import AveragedRecord, average_record
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.readings import Reading
+from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
+from counterspin.monitoring.observer import Observer, record_name
+from counterspin.monitoring.result import CheckedRun, MeanState, ReachedCoefficient, RunState
+from counterspin.monitoring.run_state import (
+    joint_fit_of,
+    nothing_reached,
+    of_report,
+    of_rotation,
+    reached_coefficients,
+    remarks_of,
+    shown_names,
+)
+
+
+@frozen(eq=False)
+class MeanRun:
+    """A run whose record has a mean for each accelerometer, which is its reading."""
+
+    readings: tuple[Reading, ...]  #: At least one.
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.readings[0].name
+
+    @property
+    def record(self) -> Path:
+        """The record."""
+        record = self.readings[0].record
+        assert record is not None
+        return record
+
+
+def mean_runs(campaign: Campaign) -> list[MeanRun]:
+    """Return the runs of a campaign whose means are readings."""
+    by_name: dict[str, list[Reading]] = {}
+    for reading in campaign.readings:
+        if reading.record is not None:
+            by_name.setdefault(reading.name, []).append(reading)
+    return [MeanRun(tuple(readings)) for readings in by_name.values()]
+
+
+def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
+    """Check the record of a run whose mean is a reading.
+
+    file: The record, which may be another file than that of the description.
+    """
+    campaign = _with_records(
+        campaign, lambda one: replace(one, record=file) if one.name == run.name else one
+    )
+    try:
+        averaged = [
+            average_record(campaign, one) for one in campaign.readings if one.record == file
+        ]
+    except CounterspinError as error:
+        return CheckedRun(
+            run=_not_read(campaign, run, file, str(error)),
+            remarks=[str(error)],
+            good=False,
+            others=[],
+            reached=[],
+            expected=[],
+            why_not="the record cannot be used as it is",
+        )
+    state = _state(campaign, averaged)
+    notes = list(dict.fromkeys(note for one in averaged for note in one.mean.report.notes()))
+    remarks, good = remarks_of(state, notes, ())
+    others, reached = _with_the_others(campaign, run.name)
+    return CheckedRun(
+        run=state, remarks=remarks, good=good, others=others, reached=reached, expected=[]
+    )
+
+
+def _with_records(campaign: Campaign, use: Callable[[Reading], Reading | None]) -> Campaign:
+    """Return a campaign with its readings as a function has them; None leaves one out."""
+    return replace(
+        campaign, readings=tuple(one for one in map(use, campaign.readings) if one is not None)
+    )
+
+
+def _not_read(campaign: Campaign, run: MeanRun, file: Path, why: str) -> RunState:
+    """Return the state of a record that cannot be used."""
+    return RunState(
+        run=run.name,
+        record=record_name(file, campaign.folder),
+        state="failed",
+        why=why,
+        rows=0,
+        stated_seconds=run.readings[0].duration,
+        nominal_rate=run.readings[0].rate,
+    )
+
+
+def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
+    """Return the contents of a record: one mean for each accelerometer, and the rotation."""
+    first = averaged[0]
+    reading, measured = first.reading, first.reading.measured
+    assert reading.record is not None
+    facts = of_report(first.mean.report, first.record.time) | of_rotation(first.rotation)
+    facts["outliers"] = max(sum(one.mean.report.outliers.values()) for one in averaged)
+    if measured is not None:
+        facts |= {"rate": measured.value, "u_rate": measured.u}
+    return RunState(
+        run=reading.name,
+        record=record_name(reading.record, campaign.folder),
+        state="read",
+        stated_seconds=reading.duration,
+        nominal_rate=reading.rate,
+        **facts,
+        means={
+            one.reading.accelerometer: MeanState(
+                value=one.reading.value, u=one.reading.u or 0.0, revolutions=one.mean.revolutions
+            )
+            for one in averaged
+        },
+    )
+
+
+def _with_the_others(campaign: Campaign, name: str) -> tuple[list[str], list[ReachedCoefficient]]:
+    """Return which other records exist, and the coefficients from all of them together."""
+
+    def exists(record: Path) -> bool:
+        return record in campaign.frames or record.exists()
+
+    runs = tuple(run for run in campaign.runs if exists(run.record))
+    part = _with_records(
+        replace(campaign, runs=runs),
+        lambda one: one if one.record is None or exists(one.record) else None,
+    )
+    observer = Observer(part)
+    observer.look()
+    part, observed = observer.present()
+    others = [one.run.name for one in observed]
+    others += [run.name for run in mean_runs(part) if run.name != name]
+    names = shown_names(campaign)
+    try:
+        return others, reached_coefficients(joint_fit_of(part, observed), names)
+    except CounterspinError:
+        return others, nothing_reached(campaign, names)
