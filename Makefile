@@ -10,6 +10,9 @@ KILLS ?= 40
 SEED ?= 1
 ONLY ?=
 ROOM ?=
+# Of `make wheelhouse`; empty: those of this machine.
+PLATFORM ?=
+TARGET ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -42,7 +45,7 @@ BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-call
   --disable-error-code import-untyped --disable-error-code import-not-found
 
 .PHONY: help setup demo test quick slow lint format bench fuzz docs docs-tests pictures violations \
-  coverage alarms coverage-of-tests mutants lock clean
+  coverage alarms coverage-of-tests mutants wheelhouse lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-17s %s\n", $$1, $$2 }'
@@ -110,6 +113,10 @@ coverage-of-tests: $(READY) ## Measure which branches the tests take; ROOM=physi
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report $(if $(ROOM),--include "*/counterspin/$(ROOM)/*")
 
+wheelhouse: $(READY) ## Collect all wheels for a machine without a network: PLATFORM=win_amd64 TARGET=3.12
+	$(BIN)/python requirements/wheelhouse.py $(if $(PLATFORM),--platform $(PLATFORM)) \
+	  $(if $(TARGET),--python $(TARGET))
+
 pictures: $(READY) ## Make the pictures and examples of the documentation again
 	$(BIN)/python docs/pictures.py
 
@@ -122,6 +129,8 @@ lock: ## Renew the pins: make lock UPGRADE=--upgrade
 	  --output-file requirements/bench.txt
 	$(compile-pins) --extra docs --constraint requirements/dev.txt \
 	  --output-file requirements/docs.txt
+	$(compile-pins) --extra application --extra cluster --extra excel --extra signature \
+	  --extra tdms --constraint requirements/dev.txt --output-file requirements/package.txt
 
 clean: ## Remove .venv, caches and build output
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis \

@@ -8,6 +8,7 @@ import gc
 import ipaddress
 import os
 import socket
+import sys
 import time
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -32,6 +33,9 @@ SLOW_TESTS = "slow.txt"
 SLOW = 0.15
 
 START = time.monotonic()
+
+#: Limits of processes that Windows does not have.
+collect_ignore = ["test_fuzz.py", "simulation/test_simulable.py"] if sys.platform == "win32" else []
 
 
 def pytest_addoption(parser):

@@ -210,7 +210,7 @@ TESTS = [path.relative_to(ROOT / "tests") for path in sorted((ROOT / "tests").rg
 
 #: Tests of what is no module: benchmarks, documentation, house, interface, published sources.
 OF_NO_MODULE = re.compile(
-    r"test_(benchmarks|docs\w*|fuzz|house|mutants|notebook_tasks|python)\.py|published/test_\w+\.py"
+    r"test_(benchmarks|docs\w*|fuzz|house|mutants|notebook_tasks|python|wheelhouse)\.py|published/test_\w+\.py"
 )
 
 
@@ -486,7 +486,13 @@ def test_pins_carry_hashes_and_no_address(pins):
 
 
 @pytest.mark.parametrize(
-    ("extra", "pins"), [("dev", "dev.txt"), ("bench", "bench.txt"), ("docs", "docs.txt")]
+    ("extra", "pins"),
+    [
+        ("dev", "dev.txt"),
+        ("bench", "bench.txt"),
+        ("docs", "docs.txt"),
+        *((extra, "package.txt") for extra in sorted(extras())),
+    ],
 )
 def test_pins_meet_what_the_package_asks_for(extra, pins):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -501,7 +507,7 @@ def test_pins_meet_what_the_package_asks_for(extra, pins):
         assert all(requirement.specifier.contains(version) for version in versions)
 
 
-@pytest.mark.parametrize("pins", ["bench.txt", "docs.txt"])
+@pytest.mark.parametrize("pins", ["bench.txt", "docs.txt", "package.txt"])
 def test_pins_of_one_environment_do_not_contradict_each_other(pins):
     """They are installed on top of those of dev."""
     line = re.compile(r"^([a-z0-9.-]+)==([^ ;]+)", re.MULTILINE)

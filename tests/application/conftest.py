@@ -95,7 +95,7 @@ class Window:
 def opened(browser, door_of_server):
     """Return what opens windows; nothing may go wrong in any, and no request may leave."""
     context, door = browser.new_context(), door_of_server
-    context.set_default_timeout(20_000)
+    context.set_default_timeout(60_000)  # on a busy machine
     windows = []
 
     def open_window(place=None):

@@ -87,9 +87,9 @@ def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
     with Checksums() as checksums:
         checksums.expect(tmp_path)
         while not checksums._taken[file].running():
-            assert time.monotonic() - begun < 20
+            assert time.monotonic() - begun < 60
             time.sleep(0.001)
-    assert time.monotonic() - begun < 20
+    assert time.monotonic() - begun < 60
 
 
 def test_one_file_at_a_time_until_there_is_hurry(tmp_path, monkeypatch):
