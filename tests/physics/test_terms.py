@@ -14,8 +14,10 @@ from counterspin.physics.terms import (
     READING_TERMS,
     TABLE,
     TERMS,
+    accelerometer_of,
     is_term,
     mounting_of,
+    same_for_all,
     shown_by_readings,
     symbol_of,
     term,
@@ -148,11 +150,21 @@ def test_a_symbol_may_name_a_mounting(mounting):
     assert symbol_of(f"A.{turn}") == turn
 
 
+def test_a_symbol_may_name_an_accelerometer_and_a_mounting():
+    radius = "centrifuge.radius.A.in"
+    assert term(radius) is TABLE["centrifuge.radius.ACCELEROMETER.MOUNTING"]
+    assert (accelerometer_of(radius), mounting_of(radius)) == ("A", "in")
+    assert same_for_all(radius) == "centrifuge.radius.in"
+    assert accelerometer_of("centrifuge.radius.in") == ""
+    assert same_for_all("centrifuge.radius.in") == "centrifuge.radius.in"
+
+
 @pytest.mark.parametrize(
     "name",
     [
         "centrifuge.radius.",
-        "centrifuge.radius.a.b",
+        "centrifuge.radius..b",
+        "centrifuge.radius.a.",
         "fixture.misalignment.east",
         "fixture.misalignment.in.west",
         "fixture.misalignment.a.b.east",
@@ -179,6 +191,7 @@ def test_each_row_says_whose_it_is():
         "machine",
         "mounting",
         "position",
+        "reading",
         "input",
     }
     assert all(row.per_mounting == ("MOUNTING" in symbol) for symbol, row in TABLE.items())

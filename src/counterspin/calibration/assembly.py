@@ -199,6 +199,14 @@ def _remarks(campaign: Campaign) -> list[str]:
             "[fixture] position is not used: it is the error of "
             "setting known attitudes, and all attitudes here are estimated."
         )
+    rated = [run.name for run in campaign.runs if run.u_rate]
+    rated += [reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate]
+    if rated:
+        names = ", ".join(dict.fromkeys(rated))
+        left_out.append(
+            f"The stated uncertainty of the rate is not used for {names}: the rate is identified "
+            "from the record, and the stated rate is its nominal value."
+        )
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         left_out.append(

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.campaign.conditions import (
+    clock_of,
     conditions_of,
     dated_of,
     directions_of,
@@ -25,12 +26,19 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import EVERYTHING
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.terms import acts, shows, symbols_shown
-from counterspin.inference.joint.series import CLOCK, TIMING
+from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import Product, Slope
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, Term, term
+from counterspin.physics.terms import (
+    OWN_TERMS,
+    SHARED_TERMS,
+    Term,
+    accelerometer_of,
+    same_for_all,
+    term,
+)
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
@@ -146,12 +154,14 @@ def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
 def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
     """Return the same by owner, the recorder of a clock, and symbol."""
     inputs = {("", "site.gravity"): campaign.gravity, ("", "site.latitude"): campaign.latitude}
-    if campaign.runs or any(reading.rate for reading in campaign.readings):
+    turning = [reading for reading in campaign.readings if reading.rate]
+    if campaign.runs or turning:
         inputs["", "centrifuge.radius"] = campaign.radius
+    for owner, symbol in dict.fromkeys(clock_of(campaign, reading) for reading in turning):
+        stated = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
+        inputs[owner, symbol] = stated or Quantity(0.0, 0.0, "1")
     for one in map(campaign.recording_of, campaign.runs):
         inputs[one.recorder, CLOCK] = one.clock or Quantity(0.0, 0.0, "1")
-    if any(reading.by_clock for reading in campaign.readings):
-        inputs["", CLOCK] = campaign.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
         inputs["", TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
     return inputs
@@ -171,8 +181,14 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
     read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
     known = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
-    # Of a mounting whose radius is no term of its own, that of the centrifuge is known.
-    read = [(o, s) for o, s in read if s in known or not s.startswith("centrifuge.radius.")]
+    # A radius for all accelerometers of a mounting stands in place of theirs where it is named.
+    read = [
+        (o, s)
+        for o, s in read
+        if s in known
+        or not s.startswith("centrifuge.radius.")
+        or (accelerometer_of(s) and same_for_all(s) not in known)
+    ]
     return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))
 
 

@@ -238,7 +238,7 @@ def _coefficient(
     if combined.u**2 > PRIOR_LEFT * known**2:
         # What is known beforehand is all there is.
         return Coefficient(value=one.value, u=combined.u, unit=one.unit, estimated=False)
-    noise, stated, unstated = by_kind_of(fit, combined)
+    noise, stated, unstated = by_kind_of(fit, one.slopes)
     return Coefficient(
         value=one.value,
         u=math.hypot(noise, stated, unstated),

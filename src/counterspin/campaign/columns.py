@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Protocol, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -22,6 +22,7 @@ from counterspin.campaign.kinds import (
     an_encoding,
     angle_unit,
     described,
+    exact,
     force_or_output,
     is_unit,
     known,
@@ -31,7 +32,7 @@ from counterspin.campaign.kinds import (
     time_unit,
     unit_of,
 )
-from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.frozen import frozen
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.record import ColumnSpec
@@ -352,3 +353,66 @@ def seconds_of(value: Any) -> Any:
     if isinstance(value, datetime.datetime):
         return value.replace(tzinfo=value.tzinfo or _UTC).timestamp()
     return value
+
+
+# The column of rates of a table of readings ----------------------------------------------------
+
+#: Unit of a rate that counts revolutions -> how it is written where angles are a unit.
+_REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
+
+
+class RateSettings(Protocol):
+    """What the section of a table states about its column of rates."""
+
+    rate_unit: str  #: Of the column and of its uncertainties.
+    u_rate: str | None  #: Of rates without an uncertainty in the table.
+
+
+@frozen
+class RateColumn:
+    """How the numbers of the column become rates."""
+
+    settings: RateSettings  #: The section.
+    document: Mapping[str, Any]  #: In which it stands.
+
+    def read(self, number: float, u: float | None) -> tuple[float, float, str]:
+        """Return a rate, its standard uncertainty and their unit; ValueError if it is none.
+
+        u: Standard uncertainty of the number, in its unit; None: that of the section, if any.
+        """
+        if u is not None and u < 0.0:
+            raise ValueError("a standard uncertainty is not negative")
+        rate, unit, power = self._exact(number)
+        stated = self.settings.u_rate
+        if u is None and stated is not None:
+            return rate, exact(stated, "rad/s") / unit_factor(unit, "rad/s"), unit
+        return rate, abs(power * rate * (u or 0.0) / number), unit
+
+    def _exact(self, number: float) -> tuple[float, str, float]:
+        """Return a rate, its unit, and the power of the number with which the rate grows."""
+        unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
+        if _converts(unit, "s"):
+            return 1.0 / (number * unit_factor(unit, "s")), "rev/s", -1.0
+        gravity = self._stated("site", "gravity", "m/s^2")
+        if not _converts(unit, "m/s^2", gravity=gravity):
+            unit_factor(unit, "rad/s")
+            return number, unit, 1.0
+        if number < 0.0:
+            raise ValueError("a centripetal acceleration is positive; the mounting has the sign")
+        acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)
+        radius = self._stated("centrifuge", "radius", "m")
+        return math.sqrt(acceleration / radius), "rad/s", 0.5
+
+    def _stated(self, section: str, key: str, unit: str) -> float:
+        """Return a quantity of another section; what is wrong with it is noted there."""
+        try:
+            return abs(parse(self.document[section][key], unit).value) or 1.0
+        except (KeyError, TypeError, ValueError):
+            return 1.0
+
+
+def _converts(unit: str, wanted: str, *, gravity: float | None = None) -> bool:
+    try:
+        return unit_factor(unit, wanted, gravity=gravity) > 0.0
+    except ValueError:
+        return False

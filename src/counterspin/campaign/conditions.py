@@ -14,7 +14,8 @@ from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.triad import PoseRecord
 from counterspin.frozen import frozen
-from counterspin.inference.linear_readings import Readings
+from counterspin.inference.joint.series import CLOCK, RATE_CLOCK
+from counterspin.inference.linear_readings import RATE, Readings
 from counterspin.inference.poses import TriadPoses
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.station import Station
@@ -197,7 +198,7 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
             Station(
                 r.motion,
                 r.axes,
-                rate=r.measured.value if r.measured else r.rate,
+                rate=r.measured.value if r.measured else r.rate * _rate_factor(campaign, r),
                 radius=campaign.radius.value if r.rate else 0.0,
             )
             for r in readings
@@ -219,9 +220,41 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         position=tuple(r.position for r in readings),
         in_si=np.array([float(r.in_si) for r in readings]),
         stated_rates=tuple(r.rate for r in readings),
-        u_rate=np.array([r.measured.u if r.measured else 0.0 for r in readings]),
-        by_clock=np.array([float(r.by_clock) for r in readings]),
+        u_rate=np.array([_relative_u_rate(campaign, r) for r in readings]),
+        default_rate=np.array([float(not r.measured and r.u_rate is None) for r in readings]),
+        clocks=tuple(name_of_clock(campaign, r) for r in readings),
     )
+
+
+def clock_of(campaign: Campaign, reading: Reading) -> tuple[str, str]:
+    """Return recorder and symbol of the input that is the error of the clock of a rate."""
+    recorded = reading.record is not None and campaign.angle is not None
+    shared = campaign.rate_clock is None and campaign.clock is not None
+    return ("", CLOCK) if recorded or shared else ("", RATE_CLOCK)
+
+
+def _rate_factor(campaign: Campaign, reading: Reading) -> float:
+    """Return the rate by a clock whose stated error is corrected over the stated rate."""
+    clock = campaign.rate_clock or campaign.clock
+    return 1.0 if clock is None or reading.by_clock else 1.0 + clock.value
+
+
+def name_of_clock(campaign: Campaign, reading: Reading) -> str:
+    """Return the name of that input; empty where nothing turns."""
+    return ".".join(filter(None, clock_of(campaign, reading))) if reading.rate else ""
+
+
+def _relative_u_rate(campaign: Campaign, reading: Reading) -> float:
+    """Return the random standard uncertainty of a rate, relative."""
+    if not reading.rate:
+        return 0.0
+    if reading.measured is not None:
+        return reading.measured.u / abs(reading.measured.value)
+    if reading.u_rate is not None:
+        return reading.u_rate / abs(reading.rate)
+    # An estimated noise contains the errors of the rates already.
+    unknown = reading.u is not None and not campaign.model.assumes(RATE)
+    return campaign.typical_of(RATE) if unknown else 0.0
 
 
 # Poses of a triad, grouped likewise

@@ -47,7 +47,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
-from counterspin.physics.terms import term
+from counterspin.physics.terms import same_for_all, term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
@@ -80,6 +80,8 @@ class Campaign:
         How much later than its displacement the angle of a row was sampled, s; None: not stated.
     clock
         By how much of itself the recorder's clock runs fast; None: not stated.
+    rate_clock
+        The same of the clock that measures the rates of readings.
     own_velocity
         Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
         not the platform's.
@@ -136,6 +138,7 @@ class Campaign:
     table_checksums: Mapping[Path, str] = field(default_factory=dict)
     frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
     clock: Quantity | None = None
+    rate_clock: Quantity | None = None
     own_velocity: bool = False
     dialect: Dialect = TO_BE_FOUND
     temperature: ColumnSpec | None = None
@@ -198,11 +201,15 @@ class Campaign:
         owner
             The accelerometer, for a term of its own; else it is no matter.
         """
-        return self.model.limits.get(symbol) or self._size(symbol, owner).limit
+        limits = self.model.limits
+        stated = limits.get(symbol) or limits.get(same_for_all(symbol))
+        return stated or self._size(symbol, owner).limit
 
     def typical_of(self, symbol: str, owner: str = "") -> float:
         """Return the standard uncertainty to assume of a term; parameters as of `limit_of`."""
-        return self.model.typical.get(symbol) or self._size(symbol, owner).typical
+        typical = self.model.typical
+        stated = typical.get(symbol) or typical.get(same_for_all(symbol))
+        return stated or self._size(symbol, owner).typical
 
     def _size(self, symbol: str, owner: str) -> Size:
         accelerometer = self.accelerometers.get(owner)

@@ -31,7 +31,9 @@ from counterspin.physics.terms import (
     SHARED_TERMS,
     TABLE,
     TERMS,
+    accelerometer_of,
     is_term,
+    same_for_all,
     term,
 )
 
@@ -78,9 +80,9 @@ class ErrorModel:
     def assumes(self, symbol: str) -> bool:
         """Return whether a term, or an input, is taken as perfect where nothing is stated."""
         names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
+        symbols = (symbol, same_for_all(symbol))
         return any(
-            name in ("", EVERYTHING) or symbol == name or symbol.startswith(f"{name}.")
-            for name in names
+            name in ("", EVERYTHING, *symbols) or symbol.startswith(f"{name}.") for name in names
         )
 
 
@@ -193,6 +195,11 @@ def resolve_model(
             f'"{symbol}" is held, but there is no prior for {lacking}; '
             f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
         )
+    for symbol in (*terms, *held, *shared):
+        if accelerometer_of(symbol) and same_for_all(symbol) in {*terms, *held, *shared}:
+            said = f'"{same_for_all(symbol)}" is for all accelerometers; "{symbol}" is given too'
+            problems.add(("model",), f"{said}; keep one")
+            break
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)
     assume = _assumed(settings.assume, problems)
@@ -258,7 +265,17 @@ def _read(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[
     found = expand(name, on.shown)
     if not found and on.whole:
         problems.add(path, f'no reading depends on "{name}"' + did_you_mean(name, on.shown))
-    return found
+    return found if name in found else _without_doubles(found)
+
+
+def _without_doubles(symbols: Sequence[str]) -> tuple[str, ...]:
+    """Return the terms of a family with one radius for each mounting and accelerometer.
+
+    With several accelerometers each has a radius; with one, the mounting has it.
+    """
+    several = len({owner for symbol in symbols if (owner := accelerometer_of(symbol))}) > 1
+    doubled = {same_for_all(symbol) for symbol in symbols if accelerometer_of(symbol)}
+    return tuple(s for s in symbols if not (s in doubled if several else accelerometer_of(s)))
 
 
 def _unknown(name: str, path: KeyPath, problems: Problems) -> None:

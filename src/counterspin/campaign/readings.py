@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -50,6 +50,8 @@ class Reading:
     mounting: str
     axes: Mounting  #: In the frame of the motion.
     rate: float  #: Stated rate, rad/s.
+    #: Random standard uncertainty of the stated rate, rad/s; None: not stated.
+    u_rate: float | None = field(kw_only=True, default=None)
     #: Indication in g by the nominal sensitivity, and its standard uncertainty; None: not stated.
     #: Of a record, 0 and None until it is read; NaN where `BLANK` stands.
     value: float
@@ -159,9 +161,10 @@ def _reading(run: Run, name: str, read: _Value, axes: Mounting) -> Reading:
         name=run.name,
         accelerometer=name,
         motion=run.motion,
-        mounting=run.mounting,
+        mounting=run.mounting or (_direction_names(axes) if run.motion == "arm" else ""),
         axes=axes,
         rate=run.rate,
+        u_rate=run.u_rate,
         value=read.mean,
         u=read.u,
         head=run.stand.head,
@@ -177,6 +180,13 @@ def _reading(run: Run, name: str, read: _Value, axes: Mounting) -> Reading:
         in_si=read.in_si,
         position=_position(run),
     )
+
+
+def _direction_names(axes: Mounting) -> str:
+    """Return the name of a mounting on the arm that the description does not name."""
+    names = FRAMES["arm"]
+    along = np.array(list(names.values())) @ axes.matrix[:2].T
+    return "-".join(list(names)[place] for place in np.argmax(along, axis=0))
 
 
 def positioned(readings: Sequence[Reading], setting: Quantity | None) -> tuple[Reading, ...]:

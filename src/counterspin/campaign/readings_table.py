@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from counterspin.campaign.columns import (
     BLANK,
     SENSE_WORDS,
     WITH_COMMA,
+    RateColumn,
     Sense,
     TableDialect,
     as_number,
@@ -28,7 +28,7 @@ from counterspin.campaign.columns import (
 )
 from counterspin.campaign.documents import KeyPath, list_of, plain, table_of
 from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
-from counterspin.campaign.quantity import HeadTurn, Quantity, parse
+from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.readings import MOST_READINGS
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
@@ -56,6 +56,7 @@ _COLUMNS: Final = (
     "name",
     "motion",
     "rate",
+    "u_rate",
     "attitude",
     "head",
     "input",
@@ -68,9 +69,6 @@ _COLUMNS: Final = (
 
 #: What says where a reading is taken.
 _STATIONS: Final = {"rate", "attitude", "head", "input"}
-
-#: Unit of a rate that counts revolutions -> how it is written where angles are a unit.
-_REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
 
 class _TableFile(SettingsSection):
@@ -95,8 +93,8 @@ class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table in place of many [[runs]]."""
 
     columns: dict[str, _Repeats | dict[str, _Repeats]] = described(
-        "`name`, `motion`, `rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, `u`, "
-        "`temperature`, `time`, `mounting`, `sense` -> column",
+        "`name`, `motion`, `rate`, `u_rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, "
+        "`u`, `temperature`, `time`, `mounting`, `sense` -> column",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,
     )
@@ -120,6 +118,13 @@ class ReadingsSettings(TableDialect, _TableFile):
         "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
         "rpm",
         "rad/s",
+    )
+    u_rate: Text | None = described(
+        "random standard uncertainty of the rates that have none in the column `u_rate`, which is "
+        "in `rate_unit`",
+        "1e-5 rad/s",
+        None,
+        absent="the default",
     )
     sense: Sense = described(
         "in which the machine turns at a positive rate, seen from above, where there is no such "
@@ -416,6 +421,8 @@ class ReadingsTable:
                 problems.attempt(("readings", "u"), exact, settings.u, unit)
         if "rate" in settings.columns:
             problems.attempt(("readings", "rate_unit"), self._rate, 1.0, settings.sense)
+        if settings.u_rate is not None:
+            problems.attempt(("readings", "u_rate"), exact, settings.u_rate, "rad/s")
 
     def check_units(self, units: Mapping[str, str]) -> None:
         """Note columns that are in other units by the table's row of units."""
@@ -423,6 +430,7 @@ class ReadingsTable:
             self.columns.get("attitude"): self.settings.attitude_unit,
             self.columns.get("head"): self.settings.attitude_unit,
             self.columns.get("rate"): self.settings.rate_unit,
+            self.columns.get("u_rate"): self.settings.rate_unit,
         }
         for key in ("reading", "u"):
             for view in self.views({}):
@@ -490,7 +498,8 @@ class ReadingsTable:
                 said = f"'{sense}' is none of {', '.join(SENSE_WORDS)}"
                 self.problems.add((*path[:-1], "sense"), said)
                 return motion, None
-            return motion, self.problems.attempt(path, self._rate, rate, SENSE_WORDS[sense])
+            u = self._number(cell("u_rate"), (*path[:-1], "u_rate"))
+            return motion, self.problems.attempt(path, self._rate, rate, SENSE_WORDS[sense], u)
         if motion != "arm" or "motion" in self.columns:
             return motion, None
         if stated is None:
@@ -504,28 +513,10 @@ class ReadingsTable:
         at_rest = settings.axes_at_rest if motion == "static" else None
         return settings.mountings.get(mounting) or at_rest or settings.axes
 
-    def _rate(self, number: float, sense: Sense) -> Quantity:
-        """Return a rate, right-handed about up; ValueError if it is none."""
-        unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
-        sign = -1.0 if sense == "clockwise" else 1.0
-        if _converts(unit, "s"):
-            return Quantity(sign / (number * unit_factor(unit, "s")), 0.0, "rev/s")
-        gravity = self._stated("site", "gravity", "m/s^2")
-        if not _converts(unit, "m/s^2", gravity=gravity):
-            unit_factor(unit, "rad/s")
-            return Quantity(sign * number, 0.0, unit)
-        if number < 0.0:
-            raise ValueError("a centripetal acceleration is positive; the mounting has the sign")
-        acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)
-        radius = self._stated("centrifuge", "radius", "m")
-        return Quantity(sign * math.sqrt(acceleration / radius), 0.0, "rad/s")
-
-    def _stated(self, section: str, key: str, unit: str) -> float:
-        """Return a quantity of another section; what is wrong with it is noted there."""
-        try:
-            return abs(parse(self.document[section][key], unit).value) or 1.0
-        except (KeyError, TypeError, ValueError):
-            return 1.0
+    def _rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
+        """Return a rate by its cell and that of its uncertainty; ValueError if it is none."""
+        size, spread, unit = RateColumn(self.settings, self.document).read(number, u)
+        return Quantity(-size if sense == "clockwise" else size, spread, unit)
 
     def _turn(self, angle: float) -> HeadTurn:
         """Return the turn that an angle of the head is."""
@@ -580,10 +571,3 @@ def _columns_of(mounting: MountingSettings) -> dict[str, str]:
     """Return the columns of a mounting by what they hold."""
     own = {"reading": mounting.reading, "u": mounting.u}
     return {key: column for key, column in own.items() if column}
-
-
-def _converts(unit: str, wanted: str, *, gravity: float | None = None) -> bool:
-    try:
-        return unit_factor(unit, wanted, gravity=gravity) > 0.0
-    except ValueError:
-        return False

@@ -284,6 +284,7 @@ class DescriptionReader:
             skipped=self.skipped,
             timing_offset=records.timing_offset if records else None,
             clock=records.clock if records else None,
+            rate_clock=centrifuge.clock if centrifuge else None,
             own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
             noise=parts["noise"],

@@ -26,11 +26,12 @@ from counterspin.campaign.kinds import (
     Text,
     described,
     extra_of,
+    known,
     positive,
     read_exactly,
     with_units,
 )
-from counterspin.campaign.quantity import UNKNOWN, of_platform, read_attitude
+from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -109,8 +110,13 @@ class Run(SettingsSection):
     motion: MotionKind = described(
         "how the instrument moves", "static", "counter-rotating", of=READINGS
     )
-    rate: Annotated[float, read_exactly("rad/s")] = described(
-        "nominal rate; negative is the other sense; none at rest", "0.25 rev/s", 0.0, absent="none"
+    stated_rate: Annotated[Quantity, known("rad/s")] = described(
+        "nominal rate; negative is the other sense; none at rest; `±` of a reading, or of an arm "
+        "run without a recorded angle: its random standard uncertainty",
+        "0.25 rev/s",
+        Quantity(0.0, 0.0, "rad/s"),
+        absent="none",
+        alias="rate",
     )
     file: RecordFile | None = described(
         f"file, from the campaign's folder: {', '.join(RECORD_FORMATS)}; of a run at rest or on an "
@@ -242,6 +248,16 @@ class Run(SettingsSection):
         return self.file
 
     @property
+    def rate(self) -> float:
+        """The nominal rate, rad/s."""
+        return self.stated_rate.value
+
+    @property
+    def u_rate(self) -> float | None:
+        """Random standard uncertainty of the rate, rad/s; None: not stated."""
+        return self.stated_rate.u or None
+
+    @property
     def attitude(self) -> Array:
         """Rows: where the platform's axes point, shape (3, 3)."""
         return self.stand.rows
@@ -281,7 +297,7 @@ class Run(SettingsSection):
         if self.file is None:
             yield ("record",), "is missing", "motion", "reading"
         if self.rate == 0.0:
-            stated = "rate" in self.model_fields_set
+            stated = "stated_rate" in self.model_fields_set
             said = "the centrifuge must turn; the rate is zero" if stated else "is missing"
             yield ("rate",), said, "motion", "reading"
         try:

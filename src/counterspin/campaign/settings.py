@@ -21,10 +21,12 @@ from pydantic import (
 
 from counterspin.campaign.kinds import (
     DateOrText,
+    Part,
     SettingsSection,
     Several,
     Temperature,
     Text,
+    a_clock,
     a_latitude,
     an_error,
     described,
@@ -105,6 +107,13 @@ class CentrifugeSettings(SettingsSection):
     )
     axis_tilt: Annotated[Quantity, known("rad", "arcsec")] | None = described(
         "likewise: tilt of the spindle's axis about east and about north", "0 ± 5 arcsec", None
+    )
+    clock: Annotated[Part, AfterValidator(a_clock)] | None = described(
+        "by how much of itself the clock that measures the rates of readings runs fast, also in "
+        "`ppm`; without it that of `[records]`, else its typical size",
+        "0 ± 2 ppm",
+        None,
+        kind="part ±",
     )
     reference_temperature: Temperature | None = described(
         "from which slopes with temperature count; by default the mean of all temperatures",

@@ -339,6 +339,7 @@ def true_inputs(
         ("", "site.gravity"): site and site.gravity,
         ("", "site.latitude"): site and site.latitude,
         ("", "centrifuge.radius"): centrifuge and centrifuge.radius,
+        ("", "centrifuge.clock"): centrifuge and centrifuge.clock,
         ("", "records.timing_offset"): records and records.timing_offset,
     }
     clocks = _by_recorder((records and records.clock) or {}, recorders, problems)

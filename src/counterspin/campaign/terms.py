@@ -153,7 +153,7 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
     """Return every term of the machine that these readings can show, and records beside them."""
     motions = {str(reading.motion) for reading in readings}
     motions |= {"counter-rotating"} if recorded else set()
-    mountings = dict.fromkeys((r.mounting, r.motion) for r in readings if r.mounting)
+    mounted = dict.fromkeys((r.mounting, r.motion, r.accelerometer) for r in readings if r.mounting)
     shown = {round(r.head_angle, 9) for r in readings if any(r.head) and r.motion == "static"}
     symbols: dict[str, None] = {}
     for row in READING_TERMS.values():
@@ -170,10 +170,11 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
         if not row.per_mounting:
             symbols[row.symbol] = None
             continue
-        for name, motion in mountings:
+        for name, motion, owner in mounted:
             axis = row.symbol.rpartition(".")[2]
             if motion in row.motions and axis in ("MOUNTING", *_AXES[motion]):
-                symbols[row.symbol.replace("MOUNTING", name)] = None
+                named = row.symbol.replace("ACCELEROMETER", owner).replace("MOUNTING", name)
+                symbols[named] = None
     return tuple(symbols)
 
 

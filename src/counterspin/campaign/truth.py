@@ -59,6 +59,13 @@ class TrueRadius(SettingsSection):
     radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = described(
         "from the spindle axis to the platform's centre", "2.50001 m", None, absent=_STATED
     )
+    clock: Ratio | None = described(
+        "by how much of itself the clock that measures the rates of readings runs fast",
+        "20 ppm",
+        None,
+        absent=_STATED,
+        kind="number, or in ppm",
+    )
 
 
 class RecordsTruthSettings(SettingsSection):

@@ -21,7 +21,7 @@ from counterspin.inference.conformity import Conformity
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.input import read_file
 from counterspin.physics.effects import Product
-from counterspin.physics.terms import TERMS, Term, is_term, mounting_of, term
+from counterspin.physics.terms import TERMS, Term, is_term, term
 
 #: How a budget names what is common: an input of the campaign -> where the result has its value.
 _INPUTS: Final = {
@@ -29,6 +29,9 @@ _INPUTS: Final = {
     "site.latitude": "latitude",
     "centrifuge.radius": "radius",
 }
+
+#: Scopes of terms that differ between the runs, readings or fixtures of one machine.
+_RANDOM: Final = ("run", "reading", "mounting", "position")
 
 #: The parts of a budget are no more than u^2, but for rounding.
 _MAX_BUDGET_SUM: Final = 1.01
@@ -308,7 +311,7 @@ def shared_sources(
         owner, _, symbol = source.partition(".")
         if source in _INPUTS:
             identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
-        elif is_term(source) and not (term(source).per_run or mounting_of(source)):
+        elif is_term(source) and term(source).scope not in _RANDOM:
             identity = repr(line.u)
         elif owner in result.accelerometers and is_term(symbol):
             whose = result.accelerometers[owner].serial_number

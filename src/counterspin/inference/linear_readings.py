@@ -16,27 +16,33 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import Observation, Unknowns
 from counterspin.inference.least_squares import Block, Solution, reduce_block
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Site
 from counterspin.physics.station import Station, mean_products, moved
-from counterspin.physics.terms import CONDITION_TERMS, TABLE, TERMS, is_term, mounting_of, term
+from counterspin.physics.terms import (
+    CONDITION_TERMS,
+    TABLE,
+    TERMS,
+    accelerometer_of,
+    is_term,
+    mounting_of,
+    symbol_of,
+    term,
+)
 
 #: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
 _STEP: Final = 1e-2
 
-#: Uncertain inputs that act on readings, and the step of each derivative: m, m/s^2, rad, 1.
-INPUT_STEPS: Final = {
-    "centrifuge.radius": 1e-4,
-    "site.gravity": 1e-3,
-    "site.latitude": 1e-3,
-    CLOCK: 1e-4,
-}
+#: Uncertain inputs that act on readings, and the step of each derivative: m, m/s^2, rad.
+INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
 
-#: Relative step of the derivative by the rate of each reading.
-_RATE_STEP: Final = 1e-5
+#: Step of the derivatives by clocks and by the random errors of rates, relative.
+_RATE_STEP: Final = 1e-4
+
+#: Random relative error of each rate.
+RATE: Final = "centrifuge.rate"
 
 #: Step of the derivative by the dividing head's angle, rad.
 _HEAD_STEP: Final = 1e-5
@@ -94,10 +100,12 @@ class Readings:
     direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
     #: Rates that the description states, rad/s, shape (n,); None: those of the stations.
     stated_rates: tuple[float, ...] | None = None
-    #: Standard uncertainty of the rate of each reading, independent of the others, rad/s, shape
-    #: (n,); and 1 where the recorder's clock measured the rate, else 0.
+    #: Random standard uncertainty of each rate, relative, and 1 where it is the default one, else
+    #: 0, shape (n,).
     u_rate: Array | float = 0.0
-    by_clock: Array | float = 0.0
+    default_rate: Array | float = 0.0
+    #: Name of the input that is the error of the clock of each rate; empty where nothing turns.
+    clocks: tuple[str, ...] = ()
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
@@ -135,6 +143,12 @@ class Readings:
         """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
         every = enumerate(zip(stations, by.tolist(), strict=True))
         return [self.moved_one(station, k, "head.zero", size) for k, (station, size) in every]
+
+    def with_rate_errors(self, errors: Array) -> Readings:
+        """Return readings at rates that are larger by relative errors, shape (n,)."""
+        every = enumerate(zip(self.stations, errors.tolist(), strict=True))
+        stations = (self.moved_one(station, k, RATE, size) for k, (station, size) in every)
+        return replace(self, stations=tuple(stations))
 
     @property
     def least_noise(self) -> float:
@@ -194,6 +208,8 @@ class Readings:
         name = mounting_of(symbol)
         if not name:
             return np.ones(self.size)
+        if accelerometer_of(symbol) not in ("", self.accelerometer):
+            return np.zeros(self.size)
         names = self.mountings if term(symbol).per_mounting else self.position
         return np.array([float(own == name) for own in names or ("",) * self.size])
 
@@ -240,8 +256,9 @@ class LinearReadings(Observation):
     target: Array  # (n,), g, less what a perfect system indicates
     stated: Array | None  # (n,), g, without the head's part
     repeats: Array  # (n,)
-    head: Array  # (n,), what the head, the rate and squares of setting errors add, g
+    head: Array  # (n,), what head, rates and squares of setting errors add, g
     sigma: Array  # (n,), g, both together
+    rate: Array | float = 0.0  # (n,), the part of the rates in `head`, g
 
     @property
     def source(self) -> str:
@@ -272,7 +289,6 @@ class LinearReadings(Observation):
             index: unknown.symbol
             for index, unknown in enumerate(everything)
             if unknown.owner in ("", group.accelerometer)
-            and not (unknown.owner and unknown.symbol in INPUT_STEPS)
         }
         machine = {
             symbol: float(at[index])
@@ -288,7 +304,8 @@ class LinearReadings(Observation):
         for index, symbol in own.items():
             if symbol in machine:
                 rows.setdefault(term(symbol).symbol, []).append(index)
-        shift, unseen = np.zeros(group.size), here.variance_of_head() + here.variance_of_rate()
+        of_rate = here.u_of_rate()
+        shift, unseen = np.zeros(group.size), here.variance_of_head() + of_rate**2
         for row, indices in rows.items():
             # Each of the mountings, or positions, of a row has readings of its own.
             whose = np.full(group.size, -1)
@@ -307,15 +324,17 @@ class LinearReadings(Observation):
         indicated = np.sum(here.products * here.effective, axis=1)
         perfect = indicated - columns @ at
         # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
-        for index, symbol in own.items():
-            if symbol in INPUT_STEPS:
-                step = INPUT_STEPS[symbol]
-                ahead, behind = (with_input(group, symbol, s, machine) for s in (step, -step))
+        replaced = [s for i, s in own.items() if s in machine and not everything[i].unstated]
+        steps = {**INPUT_STEPS, **dict.fromkeys(group.clocks, _RATE_STEP)}
+        for index, name in enumerate(unknown.name for unknown in everything):
+            if name in steps:
+                step = steps[name]
+                ahead, behind = (with_input(group, name, s, replaced) for s in (step, -step))
                 both = ahead.products(machine), behind.products(machine)
                 columns[:, index] = here.slope(*both, step)
-            if symbol == "site.gravity":
+            if name == "site.gravity":
                 columns[:, index] += group.in_si * indicated / group.site.gravity
-        return cls.whole(
+        linear = cls.whole(
             group,
             model,
             columns,
@@ -324,6 +343,7 @@ class LinearReadings(Observation):
             group.repeats,
             np.sqrt(unseen),
         )
+        return replace(linear, rate=of_rate)
 
     @classmethod
     def whole(
@@ -358,6 +378,12 @@ class LinearReadings(Observation):
         return reduce_block(
             self.design * weight, self.target / self.sigma, None, self.fixed * weight
         )
+
+    def gains(self, solution: Solution, weights: Array) -> Array:
+        """Return what 1 g in each reading moves a combination of the unknowns by, shape (n,)."""
+        moved = weights @ solution.least_covariance[:, list(self.unknowns)]
+        gains: Array = (self.design @ moved) / self.sigma**2
+        return gains
 
     def left(self, solution: Solution, model: Unknowns) -> Array:
         """Return the residuals, the considered terms at their assumed values."""
@@ -519,6 +545,17 @@ class _Here:
         """Return half the second derivative of the indications."""
         return self.slope(more + less, 2.0 * self.products[there], step, there) / step
 
+    def u_of_rate(self) -> Array:
+        """Return what the random errors of the rates add, g, shape (n,)."""
+        group = self.group
+        uncertain = np.broadcast_to(group.u_rate, group.size)
+        there = np.flatnonzero(uncertain)
+        added = np.zeros(group.size)
+        if there.size:
+            more, less = self.both_ways(there, RATE, _RATE_STEP)
+            added[there] = np.abs(self.slope(more, less, _RATE_STEP, there)) * uncertain[there]
+        return added
+
     def variance_of_head(self) -> Array:
         """Return what the random error of the head's angle adds, g^2, shape (n,)."""
         group = self.group
@@ -529,41 +566,28 @@ class _Here:
         more, less = (mean_products(each, group.site) for each in both)
         return np.square(self.slope(more, less, _HEAD_STEP) * group.u_head)
 
-    def variance_of_rate(self) -> Array:
-        """Return the variance of the indications due to the rates, g^2, shape (n,)."""
-        group = self.group
-        if not np.any(group.u_rate):
-            return np.zeros(group.size)
-        more, less = (
-            mean_products([_faster(station, step) for station in self.stations], group.site)
-            for step in (_RATE_STEP, -_RATE_STEP)
-        )
-        rates = np.array([station.rate or 1.0 for station in self.stations])
-        variance: Array = (self.slope(more, less, _RATE_STEP) * group.u_rate / rates) ** 2
-        return variance
 
+def with_input(group: Readings, name: str, by: float, replaced: Collection[str]) -> Readings:
+    """Return readings with an input changed.
 
-def _faster(station: Station, part: float) -> Station:
-    """Return a station whose rate is larger by a part of itself."""
-    return replace(station, rate=station.rate * (1.0 + part))
-
-
-def with_input(group: Readings, name: str, by: float, machine: Collection[str]) -> Readings:
-    """Return readings with an input changed; a mounting whose radius is a term keeps its own."""
-    if name == CLOCK:
-        # A clock that runs fast shows too much time for a revolution.
-        parts = np.broadcast_to(by * np.asarray(group.by_clock), group.size).tolist()
-        return replace(group, stations=tuple(map(_faster, group.stations, parts)))
+    name: Of the input; of a clock with its recorder.
+    replaced: Radii of mountings that are known in place of the centrifuge's.
+    """
     if name == "site.gravity":
         return replace(group, site=replace(group.site, gravity=group.site.gravity + by))
     if name == "site.latitude":
         return replace(group, site=replace(group.site, latitude=group.site.latitude + by))
+    if name in group.clocks:
+        symbol, timed = symbol_of(name), enumerate(zip(group.stations, group.clocks, strict=True))
+        stations = (group.moved_one(s, k, symbol, by) if c == name else s for k, (s, c) in timed)
+        return replace(group, stations=tuple(stations))
+    if name != "centrifuge.radius":
+        return group
+    kept = np.zeros(group.size)
+    for symbol in replaced:
+        kept += group.acting(symbol) if symbol.startswith(f"{name}.") else 0.0
+    placed = zip(group.stations, kept.tolist(), strict=True)
     return replace(
         group,
-        stations=tuple(
-            station
-            if f"centrifuge.radius.{mounting}" in machine
-            else replace(station, radius=station.radius + by)
-            for station, mounting in zip(group.stations, group.mountings, strict=True)
-        ),
+        stations=tuple(s if own else replace(s, radius=s.radius + by) for s, own in placed),
     )

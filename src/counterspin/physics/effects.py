@@ -190,9 +190,10 @@ class PathError:
 
 @frozen
 class Displacement:
-    """Another place or direction of the instrument at a reading."""
+    """Another place, direction or rate of the instrument at a reading."""
 
-    #: ``radius``, ``droop``, ``misalignment``, or of the dividing head ``zero`` or ``wave``.
+    #: ``radius``, ``rate``, ``droop``, ``misalignment``, or of the dividing head ``zero`` or
+    #: ``wave``.
     of: str
     about: str = ""  #: For a misalignment the axis of the motion's frame about which it turns.
     #: For a wave n times a turn of the head n, and ``cos`` or ``sin``.

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, Mounting
-from counterspin.physics.effects import Displacement, PathError
+from counterspin.physics.effects import Displacement, Input, PathError
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import TERMS, term
 
@@ -187,24 +187,29 @@ def moved(
     head: The axis about which the dividing head turns, in the station's frame, shape (3,).
     head_angle: What the head shows, rad.
     """
+    changed: dict[str, Any] = {}
     match term(symbol).effect:
         case Displacement("radius"):
-            return replace(station, radius=station.radius + size)
+            changed["radius"] = station.radius + size
+        case Displacement("rate") | Input("clock"):
+            # A fast clock counts too few revolutions: the rate is larger than the one stated.
+            changed["rate"] = station.rate * (1.0 + size)
         case PathError("stretch"):
-            return replace(station, stretch=station.stretch + size)
+            changed["stretch"] = station.stretch + size
         case PathError("axis_tilt", about=axis):
             east, north = station.axis_tilt
-            east, north = (east + size, north) if axis == "east" else (east, north + size)
-            return replace(station, axis_tilt=(east, north))
+            changed["axis_tilt"] = (east + size, north) if axis == "east" else (east, north + size)
         case Displacement("droop"):
-            return replace(station, droop=station.droop + size)
+            changed["droop"] = station.droop + size
         case Displacement("misalignment", axis):
-            return _turned_by(station, size * _axis_of(axis, station.motion))
+            changed["turn"] = _turn_after(station, size * _axis_of(axis, station.motion))
         case Displacement("zero" | "wave", harmonic=n, quadrature=quadrature):
             # The zero is a wave of no turns.
             wave = np.sin if quadrature == "sin" else np.cos
-            return _turned_by(station, size * wave(n * head_angle) * head)
-    raise ValueError(f"{symbol} moves no station")
+            changed["turn"] = _turn_after(station, size * wave(n * head_angle) * head)
+        case _:
+            raise ValueError(f"{symbol} moves no station")
+    return replace(station, **changed)
 
 
 def _axis_of(name: str, motion: str) -> Array:
@@ -213,6 +218,7 @@ def _axis_of(name: str, motion: str) -> Array:
     return np.array([float(name == other) for other in names])
 
 
-def _turned_by(station: Station, turn: Array) -> Station:
-    east, north, up = np.array(station.turn) + turn
-    return replace(station, turn=(float(east), float(north), float(up)))
+def _turn_after(station: Station, turn: Array) -> tuple[float, float, float]:
+    """Return the turn of a station's instrument after a further one, rad."""
+    first, second, up = np.array(station.turn) + turn
+    return float(first), float(second), float(up)

@@ -37,8 +37,8 @@ Does_co = TypeVar("Does_co", bound=Effect, covariant=True)
 class Term(Generic[Does_co]):
     """One row of the table: something that may differ from what is assumed."""
 
-    #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. Of a
-    #: mounting's own it has ``MOUNTING`` for the name, of a position's ``POSITION``.
+    #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. The
+    #: words ``MOUNTING``, ``ACCELEROMETER.MOUNTING`` and ``POSITION`` stand for names.
     symbol: str
     effect: Does_co  #: What it does to an output.
     words: str  #: What it is called.
@@ -264,8 +264,19 @@ def _waves(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]
 def _displacements() -> Iterator[Term[Displacement]]:
     radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
     head = f"{_NO_SOURCE}: 5 arcsec"
+    rate = f"{_NO_SOURCE}: the mean rate of a precision centrifuge"
     for symbol, words, unit, limit, typical, source, motions in (
-        ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, _TURNING),
+        ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, ("arm",)),
+        (
+            "centrifuge.radius.ACCELEROMETER.MOUNTING",
+            "radius of the proof mass",
+            "m",
+            0.1,
+            1e-3,
+            radius,
+            ("arm",),
+        ),
+        ("centrifuge.rate", "random error of a rate", "1", 1e-2, 1e-7, rate, ()),
         ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),
         *(
             (
@@ -294,6 +305,7 @@ def _displacements() -> Iterator[Term[Displacement]]:
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):
         scope = next((own for own in ("mounting", "position") if own.upper() in symbol), "machine")
+        scope = "reading" if symbol == "centrifuge.rate" else scope
         of, about = symbol.split(".")[1], symbol.rpartition(".")[2]
         turned = symbol.startswith("fixture.")
         effect = Displacement("misalignment", about) if turned else Displacement(of)
@@ -337,6 +349,15 @@ def _inputs() -> Iterator[Term[Input]]:
             2e-5,
             "a free quartz",
         ),
+        (
+            "centrifuge.clock",
+            "error of the clock of the rate counter",
+            "1",
+            (-1e-2, 1e-2),
+            1e-2,
+            2e-5,
+            "a free quartz",
+        ),
     ):
         effect = Input(symbol.partition(".")[2], between)
         yield Term(symbol, effect, words, unit, limit, typical, source, "input")
@@ -369,20 +390,28 @@ READING_TERMS: Final = {symbol: row for symbol, row in TABLE.items() if row.moti
 #: What files call the terms that everybody knows by a name.
 COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
-#: Rows of which several have one of their own, and what stands in the symbol for its name.
+#: Words that stand for a name in the symbol of a row, the longest first.
+_PLACEHOLDERS: Final = ("ACCELEROMETER.MOUNTING", "MOUNTING", "POSITION")
+
+#: Rows whose symbols have a name in them, and the word that stands for it.
 _NAMED: Final = [
-    (row, row.scope.upper()) for row in TABLE.values() if row.scope in ("mounting", "position")
+    (row, word)
+    for row in TABLE.values()
+    for word in [next((word for word in _PLACEHOLDERS if word in row.symbol), "")]
+    if word
 ]
 
 
 def _find(symbol: str) -> tuple[Term[Effect] | None, str]:
-    """Return the row that a symbol belongs to, if any, and the mounting or position it names."""
+    """Return the row that a symbol belongs to, if any, and the name in the symbol."""
     if symbol in TABLE:
         return TABLE[symbol], ""
-    for row, placeholder in _NAMED:
-        before, _, after = row.symbol.partition(placeholder)
+    for row, word in _NAMED:
+        before, _, after = row.symbol.partition(word)
         name = symbol.removeprefix(before).removesuffix(after)
-        if name and "." not in name and symbol == f"{before}{name}{after}":
+        owner, dot, last = name.rpartition(".")
+        complete = bool(owner and last) if "." in word else bool(last and not dot)
+        if complete and symbol == f"{before}{name}{after}":
             return row, name
     return None, ""
 
@@ -394,7 +423,18 @@ def is_term(symbol: str) -> bool:
 
 def mounting_of(symbol: str) -> str:
     """Return the mounting, or position, that a symbol names; empty if it names none."""
-    return _find(symbol)[1]
+    return _find(symbol)[1].rpartition(".")[2]
+
+
+def accelerometer_of(symbol: str) -> str:
+    """Return the accelerometer that the symbol of a machine's term names; empty without one."""
+    return _find(symbol)[1].rpartition(".")[0]
+
+
+def same_for_all(symbol: str) -> str:
+    """Return the symbol of the same term for all accelerometers of a mounting."""
+    owner = accelerometer_of(symbol)
+    return symbol.replace(f".{owner}.", ".", 1) if owner else symbol
 
 
 def shown_by_readings(symbol: str) -> bool:

@@ -79,8 +79,20 @@ def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
 
 def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
     """Return errors of the dividing head's angle, rad: one for all accelerometers of a run."""
+    return drawn_by_run(readings, generator) * [reading.u_head for reading in readings]
+
+
+def rate_errors(campaign: Campaign) -> Array:
+    """Return relative errors of the stated rates: one for all accelerometers of a run."""
+    readings = campaign.readings
+    u = [(r.u_rate or 0.0) / abs(r.rate) if r.rate else 0.0 for r in readings]
+    return drawn_by_run(readings, stream(campaign, 1, 1)) * u
+
+
+def drawn_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
+    """Return standard normal numbers: one for all accelerometers of a run, shape (n,)."""
     drawn: dict[tuple[str, int], float] = {}
-    errors = np.zeros(len(readings))
+    numbers = np.zeros(len(readings))
     seen: Counter[tuple[str, str]] = Counter()
     for index, reading in enumerate(readings):
         # A table may name several readings alike; each is a position of its own.
@@ -89,8 +101,8 @@ def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> 
         seen[own] += 1
         if position not in drawn:
             drawn[position] = float(generator.standard_normal())
-        errors[index] = drawn[position] * reading.u_head
-    return errors
+        numbers[index] = drawn[position]
+    return numbers
 
 
 def setting_spread(campaign: Campaign) -> dict[str, float]:
@@ -122,10 +134,11 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     truth, readings = campaign.simulation.truth, campaign.readings
     errors = head_errors(readings, stream(campaign, 0))
     values, machine = np.zeros(len(readings)), true_machine(campaign)
-    rates = true_rates(campaign)
+    rates, of_rates = true_rates(campaign), rate_errors(campaign)
     for group, places in numbered_groups(campaign):
         coefficients = truth.coefficients.get(group.accelerometer, {})
         was = at_rates(at_true_inputs(campaign, group), rates[places])
+        was = was.with_rate_errors(of_rates[places])
         values[places] = indications(was, coefficients, machine, errors[places])
     return tuple(
         reading if reading.record else replace(reading, value=value)
@@ -160,9 +173,10 @@ def _mean_rate(spindle: Spindle, duration: float) -> float:
 
 
 def at_rates(group: Readings, rates: Array) -> Readings:
-    """Return readings taken at other rates, rad/s, shape (n,)."""
-    every = zip(group.stations, rates.tolist(), strict=True)
-    return replace(group, stations=tuple(replace(one, rate=rate) for one, rate in every))
+    """Return readings taken at other rates than the stated ones, rad/s, shape (n,)."""
+    stated = np.array(group.stated_rates)
+    errors = np.divide(rates, stated, out=np.ones_like(rates), where=stated != 0.0) - 1.0
+    return group.with_rate_errors(errors)
 
 
 def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
@@ -196,7 +210,7 @@ def stream(campaign: Campaign, *which: int) -> np.random.Generator:
     So a run that is added changes no reading, and the other way round.
 
     which: 0 of the head, 0 and 1 of positions, 0 and 2 of unknown attitudes, 0 and from 3 on of
-        records of poses, 1 of the readings' noise, from 2 on of records.
+        records of poses, 1 of the readings' noise, 1 and 1 of rates, from 2 on of records.
     """
     assert campaign.simulation is not None
     return np.random.default_rng(

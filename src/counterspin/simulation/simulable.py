@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from counterspin.campaign.columns import Recording
+from counterspin.campaign.conditions import clock_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.quantity import Quantity
@@ -15,7 +16,7 @@ from counterspin.campaign.readings import MOST_RECORDS
 from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import CampaignError
-from counterspin.inference.joint.series import CLOCK, TIMING
+from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.linear_readings import Readings, with_input
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term
@@ -284,7 +285,7 @@ def with_true_inputs(campaign: Campaign) -> Campaign:
 
 
 def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
-    """Return readings where radius, gravity and latitude are what they truly are.
+    """Return readings where radius, gravity, latitude and clocks are what they truly are.
 
     The radius of a mounting that is a term of its own is no matter of the centrifuge's.
     """
@@ -298,6 +299,12 @@ def at_true_inputs(campaign: Campaign, group: Readings) -> Readings:
         "site.latitude": (true.latitude, campaign.latitude),
     }.items():
         group = with_input(group, symbol, was.value - stated.value, own)
+    inputs = campaign.simulation.truth.inputs
+    for owner, symbol in dict.fromkeys(clock_of(campaign, r) for r in campaign.readings):
+        known = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
+        assumed = known.value if known else 0.0
+        name = f"{owner}.{symbol}" if owner else symbol
+        group = with_input(group, name, inputs.get((owner, symbol), assumed) - assumed, own)
     return group
 
 

@@ -30,10 +30,11 @@ from counterspin.inference.two_stage.second_stage import StrobedRun, second_stag
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, fit_spindle
-from counterspin.physics.terms import shown_by_readings
+from counterspin.physics.terms import shown_by_readings, symbol_of
 from counterspin.records.averages import stretches
 from counterspin.simulation.readings import (
     at_rates,
+    drawn_by_run,
     head_errors,
     indications,
     numbered_groups,
@@ -239,6 +240,8 @@ class TrialReadings:
     ) -> Iterator[Readings]:
         """Yield the readings of one trial."""
         errors = head_errors(self.readings, generator)
+        uncertain = any(np.any(group.u_rate) for group, _ in self.grouped)
+        of_rates = drawn_by_run(self.readings, generator) if uncertain else np.zeros_like(errors)
         noise = self.noise * generator.standard_normal(self.noise.size)
         true = {key: float(value.mean()) for key, value in draws.values.items()}
         machine = {
@@ -247,14 +250,22 @@ class TrialReadings:
             if not owner and shown_by_readings(symbol)
         }
         off = {symbol: float(draws.off(symbol)[0]) for symbol in INPUT_STEPS}
-        known = {other.symbol for other in (*model.unknowns, *model.considered)}
+        # A radius with its default prior is a deviation from that of the centrifuge.
+        everything = (*model.unknowns, *model.considered)
+        known = {*machine, *(other.symbol for other in everything)}
+        known -= {other.symbol for other in everything if other.unstated}
         for group, places in self.grouped:
             at = list(places)
             own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
             # The analysis assumes what is stated of the inputs, whatever is true.
             actual = at_rates(group, self.rates[at])
             for symbol, by in off.items():
-                actual = with_input(actual, symbol, by, known | machine.keys())
+                actual = with_input(actual, symbol, by, known)
+            for name in dict.fromkeys(filter(None, group.clocks)):
+                symbol = symbol_of(name)
+                fast = draws.off(symbol, name.removesuffix(symbol).removesuffix("."))[0]
+                actual = with_input(actual, name, float(fast), known)
+            actual = actual.with_rate_errors(of_rates[at] * group.u_rate)
             value = indications(actual, own, machine, errors[at])
             value = value * (1.0 + group.in_si * off["site.gravity"] / group.site.gravity)
             value = value + noise[at]

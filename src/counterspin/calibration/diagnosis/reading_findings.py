@@ -332,10 +332,14 @@ def _outlying(part: FittedReadings, name: str, one: Outlying) -> Finding:
         subject=f"{name}.{one.name}",
         text=f'The {what} "{one.name}" deviates from the model by '
         f"{format_number(one.residual * 1e6, 3)} ug, {deviations} standard deviations: "
-        "check this reading, or look for a missing term.",
+        f"check this reading{_and_rate(part)}, or look for a missing term.",
         size=abs(one.z),
         contradicts=abs(one.z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )
+
+
+def _and_rate(part: FittedReadings) -> str:
+    return " and its rate" if part.readings.motion in ("arm", "counter-rotating") else ""
 
 
 def no_more_than_rounded(views: Sequence[AccelerometerView]) -> Iterator[str]:

@@ -35,9 +35,15 @@ from counterspin.inference.joint.summary import (
     Kind,
     WhatIf,
 )
-from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
-from counterspin.inference.least_squares import Block, Combination
-from counterspin.inference.linear_readings import LinearReadings
+from counterspin.inference.joint.unknowns import (
+    Considered,
+    Observation,
+    Unknown,
+    Unknowns,
+    unit_of,
+)
+from counterspin.inference.least_squares import Block
+from counterspin.inference.linear_readings import RATE, LinearReadings, Readings
 from counterspin.inference.noise.model import WALK_UNIT
 
 #: Lines below this share of u^2 say nothing.
@@ -59,10 +65,12 @@ def budget_of(fit: JointFit, weights: Array, name: str = "") -> list[BudgetLine]
     """
     solution, model = fit.solution, fit.model
     parts = solution.combine(weights)
+    of_rates = [_variance_of_rates(fit, one, weights) for one in fit.observations]
     lines = [
         BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
-        for source, share in _noise_by_source(fit, parts.noise_rows).items()
+        for source, share in _noise_by_source(fit, parts.noise_rows, of_rates).items()
     ]
+    lines += _lines_of_rates(fit, of_rates)
     for source, (level, covariance) in fit.unseen.items():
         words = f"noise of {source} that does not show"
         size = math.sqrt(float(weights @ covariance @ weights))
@@ -109,21 +117,47 @@ def _encoder_lines(
         yield BudgetLine(f"{run}.{part}", NOISE, u, unit, slope, abs(size), 0.0)
 
 
-def _noise_by_source(fit: JointFit, rows: Array) -> dict[str, float]:
-    """Sum the rows' contributions over the observations of each source."""
+def _variance_of_rates(fit: JointFit, one: Observation, weights: Array) -> tuple[float, float]:
+    """Return the variances of a combination by the random errors of rates: stated, and default."""
+    if not isinstance(one, LinearReadings) or not isinstance(one.group, Readings):
+        return 0.0, 0.0
+    squares = (one.gains(fit.solution, weights) * one.rate) ** 2
+    default = float(np.sum(squares * one.group.default_rate))
+    return float(np.sum(squares)) - default, default
+
+
+def _lines_of_rates(fit: JointFit, of_rates: Sequence[tuple[float, float]]) -> Iterator[BudgetLine]:
+    """Yield the random errors of rates that are stated, and those of the default size."""
+    groups = [one.group for one in fit.observations if isinstance(one, LinearReadings)]
+    rated = [group for group in groups if isinstance(group, Readings) and np.any(group.u_rate)]
+    kinds: tuple[Kind, ...] = (STATED, UNSTATED)
+    for kind, squares in zip(kinds, zip(*of_rates, strict=True), strict=True):
+        size = math.sqrt(sum(squares))
+        if size > 0.0:
+            own = [np.broadcast_to(g.default_rate, g.size) == (kind == UNSTATED) for g in rated]
+            u = np.concatenate([g.u_rate * one for g, one in zip(rated, own, strict=True)])
+            typical = math.sqrt(float(np.mean(u[u > 0.0] ** 2)))
+            yield BudgetLine(RATE, kind, typical, unit_of(RATE), size / typical, size, 0.0)
+
+
+def _noise_by_source(
+    fit: JointFit, rows: Array, of_rates: Sequence[tuple[float, float]]
+) -> dict[str, float]:
+    """Sum the rows' contributions over the observations of each source, except those of rates."""
     squares: dict[str, float] = {}
     start = 0
-    for block, one in zip(fit.blocks, fit.observations, strict=True):
+    for block, one, rates in zip(fit.blocks, fit.observations, of_rates, strict=True):
         end = start + block.factor.shape[0]
-        own = float(np.sum(rows[start:end] ** 2))
+        own = max(float(np.sum(rows[start:end] ** 2)) - sum(rates), 0.0)
         squares[one.source] = squares.get(one.source, 0.0) + own
         start = end
     return {name: math.sqrt(square) for name, square in squares.items()}
 
 
-def by_kind_of(fit: JointFit, parts: Combination) -> tuple[float, float, float]:
+def by_kind_of(fit: JointFit, weights: Array) -> tuple[float, float, float]:
     """Return u of a combination of the unknowns, as of `by_kind`."""
-    squares = {NOISE: parts.noise**2 + parts.unseen**2, STATED: 0.0, UNSTATED: 0.0}
+    parts = fit.solution.combine(weights)
+    squares = _squares_by_kind(fit, weights, parts.noise**2 + parts.unseen**2)
     terms = (*fit.model.unknowns, *fit.model.considered)
     for unknown, part in zip(terms, (*parts.prior, *parts.considered), strict=True):
         encoded = unknown.symbol in encoder.SYMBOLS
@@ -132,14 +166,19 @@ def by_kind_of(fit: JointFit, parts: Combination) -> tuple[float, float, float]:
     return of_noise, of_stated, of_unstated
 
 
+def _squares_by_kind(fit: JointFit, weights: Array, noise: float) -> dict[str, float]:
+    """Return a variance of observations by kind: the errors of rates are not noise."""
+    of_rates = [_variance_of_rates(fit, one, weights) for one in fit.observations]
+    stated, default = (sum(squares) for squares in zip(*of_rates, strict=True))
+    return {NOISE: max(noise - stated - default, 0.0), STATED: stated, UNSTATED: default}
+
+
 def by_kind(fit: JointFit, index: int) -> tuple[float, float, float]:
     """Return u of an unknown from noise, from what is stated and from what is not."""
     solution, model = fit.solution, fit.model
-    squares: dict[str, float] = {
-        NOISE: float(solution.covariance_noise[index, index]),
-        STATED: 0.0,
-        UNSTATED: 0.0,
-    }
+    weights = np.eye(len(model.unknowns))[index]
+    noise = float(solution.covariance_noise[index, index])
+    squares = _squares_by_kind(fit, weights, noise)
     if solution.covariance_unseen is not None:
         squares[NOISE] += float(solution.covariance_unseen[index, index])
     sensitivity = (solution.sensitivity_prior[index], solution.sensitivity_considered[index])

@@ -243,6 +243,7 @@ INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
 }
 TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
 CLOCK: Final = "records.clock"  #: the part of itself by which the recorder's clock runs fast
+RATE_CLOCK: Final = "centrifuge.clock"  #: the same of the counter that measures rates of readings
 
 
 def rotation_column(series: Series, symbol: str) -> Array:
@@ -268,7 +269,7 @@ def rotation_column(series: Series, symbol: str) -> Array:
 
 def concerns(series: Series, name: str, recorder: str) -> bool:
     """Return whether an input shows in a series; of clocks it is that of its own recorder."""
-    return name != CLOCK or recorder == series.recorder
+    return recorder == series.recorder if name == CLOCK else name != RATE_CLOCK
 
 
 def expected_output(

@@ -29,11 +29,12 @@ class BudgetLine:
     source: str
     kind: Kind  #: ``noise`` (an encoder's too), ``stated``, ``unstated`` or ``held``.
     #: Standard uncertainty of the source, in `unit`; None for noise. Of noise that does not show in
-    #: the records, its level; of a ripple that of its sine and of its cosine.
+    #: the records, its level; of a ripple that of its sine and of its cosine; of the random errors
+    #: of rates their root mean square.
     u: float | None
     unit: str  #: Of u.
     #: Change of the coefficient per unit of the source; None for noise, which has one for every
-    #: sample. Of a ripple, whose sine and cosine are one line, its size.
+    #: sample. Of a ripple, whose sine and cosine are one line, and of errors of rates, its size.
     sensitivity: float | None
     contribution: float  #: Size of sensitivity × u, in the coefficient's unit.
     share: float  #: Part of the coefficient's u^2, from 0 to 1.
