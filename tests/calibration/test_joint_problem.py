@@ -37,7 +37,7 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
     channel = SimpleNamespace(in_g=False)
     accelerometer = SimpleNamespace(observable=observable, mounting=mounting, channel=channel)
     campaign = SimpleNamespace(
-        noise=SimpleNamespace(timing=TIMING),
+        noise=SimpleNamespace(timing=TIMING, angle=0.0),
         radius=SimpleNamespace(value=RADIUS),
         recording_of=lambda run: SimpleNamespace(recorder=""),
     )

@@ -156,7 +156,9 @@ def test_tilt_is_held_run_by_run(tmp_path):
     folder = made(tmp_path, tilt)
     campaign = read_campaign(folder)
     problem = JointProblem(campaign, list(observe(campaign)))
-    outcome = two_stage(problem, campaign.accelerometers["Qx"], TwoStageOptions(), {})
+    outcome = two_stage(
+        problem, campaign.accelerometers["Qx"], TwoStageOptions(), {}, problem.series
+    )
     gain = outcome.second.gain[0]
     size = 0.5 * math.pi / 648000 * 1.002 * 9.8066 / 2
     c = outcome.result.coefficients["K_II"]
@@ -315,9 +317,12 @@ def test_a_prior_that_the_runs_contradict_is_named(tmp_path):
 
 def test_noise_of_the_time_stamps_is_in_u(tmp_path):
     noise = '[noise]\ndisplacement = "0.01 m"\n'
-    found = result_of(tmp_path, (noise, noise + 'timing = "1e-3 s"\n'))
-    for run in found.runs.values():
-        # A strobe is passed at R w: 2.5 m times the rate.
+    stated = (noise, noise + 'timing = "1e-3 s"\n')
+    # A strobe is passed at R w: 2.5 m times the rate. An angle of the same time tells where.
+    for run in result_of(tmp_path / "angle", stated).runs.values():
+        assert run.parabolas["Qx"].sigma == pytest.approx(0.01, rel=1e-3)
+    without = ('angle = { column = "angle_rad", unit = "rad" }\n', "")
+    for run in result_of(tmp_path, stated, without).runs.values():
         expected = math.hypot(0.01, 2.5 * run.rate * 1e-3)
         assert run.parabolas["Qx"].sigma == pytest.approx(expected, rel=1e-9)
 
@@ -367,8 +372,8 @@ def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
     campaign = read_campaign(made(tmp_path, asked))
     problem = JointProblem(campaign, list(observe(campaign)))
     for accelerometer in campaign.accelerometers.values():
-        whole = two_stage(problem, accelerometer, TwoStageOptions(), {})
-        view, second = two_stage_view(problem, accelerometer, TwoStageOptions(), {})
+        whole = two_stage(problem, accelerometer, TwoStageOptions(), {}, problem.series)
+        view, second = two_stage_view(problem, accelerometer, TwoStageOptions(), {}, problem.series)
         expected = whole.result.coefficients["K_II"]
         assert view.assessment.determined[f"{accelerometer.name}.K_II"] == expected.estimated
         assert second.estimate("K_II") == pytest.approx(whole.second.estimate("K_II"), rel=1e-9)
@@ -558,7 +563,9 @@ def test_whole_trials_scatter_as_they_claim(tmp_path):
         simulate(campaign, folder)
         problem = JointProblem(campaign, list(observe(campaign)))
         for name, truth in K_II.items():
-            found = two_stage(problem, campaign.accelerometers[name], TwoStageOptions(), {})
+            found = two_stage(
+                problem, campaign.accelerometers[name], TwoStageOptions(), {}, problem.series
+            )
             c = found.result.coefficients["K_II"]
             chi2 += ((c.value - truth) / c.u) ** 2
             covered += abs(c.value - truth) < 1.96 * c.u

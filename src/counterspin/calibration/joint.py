@@ -304,6 +304,7 @@ def compare(view: AccelerometerView) -> Comparison | None:
             view.accelerometer,
             TwoStageOptions(),
             components,
+            view.estimate.series,
             found,
         )
     except (NotIdentifiableError, RecordError):
@@ -338,6 +339,14 @@ def compare(view: AccelerometerView) -> Comparison | None:
         elif name not in known:
             theirs += (effect * sd_of) ** 2
     both += sum((effect * sd_of) ** 2 for effect, sd_of in considered.values())
+    # What the encoder leaves open of the rotation is in the joint variance where it is estimated.
+    turned = {other.name for other in unknowns if other.symbol in encoder.SYMBOLS}
+    effects = second.sensitivity_considered[place]
+    theirs += sum(
+        float(effects[k] * other.prior[1]) ** 2
+        for k, other in enumerate(beside.fit.model.considered)
+        if other.name in turned
+    )
     # Both rest on the same records, and the joint estimate is the better one: variances subtract
     # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
     spread = math.sqrt((theirs - own if theirs > own else theirs + own) + both)

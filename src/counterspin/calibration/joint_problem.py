@@ -28,8 +28,9 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, Residuals
 from counterspin.inference.joint.found_noise import level_dof
 from counterspin.inference.joint.prepared import Prepared
-from counterspin.inference.joint.series import TIMING, Series
+from counterspin.inference.joint.series import TIMING, Series, StampErrors
 from counterspin.inference.joint.summary import Jackknife
+from counterspin.inference.joint.time_stamps import FEWEST_ROWS
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.noise.model import WANTED, Noise
@@ -80,9 +81,15 @@ class JointProblem:
 
 def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
     """Return one series for each run and accelerometer, missing samples left out."""
-    timing = campaign.noise.timing if campaign.noise else 0.0
+    timing, encoder_noise = (
+        size if isinstance(size, float) else 0.0
+        for size in (
+            (campaign.noise.timing, campaign.noise.angle) if campaign.noise else (0.0, 0.0)
+        )
+    )
     series = []
     for run in observed:
+        stamps = _stamp_errors(run, timing, encoder_noise)
         for name, signal in run.signals.items():
             keep = np.isfinite(signal.error)
             accelerometer = signal.accelerometer
@@ -102,9 +109,27 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                 angle_error=run.rotation.error if run.rotation else None,
                 recorder=campaign.recording_of(run.run).recorder,
                 by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
+                stamps=stamps and replace(stamps, delay=stamps.delay[keep]),
             )
-            series.append(one.with_timing(timing) if isinstance(timing, float) else one)
+            one = one.with_timing(timing)
+            series.append(one.corrected(stamps.prior[0]) if stamps else one)
     return tuple(series)
+
+
+def _stamp_errors(run: ObservedRun, timing: float, encoder_noise: float) -> StampErrors | None:
+    """Return what the recorded angle of a run shows of its time stamps."""
+    rotation, record = run.rotation, run.record
+    if rotation is None or record.time.size < FEWEST_ROWS:
+        return None
+    spindle = rotation.spindle
+    rate = abs(spindle.rate)
+    return StampErrors(
+        rotation.residuals / spindle.angular_rate(record.time),
+        rotation.rms * math.sqrt(float(np.mean(record.count))) / rate,
+        rotation.dof,
+        timing,
+        encoder_noise / rate,
+    )
 
 
 def noise_of(campaign: Campaign) -> dict[str, Noise]:

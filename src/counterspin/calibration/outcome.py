@@ -192,7 +192,7 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
 def found_timing(view: AccelerometerView) -> float:
     """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
     stated = view.campaign.noise is not None and view.campaign.noise.timing
-    return 0.0 if stated else max((one.timing for one in view.series), default=0.0)
+    return 0.0 if stated else max((one.scatter for one in view.series), default=0.0)
 
 
 def from_rest(

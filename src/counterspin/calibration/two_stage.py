@@ -45,8 +45,9 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import budget, what_if
-from counterspin.inference.joint.estimation import Estimate, estimate
+from counterspin.inference.joint.estimation import Estimate, correct_series, estimate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.noise.model import Noise
@@ -75,9 +76,10 @@ def two_stage(
     accelerometer: Accelerometer,
     options: TwoStageOptions,
     found: Mapping[str, FoundNoise],
+    corrected: Sequence[Series],
 ) -> TwoStageOutcome:
-    """Apply the two-stage method to one accelerometer."""
-    view, second = two_stage_view(problem, accelerometer, options, found)
+    """Apply the two-stage method to one accelerometer; arguments as of `two_stage_view`."""
+    view, second = two_stage_view(problem, accelerometer, options, found, corrected)
     campaign, name, model = problem.campaign, accelerometer.name, second.fit.model
     records = problem.series_of(name)
     unknowns = {
@@ -125,9 +127,9 @@ def in_two_stages(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Apply the two-stage method to each accelerometer of a campaign."""
     campaign, observed = problem.campaign, problem.observed
     campaign.require_records("the two-stage method")
-    noise = noise_found(problem)
+    noise, series = noise_found(problem)
     found = {
-        name: two_stage(problem, accelerometer, options, noise)
+        name: two_stage(problem, accelerometer, options, noise, series)
         for name, accelerometer in campaign.accelerometers.items()
     }
     return Outcome(
@@ -149,25 +151,34 @@ def two_stage_view(
     accelerometer: Accelerometer,
     options: TwoStageOptions,
     found: Mapping[str, FoundNoise],
+    corrected: Sequence[Series],
     known: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> tuple[AccelerometerView, SecondStage]:
     """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
 
-    Arguments and errors as of `two_stage`.
-
+    found: Noise that was estimated, by accelerometer.
+    corrected: The records at corrected times, in the order of the problem's.
     known: Owner and symbol -> value and u, of what is asked for and not stated: as another fit of
         the records has it. Without, it has its typical size.
     """
     name, components = accelerometer.name, found.get(accelerometer.name)
     request = request_of(problem, accelerometer, options, components)
-    series, strobes = zip(*map(strobed, problem.series_of(name)), strict=True)
+    # Rows that the joint fit leaves out are not correlated a revolution apart.
+    records = [
+        record.corrected(other.share).with_timing(other.timing)
+        for record, other in zip(problem.series, corrected, strict=True)
+        if record.accelerometer == name
+    ]
+    series, strobes = zip(*map(strobed, records), strict=True)
     parabolas = [
-        request.first_stage(at, record.trajectory)
+        request.first_stage(at, record.trajectory, record.timing)
         for at, record in zip(strobes, series, strict=True)
     ]
-    model = two_stage_model(
-        _known_model(problem.campaign, problem.model, name, known), request, series
-    )
+    whole = _known_model(problem.campaign, problem.model, name, known)
+    # Time stamps that scatter leave the rotation less certain than the strobes' noise tells.
+    rotation = encoder.considered([record for record in series if record.share > 0.0])
+    whole = replace(whole, considered=(*whole.considered, *rotation))
+    model = two_stage_model(whole, request, series)
     second = resolve(series, parabolas, model, request)
     second = with_found_noise(second, problem.noise[name], components)
     assessment = assess(second.fit.solution, [unknown.name for unknown in model.unknowns])
@@ -362,11 +373,15 @@ def walk_is_stated(noises: Mapping[str, Noise]) -> bool:
     return not any("random_walk" in noise.wanted for noise in noises.values())
 
 
-def noise_found(problem: JointProblem) -> Mapping[str, FoundNoise]:
-    """Return each accelerometer's noise where the random walk is not stated; else nothing.
+def noise_found(
+    problem: JointProblem,
+) -> tuple[Mapping[str, FoundNoise], Sequence[Series]]:
+    """Return each accelerometer's noise where the random walk is not stated, and all records.
 
-    One sample a revolution tells little of it: it is that of the joint fit, from all samples.
+    One sample a revolution tells little of the noise: it is that of the joint fit, from all
+    samples. The records are at the times that their angles correct.
     """
     if walk_is_stated(problem.noise):
-        return {}
-    return estimate(problem.series, problem.model, problem.noise).components
+        return {}, correct_series(problem.series, problem.model, problem.noise)
+    found = estimate(problem.series, problem.model, problem.noise)
+    return found.components, found.series

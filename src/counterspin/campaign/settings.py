@@ -242,7 +242,7 @@ class StatedNoise(SettingsSection):
         "step of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
     angle: Annotated[float | str, noise_size("rad")] = described(
-        "encoder noise, for `simulate`; a calibration estimates it",
+        "encoder noise; a calibration estimates it, unless time stamps scatter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",

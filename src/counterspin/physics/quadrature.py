@@ -20,6 +20,9 @@ from counterspin.physics.spindle import Spindle
 
 NODES: Final = 16  #: Gauss-Legendre nodes in a panel
 _CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
+#: Part of the first panel by which times may lie before it: corrected time stamps do. Its
+#: polynomials are as good there, to 1e-9 of a third harmonic.
+_BEFORE: Final = 0.1
 _MOST_KEPT: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
 
 # The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
@@ -146,12 +149,14 @@ class Panels:
         return series
 
     def at(self, times: Array, series: Array) -> Array:
-        """Return the values of series of these panels at times between the edges, (k, n)."""
+        """Return the values of series of these panels at times between the edges, (k, n).
+
+        Times may lie before the first edge by a tenth of the first panel.
+        """
         edges = self._edges
-        tolerance = 1e-12 * (edges[-1] - edges[0])
-        if times.size and (
-            times.min() < edges[0] - tolerance or times.max() > edges[-1] + tolerance
-        ):
+        first = edges[0] - _BEFORE * (edges[1] - edges[0])
+        last = edges[-1] + 1e-12 * (edges[-1] - edges[0])
+        if times.size and (times.min() < first or times.max() > last):
             raise ValueError("times lie outside the panels")
         found = []
         for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):

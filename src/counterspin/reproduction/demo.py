@@ -77,8 +77,8 @@ def demo(folder: Path | str = FOLDER, *, overwrite: bool = False) -> Demonstrati
         campaign=campaign,
         records=records,
         joint=joint(problem).accelerometers[accelerometer.name],
-        two_stage=two_stage(problem, accelerometer, TwoStageOptions(), {}),
-        as_printed=two_stage(problem, accelerometer, _AS_PRINTED, {}),
+        two_stage=two_stage(problem, accelerometer, TwoStageOptions(), {}, problem.series),
+        as_printed=two_stage(problem, accelerometer, _AS_PRINTED, {}, problem.series),
     )
 
 

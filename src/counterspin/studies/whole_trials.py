@@ -98,7 +98,7 @@ class TrialRecords:
             assumed, world.mountings[name], times, attitude=strobed.attitude
         )
         readings = Strobes(times, error, np.ones_like(times), 0)
-        parabola = request.first_stage(readings, assumed)
+        parabola = request.first_stage(readings, assumed, request.timing)
         return StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run])
 
     def _clock(self, run: int) -> float:
@@ -384,5 +384,5 @@ def _strobed(record: Series, request: TwoStageRequest) -> StrobedRun:
     phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
     angle = record.trajectory.spindle.angle(record.time)
     strobes = by_angle(record.time, angle, record.error, phase)
-    parabola = request.first_stage(strobes, record.trajectory)
+    parabola = request.first_stage(strobes, record.trajectory, record.timing)
     return StrobedRun(record.run, record.trajectory, parabola, record.attitude)

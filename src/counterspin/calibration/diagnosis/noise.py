@@ -167,10 +167,12 @@ def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
                 "is weighted with its own. Find out why, and whether more than noise differs."
             )
         if timing := found_timing(view):
+            shown, done = "the noise follows the slope of the signal", "Rows are weighted"
+            if any(one.share > 0.0 for one in view.series):
+                shown, done = "angle and signal err together", "Times are corrected by the angle"
             yield (
-                f"{view.name}: the noise follows the slope of the signal, as if the time stamps "
-                f"scattered by {timing * 1e6:.2g} us; rows are weighted accordingly. If the time "
-                "stamps do scatter, state it as timing in [noise]."
+                f"{view.name}: {shown}, as if the time stamps scattered by {timing * 1e6:.2g} us. "
+                f"{done} accordingly. If the time stamps do scatter, state it as timing in [noise]."
             )
 
 

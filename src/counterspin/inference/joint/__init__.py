@@ -10,6 +10,7 @@
 - `used_rows`: samples that noise does not explain, left out round by round, and rows that are not
   independent
 - `found_noise`: noise found in the records, and what its own uncertainty leaves open
+- `time_stamps`: errors of time stamps, from what angle and output leave
 - `uneven_noise`: white noise that differs from run to run, or follows the slope of the signal
 - `budget`: where the uncertainty of a coefficient comes from, what it would be if that were known
   better, and what further effects would move

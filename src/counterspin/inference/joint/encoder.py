@@ -54,7 +54,8 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
 
     By the chain rule: the angle's error changes the reference, and through each coefficient what
     the accelerometer makes of the specific force. Platform errors, which turn that change by less
-    than 1e-4 rad, are left out.
+    than 1e-4 rad, are left out. Where the angle corrects the times of the rows, its error also
+    moves these, by the corrected share of itself over the rate.
 
     Parameters
     ----------
@@ -115,7 +116,12 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
             total += quadrature.integrate(of_products, edges, t, order)
         return np.asarray(total @ error.root[:, places])
 
-    return observation.over_blocks(seen, series.time, series.spread)
+    shown = observation.over_blocks(seen, series.time, series.spread)
+    if series.share == 0.0:
+        return shown
+    turned = error.functions(series.time)[0] @ error.root[:, places]
+    slope = sum(series.slopes()) / motion.spindle.angular_rate(series.time)
+    return np.asarray(shown - series.share * slope[:, None] * turned)
 
 
 def _slope(rows: Mapping[Product, float], a_ipo: Array) -> Array:
@@ -157,6 +163,16 @@ def with_encoder(model: Unknowns, series: Sequence[Series], noise: Mapping[str, 
         model,
         unknowns=(*model.unknowns, *unknowns),
         considered=(*model.considered, *considered),
+    )
+
+
+def considered(series: Sequence[Series]) -> tuple[Considered, ...]:
+    """Return all that the encoder leaves open of the runs of one accelerometer, as considered."""
+    return tuple(
+        Considered(record.run, symbol, (value, 1.0), _LIMIT_SDS, asked=False)
+        for record in series
+        if (error := record.angle_error) is not None
+        for symbol, value in zip(_symbols(error), error.standardised.tolist(), strict=True)
     )
 
 

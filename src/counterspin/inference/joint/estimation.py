@@ -33,6 +33,7 @@ from counterspin.inference.joint.prepared import (
     white_level,
 )
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.time_stamps import find_shares
 from counterspin.inference.joint.uneven_noise import Uneven, uneven_noise
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.joint.used_rows import Rows, independent
@@ -49,6 +50,9 @@ _FAR: Final = 20.0
 #: How often weights of uneven noise are looked for: noise of the time stamps, then that of the
 #: runs beside it, and both once more.
 _ROUNDS_OF_WEIGHTS: Final = 3
+
+#: How often the times of the rows are corrected.
+_ROUNDS_OF_STAMPS: Final = 3
 
 
 @frozen
@@ -146,6 +150,18 @@ def estimate(
     return _finished(whole, state.fit, state.found, state.outliers, state.series)
 
 
+def correct_series(
+    series: Sequence[Series], model: Unknowns, requests: Mapping[str, Noise]
+) -> tuple[Series, ...]:
+    """Return the series at the times that their angles correct; as they are without an angle."""
+    if all(one.stamps is None for one in series):
+        return tuple(series)
+    state = first_fit(find_rotation(tuple(series), model, requests), model, requests)
+    for stage in (reject_outliers, correct_time_stamps, find_noise, weigh_uneven_noise):
+        state = stage(state)
+    return state.series
+
+
 def estimate_again(before: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
     """Return the estimate of another fit to the same rows, the noise of its records found anew."""
     core = solve_joint(*condense(fit.prepared, fit.model, _white(fit.noise)), fit.noise)
@@ -214,6 +230,22 @@ def reject_outliers(state: _State) -> _State:
     return replace(
         state, fit=fit, outliers=outliers, prepared=used_rows.kept(state.prepared, outliers)
     )
+
+
+def correct_time_stamps(state: _State) -> _State:
+    """Correct the times of the rows by their angles, where the output shows that the stamps err.
+
+    Twice: the output is a curve, and the first time along slopes at the wrong times.
+    """
+    for _ in range(_ROUNDS_OF_STAMPS):
+        shares = find_shares(state.fit)
+        if not shares:
+            break
+        series = tuple(one.corrected(shares.get(one.run, one.share)) for one in state.series)
+        rejected = any(mask.any() for mask in state.outliers)
+        state = first_fit(series, state.model, state.requests)
+        state = reject_outliers(state) if rejected else state
+    return state
 
 
 def leave_correlated_rows(state: _State) -> _State:
@@ -299,6 +331,7 @@ def take_back_outliers(state: _State) -> _State:
 
 STAGES: Final = (
     reject_outliers,
+    correct_time_stamps,
     leave_correlated_rows,
     find_noise,
     weigh_uneven_noise,

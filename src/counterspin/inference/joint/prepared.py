@@ -175,6 +175,14 @@ def _prepare(
     values = zip(symbols, estimate[list(unknowns)].tolist(), strict=True)
     known = {s: v for s, v in values if s in terms and s in asked}
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
+    if series.share > 0.0:
+        # The rotation is less certain then, and its product with what is held counts too.
+        held = [model.considered[i] for i in considered]
+        own |= {
+            one.symbol: math.hypot(one.prior_mean, one.prior[1])
+            for one in held
+            if one.symbol in TERMS and one.symbol != "K_I"
+        }
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
     if inputs:
         now = expected_output(series, known, table)

@@ -22,9 +22,45 @@ from counterspin.physics.motion import Trajectory
 #: Step of the reference's slope, rad.
 _STEP_OF_TURN: Final = 1e-4
 
+#: Singular values below this part of the largest are those of a constant.
+_CONSTANT: Final = 1e-6
+
 #: Least variance of a row's jitter, over the mean of what an ideal output has: no row is without
 #: noise where the slope is zero.
 LEAST_SHARE: Final = 0.02
+
+
+@frozen
+class StampErrors:
+    """Errors of the time stamps of a run, as the recorded angle shows them.
+
+    A row is sampled j after its time stamp, so that angle and output are both those of the later
+    time. The residual of the angle over the angular rate is j plus the noise of the encoder.
+    """
+
+    delay: Array  #: That residual over the rate, s, shape (n,).
+    sd: float  #: Its standard deviation in a row of one sample, s.
+    dof: int  #: Degrees of freedom of that.
+    #: Stated noise of the time stamps, and stated noise of the encoder over the rate, s; 0: not
+    #: stated.
+    timing: float = 0.0
+    encoder: float = 0.0
+    share: float = 0.0  #: Part of the delays by which the times are corrected.
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """The time stamps' share in the variance of the delays as stated, and its uncertainty."""
+        if self.timing == 0.0 or self.sd == 0.0:
+            return 0.0, math.inf
+        if self.encoder > 0.0:
+            return self.timing**2 / (self.timing**2 + self.encoder**2), 0.0
+        share = min((self.timing / self.sd) ** 2, 1.0)
+        return share, share * math.sqrt(2.0 / self.dof)
+
+    @property
+    def left(self) -> float:
+        """What is known to be left of the time stamps' noise after the correction, s."""
+        return self.encoder * math.sqrt(self.share) if self.share > 0.0 else self.timing
 
 
 @frozen
@@ -67,6 +103,8 @@ class Series:
     #: How much a standard deviation of a time stamp moves each row, in the error's unit, shape
     #: (n,); None: not at all.
     moved: Array | None = None
+    #: What the recorded angle shows of the time stamps' errors; None where it shows nothing.
+    stamps: StampErrors | None = None
 
     @property
     def block_spacing(self) -> Array:
@@ -143,7 +181,44 @@ class Series:
             error=self.error[keep],
             by_latitude=None if self.by_latitude is None else self.by_latitude[keep],
             moved=None if self.moved is None else self.moved[keep],
+            stamps=self.stamps and replace(self.stamps, delay=self.stamps.delay[keep]),
         )
+
+    @property
+    def share(self) -> float:
+        """The part of the angle's delays by which the times are corrected."""
+        return 0.0 if self.stamps is None else self.stamps.share
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the time stamps as it is stated or found, s."""
+        if self.stamps is None or self.share == 0.0:
+            return self.timing
+        return self.stamps.sd * math.sqrt(self.share)
+
+    def corrected(self, share: float) -> Series:
+        """Return the series at times corrected by a part of the delays that the angle shows.
+
+        The expected error of a time stamp, given its angle, is this part of the delay. What an
+        ideal output is then follows at the corrected times, to every order.
+        """
+        if self.stamps is None or share == self.share:
+            return self
+        time = self.time + (share - self.share) * self.stamps.delay
+        if not np.all(np.diff(time) > 0.0):
+            return self  # an encoder this noisy does not tell the order of the rows
+        stamps = replace(self.stamps, share=share)
+        moved = replace(self, time=time, stamps=stamps)
+        error = self.error + self.reference() - moved.reference()
+        return replace(moved, error=error).with_timing(stamps.left)
+
+    def with_encoder_noise(self, noise: float) -> Series:
+        """Return corrected series with what noise of the encoder leaves open of the times.
+
+        noise: Standard deviation of a recorded angle, rad.
+        """
+        rate = abs(self.trajectory.spindle.rate)
+        return self.with_timing(noise * math.sqrt(self.share) / rate)
 
     @property
     def order(self) -> int:
@@ -164,8 +239,10 @@ class Series:
 
         timing: Standard deviation of a time stamp, s.
         """
-        if timing == 0.0:
+        if timing == self.timing:
             return self
+        if timing == 0.0:
+            return replace(self, timing=0.0, moved=None, jitter=0.0)
         ideal, of_error = self.slopes()
         slope = ideal + of_error
         least = math.sqrt(LEAST_SHARE * float(np.mean(ideal**2)))
@@ -203,8 +280,9 @@ class Series:
         angle = self.trajectory.spindle.angle(self.time)
         turning = self.trajectory.spindle.angular_rate(self.time)
         wave = [np.cos(angle), np.sin(angle)]
-        shape = np.column_stack([np.vander(t, 4), *wave])
-        found = np.linalg.lstsq(shape, self.error, rcond=None)[0]
+        # At strobes the wave is a constant, and nothing is left of it.
+        shape = np.column_stack([np.vander(t, 4), *(part - part.mean() for part in wave)])
+        found = np.linalg.lstsq(shape, self.error, rcond=_CONSTANT)[0]
         grown = np.polyval(np.polyder(found[:4]), t) / length
         return ideal, grown + turning * (found[5] * wave[0] - found[4] * wave[1])
 

@@ -43,6 +43,9 @@ _FEWEST: Final = 40
 _P: Final = 1e-6
 _LEAST_RATIO: Final = 1.1
 
+#: Least gain in twice the log-likelihood by noise of the encoder where times are corrected by it.
+_LEAST_GAIN: Final = 1.0
+
 #: Trial sizes of the time stamps' noise: its largest variance in a row over the white one.
 _TRIALS: Final = np.geomspace(0.1, 1e6, 57)
 
@@ -54,9 +57,13 @@ class Uneven:
     #: Run -> its standard deviation over that of the accelerometer; empty: they are alike.
     runs: Mapping[str, float]
     timing: float  #: Standard deviation of a time stamp that would explain it, s; 0: none.
+    #: Standard deviation of a recorded angle, rad, where times are corrected by it; 0: unknown.
+    encoder: float = 0.0
 
     def of(self, series: Series) -> Series:
         """Return a series with this noise."""
+        if self.encoder > 0.0:
+            return series.with_encoder_noise(self.encoder)
         return series.with_timing(self.timing).louder(self.runs)
 
 
@@ -69,6 +76,9 @@ def uneven_noise(
     """
     found = {}
     for name, request in requests.items():
+        if encoder := _encoder_noise(fit, name):
+            found[name] = Uneven({}, 0.0, encoder)
+            continue
         if "white" not in request.wanted or fit.noise[name].sample_variance == 0.0:
             continue
         squares = _squares(fit, name)
@@ -172,16 +182,32 @@ def _by_slope(
 
     The likelihood of the squares where their means go with 1 + (timing x slope)^2/white^2.
     """
-    from scipy.special import chdtri
-
     if any(fit.prepared[i].series.jitter > 0.0 for i in squares):
         return None
     slopes = {
         i: _slope_squared(fit.prepared[i].series, series[i], len(own)) for i, own in squares.items()
     }
+    from scipy.special import chdtri
+
+    gain, ratio, variance = _likeliest(squares, slopes)
+    beyond = gain - float(chdtri(1, _P))
+    if beyond <= 0.0 or ratio < _LEAST_RATIO:
+        return None
+    return beyond, Uneven({}, math.sqrt(variance * noise.sample_variance))
+
+
+def _likeliest(
+    squares: Mapping[int, Array], slopes: Mapping[int, Array]
+) -> tuple[float, float, float]:
+    """Return the likeliest noise of squares whose means are a constant plus it times the slopes.
+
+    slopes: Squared, by series.
+    Returns: Twice its gain in log-likelihood over even noise, the largest ratio of two rows'
+        standard deviations, and the variance of the noise.
+    """
     largest = max(float(one.max()) for one in slopes.values())
     if largest == 0.0:
-        return None
+        return 0.0, 1.0, 0.0
     slope = np.concatenate(list(slopes.values())) / largest
     every = np.concatenate(list(squares.values()))
     part = _certainty(every)
@@ -195,11 +221,32 @@ def _by_slope(
     size = float(max(_TRIALS, key=gained))
     fine = size * np.geomspace(0.75, 1.33, 21)
     size = float(max(fine, key=gained))
-    beyond = gained(size) - float(chdtri(1, _P))
-    if beyond <= 0.0 or math.sqrt(1.0 + size) < _LEAST_RATIO:
-        return None
-    level = float(np.mean(every / (1.0 + size * slope))) * noise.sample_variance
-    return beyond, Uneven({}, math.sqrt(size * level / largest))
+    level = float(np.mean(every / (1.0 + size * slope)))
+    return gained(size), math.sqrt(1.0 + size), size * level / largest
+
+
+def _encoder_noise(fit: JointFit, accelerometer: str) -> float:
+    """Return the noise of the encoder that corrected times show, rad; 0: stated, or none.
+
+    That time stamps err is known by then, so that it needs no test.
+    """
+    squares, slopes = {}, {}
+    for i, part in enumerate(fit.prepared):
+        series, stamps = part.series, part.series.stamps
+        if part.accelerometer != accelerometer or stamps is None or stamps.share == 0.0:
+            continue
+        if series.jitter > 0.0:
+            return 0.0
+        weight = np.sqrt(series.count / series.relative)
+        left = without_waves(series, fit.residuals[i].plain * weight)
+        squares[i] = np.diff(left, _ORDER) ** 2 / 20.0
+        slope = np.add(*series.slopes()) / series.trajectory.spindle.rate
+        moved = stamps.share * slope**2
+        slopes[i] = np.asarray(np.convolve(moved / series.relative, _WEIGHTS, mode="valid"))
+    if not squares:
+        return 0.0
+    gain, _, variance = _likeliest(squares, slopes)
+    return math.sqrt(variance) if gain > _LEAST_GAIN else 0.0
 
 
 def _slope_squared(kept: Series, whole: Series, count: int) -> Array:

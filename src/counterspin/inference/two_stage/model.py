@@ -126,13 +126,17 @@ class TwoStageRequest:
         sigma = None if self.from_residuals else self.sigma or math.sqrt(noise.sample_variance)
         return replace(self, sigma=sigma, random_walk=noise.random_walk)
 
-    def first_stage(self, strobes: Strobes, trajectory: Trajectory) -> Parabola:
+    def first_stage(
+        self, strobes: Strobes, trajectory: Trajectory, timing: float = 0.0
+    ) -> Parabola:
         """Return the first stage of a run with this noise.
 
         At a strobe the displacement passes at R w: a time stamp's error shows with that.
+
+        timing: Standard deviation of the times of the rows, s.
         """
         passing = trajectory.radius * trajectory.spindle.rate
-        sigma = None if self.sigma is None else math.hypot(self.sigma, passing * self.timing)
+        sigma = None if self.sigma is None else math.hypot(self.sigma, passing * timing)
         return first_stage(strobes, sigma, self.random_walk or 0.0)
 
     def inputs(self, motion: Trajectory) -> dict[str, float]:

@@ -1,0 +1,142 @@
+"""A time stamp that errs moves the angle and the output of its row: found, followed, and in u."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import RATES, noisy, simulated, unknowns
+
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.series import StampErrors
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.physics.spindle import fit_spindle
+
+TRUTH = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
+MODEL = Unknowns(unknowns(TRUTH))
+TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
+WHITE = {"displacement": 1e-3, "velocity": 1e-3, "specific_force": 1e-4}
+ENCODER = 1e-6  # rad
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Records without noise, sampled at their time stamps."""
+    return {
+        observable: [
+            simulated(f"run{i}", rate, TRUTH, observable=observable, revolutions=25)
+            for i, rate in enumerate(RATES)
+        ]
+        for observable in WHITE
+    }
+
+
+def scattered(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
+    """The series with time stamps that are off the times at which angle and output were sampled."""
+    drawn = []
+    for one in series:
+        rate, times = one.trajectory.spindle.rate, one.time
+        white = noisy(one, Noise(WHITE[one.observable]), rng)
+        output = one.reference() + white.error
+        stamps = times + timing * rng.standard_normal(times.size)
+        angle = rate * times + encoder_noise * rng.standard_normal(times.size)
+        fit = fit_spindle(stamps, angle, rate)
+        delay = fit.residuals / fit.spindle.angular_rate(stamps)
+        known = (stated[0], stated[1] / rate)
+        late = replace(
+            one,
+            time=stamps,
+            trajectory=replace(one.trajectory, spindle=fit.spindle),
+            angle_error=fit.error,
+            stamps=StampErrors(delay, fit.rms / rate, fit.dof, *known),
+        )
+        late = replace(late, error=output - late.reference()).with_timing(stated[0])
+        drawn.append(late.corrected(late.stamps.prior[0]))
+    return drawn
+
+
+def z_of(found):
+    solution = found.fit.solution
+    return ((solution.estimate[:4] - TRUE) / solution.u[:4]).tolist()
+
+
+@pytest.mark.parametrize("observable", WHITE)
+@pytest.mark.parametrize("timing", [2e-5, 1e-3])
+@pytest.mark.parametrize("stated", [True, False], ids=["stated", "found"])
+def test_u_is_the_scatter(exact, observable, timing, stated):
+    white = WHITE[observable]
+    request = {"Qx": Noise(white if stated else WANTED, 0.0)}
+    rng, trials, z = np.random.default_rng(1), 6, []
+    for _ in range(trials):
+        told = (timing if stated else 0.0, 0.0)
+        found = estimate(scattered(exact[observable], timing, rng, stated=told), MODEL, request)
+        z += z_of(found)
+        solution = found.fit.solution
+        assert solution.chi2 / solution.dof == pytest.approx(1.0, abs=5 * math.sqrt(2 / 2400))
+    # K_F and K_II are correlated, hence half as many independent ones.
+    assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / (2 * trials)))
+
+
+def test_the_angle_tells_the_time(exact):
+    """The old treatment, as if output and angle were late independently, wastes all of that."""
+    drawn = scattered(exact["specific_force"], 2e-4, np.random.default_rng(2), stated=(2e-4, 0.0))
+    request = {"Qx": Noise(WHITE["specific_force"])}
+    alone = [replace(one.corrected(0.0), stamps=None) for one in drawn]
+    apart = estimate(alone, MODEL, request).fit.solution.u[2]
+    assert apart > 50.0 * estimate(drawn, MODEL, request).fit.solution.u[2]
+
+
+@pytest.mark.parametrize("stated", [(0.0, 0.0), (2e-4, 0.0), (2e-4, 4e-4)])
+def test_noise_of_the_encoder_is_told_from_that_of_the_time_stamps(exact, stated):
+    """Their shares are s^2 w^2 to s_a^2, and u of the outcome is right."""
+    timing, noise = 2e-4, 4e-4
+    drawn = scattered(
+        exact["velocity"], timing, np.random.default_rng(3), encoder_noise=noise, stated=stated
+    )
+    found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["velocity"])})
+    for one, rate in zip(found.series, RATES, strict=True):
+        share = (timing * rate) ** 2 / ((timing * rate) ** 2 + noise**2)
+        assert one.share == pytest.approx(share, abs=0.12)
+        assert one.timing == pytest.approx(noise / rate * math.sqrt(share), rel=0.2)
+    assert np.abs(z_of(found)).max() < 4.0
+
+
+@pytest.mark.parametrize("observable", WHITE)
+def test_records_with_good_time_stamps_are_left_alone(exact, observable):
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        drawn = scattered(exact[observable], 0.0, rng, encoder_noise=1e-5)
+        found = estimate(drawn, MODEL, {"Qx": Noise(WANTED, 0.0)})
+        assert all(one is other for one, other in zip(found.series, drawn, strict=True))
+
+
+@pytest.mark.parametrize("observable", WHITE)
+def test_what_an_angle_does_at_corrected_times(exact, observable):
+    """Angles that are off by a wave of their own: by differences of what is left of the output."""
+    noisy_one = scattered(exact[observable], 0.0, np.random.default_rng(5))[1]
+    error, step, symbol = noisy_one.angle_error, 1e-3, "encoder.ripple2.cos"
+    unit = np.sqrt(np.sum(error.root**2, axis=1))
+    one = replace(
+        exact[observable][1],
+        angle_error=replace(error, root=np.diag(unit)),
+        stamps=noisy_one.stamps,
+    )
+    known = {s: value - (s == "K_I") for s, value in TRUTH.items() if s != "K_F"}
+    share = 0.7
+    stamps = replace(one.stamps, delay=np.zeros(one.time.size), share=share)
+    plain = encoder.columns(replace(one, stamps=None), [symbol], known)[:, 0]
+    column = encoder.columns(replace(one, stamps=stamps), [symbol], known)[:, 0]
+    place = 3 + 2 * error.harmonics.index(2)
+    wave = unit[place] * error.functions(one.time)[0][:, place]
+    # True angles ahead by the wave are recorded so; of their delay a share is taken for time.
+    delay = step * wave / one.trajectory.spindle.angular_rate(one.time)
+    output = one.reference() + one.error
+    later = replace(one, time=one.time + share * delay)
+    moved = np.interp(later.time, one.time, one.error) + later.reference()
+    np.testing.assert_allclose(
+        (plain - column)[2:-2],
+        ((moved - output) / step)[2:-2],
+        atol=2e-3 * np.abs(plain - column).max(),
+    )
