@@ -27,7 +27,7 @@ from counterspin.inference.joint.encoder import with_encoder
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import Series, StampErrors
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
@@ -221,7 +221,8 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
     noise = _noise(campaign, name)
     timing = float(noise.get("timing", 0.0))
-    of_angle = math.hypot(float(noise.get("angle", 0.0)), run.rate * timing)
+    encoder_noise = float(noise.get("angle", 0.0))
+    of_angle = math.hypot(encoder_noise, run.rate * timing)
     series = Series(
         accelerometer=name,
         run=run.name,
@@ -244,6 +245,15 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         angle_error=angle_error_to_come(time, run.rate, of_angle, count)
         if campaign.angle is not None and of_angle > 0.0
         else None,
+        stamps=StampErrors(
+            np.zeros_like(time),
+            of_angle / abs(run.rate),
+            time.size,
+            timing,
+            encoder_noise / abs(run.rate),
+        )
+        if campaign.angle is not None and timing > 0.0
+        else None,
     )
     if not series.in_g and timing == 0.0:
         return series
@@ -252,7 +262,8 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     unknowns = model_of(campaign).unknowns
     values = expected_values(campaign, unknowns).tolist()
     expected = dict(zip(unknowns, values, strict=True))
-    return expected_record(series, expected, scale_factors(campaign)[name]).with_timing(timing)
+    record = expected_record(series, expected, scale_factors(campaign)[name]).with_timing(timing)
+    return record.corrected(record.stamps.prior[0]) if record.stamps else record
 
 
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
@@ -304,11 +315,14 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
         )
         dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]
         model = Unknowns(model.unknowns + estimated).without(dated)
-    timing = float(_noise(campaign, next(iter(campaign.accelerometers))).get("timing", 0.0))
+    stated = _noise(campaign, next(iter(campaign.accelerometers)))
+    timing, encoder_noise = float(stated.get("timing", 0.0)), float(stated.get("angle", 0.0))
+    if campaign.angle is None:
+        encoder_noise = math.inf
     noise = noise_of_records(campaign)
     return Setup(
         instruments=tuple(
-            PlannedInstrument(name, a.mounting, a.observable, noise[name], timing)
+            PlannedInstrument(name, a.mounting, a.observable, noise[name], timing, encoder_noise)
             for name, a in campaign.accelerometers.items()
         ),
         attitudes={run.name: run.attitude for run in campaign.runs},

@@ -142,11 +142,11 @@ class RunInformation:
                 noise = Noise(math.sqrt(noise.sample_variance + walk))
             by_run_type: list[InformationTable | None] = []
             for run_type in self._run_types:
-                if noise.random_walk == 0.0 and instrument.timing == 0.0:
+                if noise.random_walk == 0.0 and not instrument.scatters:
                     by_run_type.append(None)
                     continue
                 key: tuple[PlannedInstrument, object] = (instrument, run_type)
-                if instrument.timing == 0.0:
+                if not instrument.scatters:
                     first = self.setup.instruments[0].mounting
                     key = (replace(instrument, name="", mounting=first), None)
                 if key not in tables:
@@ -154,7 +154,7 @@ class RunInformation:
                         instrument.order,
                         noise,
                         partial(self._of_time_stamps, instrument, *run_type)
-                        if instrument.timing > 0.0
+                        if instrument.scatters
                         else None,
                         self.setup.sampling_rate,
                         self._rates,
@@ -173,7 +173,7 @@ class RunInformation:
         series = self._terms.series(instrument, attitude, sense * rate, angle / rate)
         expected = dict(zip(setup.model.unknowns, setup.estimate.tolist(), strict=True))
         expecting = expected_record(series, expected, setup.scale_factors[instrument.name])
-        return expecting.with_timing(instrument.timing).jitter_variance
+        return expecting.with_timing(instrument.timing_left(rate)).jitter_variance
 
     def sampled_at(self, sampling_rate: float) -> RunInformation:
         """Return the same for another sampling rate, Hz."""

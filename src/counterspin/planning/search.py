@@ -68,7 +68,7 @@ class Search:
         With noise of the time stamps those at an extremum of the output tell most, and whether
         there are any depends on the rate to many digits.
         """
-        return not any(one.timing for one in self.predictor.information.setup.instruments)
+        return not any(one.scatters for one in self.predictor.information.setup.instruments)
 
     def best(
         self, limits: Limits | None = None, start: Design | None = None

@@ -40,11 +40,24 @@ class PlannedInstrument:
     observable: str
     noise: Noise  #: Of one sample.
     timing: float = 0.0  #: Standard deviation of the time stamps, s.
+    #: Standard deviation of a recorded angle, rad, by which times are corrected; infinite without
+    #: an angle.
+    encoder: float = math.inf
 
     @property
     def order(self) -> int:
         """How often the observable integrates the specific force."""
         return ORDERS[self.observable]
+
+    def timing_left(self, rate: float) -> float:
+        """Return the noise of the times that the angles leave at a rate, s."""
+        both = math.hypot(self.timing, self.encoder / rate)
+        return self.timing * self.encoder / rate / both if math.isfinite(both) else self.timing
+
+    @property
+    def scatters(self) -> bool:
+        """Whether any noise of the times is left."""
+        return self.timing > 0.0 and self.encoder > 0.0
 
 
 def expected_record(

@@ -31,6 +31,9 @@ FEWEST_ROWS: Final = 43
 #: Probability at which errors of time stamps of which nothing is stated are taken for chance.
 _P: Final = 1e-6
 
+#: A chi-square that has this probability with one degree of freedom is larger.
+_LEAST_CHI2: Final = 23.0
+
 
 class _Regression(NamedTuple):
     """Normal equation of a share, and the variance of its right-hand side."""
@@ -46,8 +49,6 @@ def find_shares(fit: JointFit) -> Mapping[str, float]:
     Of what is stated the share is found beside its prior. Of what is not, it counts where the
     records show it beyond chance.
     """
-    from scipy.special import chdtri
-
     found: dict[str, list[_Regression]] = {}
     priors: dict[str, tuple[float, float]] = {}
     now: dict[str, float] = {}
@@ -71,9 +72,16 @@ def find_shares(fit: JointFit) -> Mapping[str, float]:
             best = (best * u_prior**2 + value * u**2) / (u_prior**2 + u**2)
         shares[run] = min(max(best, 0.0), 1.0)
     known = any(now.values()) or any(math.isfinite(u) for _, u in priors.values())
-    if not known and not (shares and beyond > float(chdtri(len(shares), _P))):
-        return {}
-    return shares
+    return shares if known or _is_beyond_chance(beyond, len(shares)) else {}
+
+
+def _is_beyond_chance(chi2: float, count: int) -> bool:
+    """Return whether chi-square of so many shares is larger than chance makes it."""
+    if chi2 < _LEAST_CHI2:
+        return False  # without SciPy, which takes as long to load as a fit takes
+    from scipy.special import chdtri
+
+    return chi2 > float(chdtri(count, _P))
 
 
 def _regression(fit: JointFit, index: int) -> _Regression | None:
