@@ -8,6 +8,7 @@ import pytest
 from arm_records import GRAVITY, HEAD, RADIUS, TRUTH, arm_record, arm_run
 
 import counterspin as cs
+from counterspin.calibration.mean_records import average_record
 from counterspin.errors import RecordError
 
 LEVELS = (1.0, 4.0, 6.0, 9.0, 15.0)
@@ -62,6 +63,26 @@ def test_errors_are_within_u_with_noise_ripple_and_drift():
     assert (rms > 1.0 / 1.9 - 3.0 / math.sqrt(2.0 * trials) / 1.9).all()
     assert all(one.state == "reservations" for one in results)
     assert {finding.code for one in results for finding in one.findings} == {"time-base"}
+
+
+def test_measured_rates_and_means_scatter_as_their_noise():
+    """In 20 campaigns with the u of white noise in place of that which allows for a wander."""
+    trials, z = 20, []
+    head = HEAD.replace('specific_force = { column = "f", unit = "g" }\n', "")
+    records = head.index("[records]"), head.index("[accelerometers")
+    for seed in range(trials):
+        one, text = campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
+        for reading in one.readings:
+            averaged = average_record(one, reading)
+            value, u = averaged.reading.value, 1e-4 / math.sqrt(averaged.mean.samples)
+            side = 1 if reading.name.startswith("in") else -1
+            run = arm_run(reading.name, side, averaged.reading.measured.value)
+            of_record = f'record = "{reading.name}.csv"'
+            text += run.replace(of_record, f'reading = "{value!r} ± {u!r} g"')
+        result = cs.calibrate(cs.make_campaign(tomllib.loads(text)))
+        z.append([error / u for error, u in errors(result).values()])
+    squares = np.mean(np.square(z), axis=0)
+    assert (np.abs(squares - 1.0) < 3.5 * math.sqrt(2.0 / trials)).all()
 
 
 def test_runs_at_another_rate_are_named_as_those_of_the_double_turntable():

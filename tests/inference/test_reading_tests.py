@@ -15,6 +15,7 @@ from counterspin.inference.reading_tests import (
     FORCE,
     HEAD,
     HYSTERESIS,
+    REVERSED,
     STEP,
     TERM,
     WAVE,
@@ -57,6 +58,21 @@ def test_the_angle_of_the_head_is_from_where_the_input_axis_points_up():
     np.testing.assert_allclose(np.sin(angle), np.sin(np.arange(8) * math.pi / 4), atol=1e-12)
     _, none = head_angle(readings(arm(), np.zeros(24), 1.0))
     assert not none.any()
+
+
+def test_the_other_sense_of_rotation_changes_the_coriolis_force():
+    """By 4 R w Omega sin L, of opposite signs inward and outward; not where an angle shows it."""
+    test = arm()
+    one = readings(test, np.zeros(len(test[0])), 1e-6)
+    (column,) = (
+        other.columns[0] for other in candidates(one, 0, {"K_I"}, set()) if other.kind == REVERSED
+    )
+    rates = np.array([station.rate for station in one.stations])
+    side = np.array([1.0 if name == "inward" else -1.0 for name in one.mountings])
+    expected = -4.0 * side * rates * 7.292115e-5 * math.sin(0.8) / 9.80665
+    np.testing.assert_allclose(column, expected, rtol=1e-9)
+    shown = replace(one, stated_sense=0.0)
+    assert not any(other.kind == REVERSED for other in candidates(shown, 0, {"K_I"}, set()))
 
 
 def test_positions_about_another_axis_have_no_wave():

@@ -219,6 +219,7 @@ def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
         resolution=min(r.resolution for r in readings),
         position=tuple(r.position for r in readings),
         in_si=np.array([float(r.in_si) for r in readings]),
+        stated_sense=np.array([float(r.measured is None) for r in readings]),
         stated_rates=tuple(r.rate for r in readings),
         u_rate=np.array([_relative_u_rate(campaign, r) for r in readings]),
         default_rate=np.array([float(not r.measured and r.u_rate is None) for r in readings]),

@@ -98,6 +98,8 @@ class Readings:
     #: What the dividing head shows, rad, shape (n,).
     head_angle: Array | float = 0.0
     direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
+    #: 1 where the description states the sense of the rotation, 0 where an angle shows it, (n,).
+    stated_sense: Array | float = 1.0
     #: Rates that the description states, rad/s, shape (n,); None: those of the stations.
     stated_rates: tuple[float, ...] | None = None
     #: Random standard uncertainty of each rate, relative, and 1 where it is the default one, else
@@ -121,6 +123,15 @@ class Readings:
             if size != 0.0:
                 stations = self.moved(stations, symbol, size)
         return stations
+
+    @property
+    def reversed(self) -> Readings:
+        """The same readings with the other sense of rotation, except where an angle shows it."""
+        signs = np.broadcast_to(1.0 - 2.0 * np.asarray(self.stated_sense), self.size).tolist()
+        every = zip(self.stations, signs, strict=True)
+        return replace(
+            self, stations=tuple(replace(one, rate=sign * one.rate) for one, sign in every)
+        )
 
     def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
         """Return the readings' stations, moved already, with one more of the machine's terms."""

@@ -44,6 +44,7 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
     ASYMMETRY,
     HYSTERESIS,
     SENSE,
+    REVERSED,
     RANGE,
     STEP,
 ) = KINDS = (
@@ -59,6 +60,7 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
     "asymmetry",
     "hysteresis",
     "sense",
+    "reversed",
     "range",
     "step",
 )
@@ -177,6 +179,7 @@ def candidates(
         *_of_ranges(forces),
         *_of_approach(readings),
         *_of_sense(readings),
+        *_of_stated_sense(readings, forces),
     ):
         yield Alternative(kind, readings.accelerometer, symbol, {place: column})
 
@@ -329,6 +332,16 @@ def _of_sense(readings: Readings) -> Iterator[_Column]:
     sense = np.sign([station.rate for station in readings.stations])
     if (sense > 0.0).any() and (sense < 0.0).any():
         yield SENSE, "sense of rotation", sense
+
+
+def _of_stated_sense(readings: Readings, forces: Array) -> Iterator[_Column]:
+    """Yield the change of the Coriolis force if the machine turned in the other sense than stated.
+
+    forces: Along the input axis, g, shape (n,).
+    """
+    change = readings.reversed.products({})[:, [*TERMS].index("K_I")] - forces
+    if np.ptp(change) > 0.0:
+        yield REVERSED, "other sense of rotation", change
 
 
 # Which of them is followed ---------------------------------------------------------------------

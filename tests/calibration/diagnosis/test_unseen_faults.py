@@ -102,8 +102,11 @@ def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
     assert all(clause in remark for clause in a.unseen_faults)
 
 
-def on_an_arm(folder, change):
-    """Calibrate two mountings, each at eight sizes up to 15 g; above 6 g the gain changes."""
+def on_an_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
+    """Calibrate two mountings, each at eight sizes up to 15 g; above 6 g the gain changes.
+
+    sense: Of the stated rates; the true ones are positive.
+    """
     rng, runs = np.random.default_rng(3), []
     earth = 2.0 * 7.292115e-5 * math.sin(math.radians(45.0))
     for side, sign in (("inward", 1.0), ("outward", -1.0)):
@@ -111,10 +114,11 @@ def on_an_arm(folder, change):
             rate = math.sqrt(size * 9.80665)
             force = sign * (rate**2 + rate * earth) / 9.80665
             value = 2e-3 + force * (1.0 + change * (size > 6)) + 15e-6 * force**2
-            value = f"{value + SIGMA * float(rng.standard_normal())!r} ± {SIGMA} g"
+            value = f"{value + sigma * float(rng.standard_normal())!r} ± {sigma} g"
             name = f"{side} {size}"
-            runs.append(on_arm(name, f"{rate!r} rad/s", value, side=side, mounting=side))
-    return calibrate(write(folder, "".join([ARM, *runs])).parent)
+            stated = f"{sense * rate!r} rad/s"
+            runs.append(on_arm(name, stated, value, side=side, mounting=side))
+    return calibrate(write(folder, "".join([head, *runs])).parent)
 
 
 def test_a_change_of_the_gain_between_two_ranges_is_named(tmp_path):
@@ -122,6 +126,33 @@ def test_a_change_of_the_gain_between_two_ranges_is_named(tmp_path):
     assert on_an_arm(tmp_path / "usual", 0.0).state == "good"
     (found,) = (f for f in on_an_arm(tmp_path / "other", 1e-5).findings if f.code == "lack-of-fit")
     assert "gain that changes above 6 g" in found.text
+
+
+CUBIC = ARM.replace('"K_II"]', '"K_II", "K_III"]')
+
+
+def test_the_sense_of_rotation_is_an_unseen_fault_where_readings_do_not_show_it(tmp_path):
+    """It changes the Coriolis force only, most of which K_I and K_III take up; 60 ug of noise."""
+    right = on_an_arm(tmp_path / "right", 0.0, head=CUBIC, sigma=30.0 * SIGMA)
+    wrong = on_an_arm(tmp_path / "wrong", 0.0, head=CUBIC, sigma=30.0 * SIGMA, sense=-1.0)
+    a, b = (one.accelerometers["A"] for one in (right, wrong))
+    for own, other in ((a, b), (b, a)):
+        (clause,) = (text for text in own.unseen_faults if "in the other sense than stated" in text)
+        found = re.search(r"moves K_I by ([\d.e-]+) g/g \(([\d.]+) ", clause)
+        shift, times = map(float, found.groups())
+        moved = abs(own.coefficients["K_I"].value - other.coefficients["K_I"].value)
+        assert moved == pytest.approx(shift, rel=0.05)
+        assert moved / own.coefficients["K_I"].u == pytest.approx(times, rel=0.05)
+
+
+def test_a_wrong_sense_of_rotation_that_readings_show_is_named(tmp_path):
+    """With a tenth of the noise."""
+    right = on_an_arm(tmp_path / "right", 0.0, sigma=0.1 * SIGMA, head=CUBIC)
+    assert right.state == "good"
+    assert not any("sense" in text for text in right.accelerometers["A"].unseen_faults)
+    wrong = on_an_arm(tmp_path / "wrong", 0.0, sigma=0.1 * SIGMA, head=CUBIC, sense=-1.0)
+    assert wrong.state == "contradicted"
+    assert "look like a rotation in the other sense than stated" in wrong.findings[0].text
 
 
 def test_a_step_of_one_accelerometer_during_poses(tmp_path):

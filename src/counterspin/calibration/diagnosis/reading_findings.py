@@ -31,6 +31,7 @@ from counterspin.inference.reading_tests import (
     HEAD,
     HYSTERESIS,
     RANGE,
+    REVERSED,
     SCALE,
     SENSE,
     STEP,
@@ -281,6 +282,7 @@ def clause_of(other: Alternative) -> str:
         RANGE: f"look like a gain that changes above {other.symbol}, as between ranges of a meter",
         STEP: f'step, from "{other.symbol}" on',
         SENSE: "depend on the sense in which the machine turned",
+        REVERSED: "look like a rotation in the other sense than stated",
         HYSTERESIS: f"depend on {_CAME.get(other.symbol)} (hysteresis)",
     }[other.kind]
 

@@ -22,7 +22,7 @@ from counterspin.inference.distributions import student_quantile
 from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.alternatives import Alternative, effects_of
 from counterspin.inference.joint.fit import JointFit, relax
-from counterspin.inference.reading_tests import DRIFT, RANGE, STEP, TURN
+from counterspin.inference.reading_tests import DRIFT, RANGE, REVERSED, STEP, TURN
 from counterspin.physics.terms import ARCSEC
 
 #: A fault that moves a coefficient by so many of its u is stated.
@@ -66,6 +66,8 @@ def unseen_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
         left, moved = effects_of(fit, tuple(faults))
         for k, (other, typical) in enumerate(faults.items()):
             size = min(typical, noticed / max(float(left[k]), 1e-300))
+            if other.kind == REVERSED and size < typical:
+                continue  # There is no part of it: the tests would notice the whole.
             for view in views:
                 symbol, shift, times = most_moved(view, (), size * moved[:, k])
                 times *= _shrunk(view, fit, symbol, part, size * float(left[k]))
@@ -123,6 +125,8 @@ def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> fl
         return campaign.typical_of("K_F.hysteresis", name)
     if fault.kind == RANGE:
         return _RANGE
+    if fault.kind == REVERSED:
+        return 1.0
     if fault.kind == TURN and fault.symbol == "angle":
         return _HEAD / (2.0 * math.pi)
     if fault.kind == DRIFT:
@@ -133,6 +137,8 @@ def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> fl
 
 
 def _words(fault: Alternative, size: float) -> str:
+    if fault.kind == REVERSED:
+        return "a rotation in the other sense than stated"
     if fault.kind == STEP:
         return f'a bias step of {shown_size("K_F", size, 3)} from "{fault.symbol}" on'
     if fault.kind == RANGE:
