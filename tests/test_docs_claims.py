@@ -14,15 +14,10 @@ from prose import ROOT, agrees, sentences, told, value_of
 from scipy.special import stdtrit
 
 import counterspin as cs
-from counterspin.calibration import (
-    assembly,
-    findings,
-    limits,
-    outcome,
-    small_angles,
-    two_stage_findings,
-)
+from counterspin.calibration import assembly, findings, outcome
+from counterspin.calibration.checks import limits, small_angles
 from counterspin.calibration.diagnosis import search
+from counterspin.calibration.two_stage import findings as two_stage_findings
 from counterspin.campaign import conditions, runs
 from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.certificates import build

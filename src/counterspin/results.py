@@ -6,9 +6,8 @@ import hashlib
 import json
 import platform
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
@@ -18,6 +17,7 @@ from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
 from counterspin.input import looks_like, read_file
+from counterspin.loading import load_name
 from counterspin.output import FileType, write_text
 
 if TYPE_CHECKING:
@@ -251,24 +251,14 @@ def _scipy() -> str:
     return version("scipy")
 
 
-# Results that print and draw themselves ---------------------------------------------------------
+# Results that print and draw themselves. Pages import results: a result names its pages. ---------
 
 _PUBLICATION: Final = "counterspin.reports.publication"
 
 
-def load_function(name: str) -> Callable[..., Any]:
-    """Return the function ``package.module:name``; its module is loaded on the call.
-
-    Pages import results. A result names its pages and does not import them.
-    """
-    module, _, function = name.partition(":")
-    loaded: Callable[..., Any] = getattr(import_module(module), function)
-    return loaded
-
-
 def draw_pictures(pictures: Iterable[Picture], axes: Any = None) -> list[Any]:
     """Draw pictures on axes of Matplotlib; see `counterspin.reports.publication.on_axes`."""
-    drawn: list[Any] = load_function(f"{_PUBLICATION}:on_axes")(list(pictures), axes)
+    drawn: list[Any] = load_name(f"{_PUBLICATION}:on_axes")(list(pictures), axes)
     return drawn
 
 
@@ -284,7 +274,7 @@ class ShownResult(ResultFile):
 
     def blocks(self) -> list[Block]:
         """Return the blocks of its screen, pictures included."""
-        return list(load_function(self.BLOCKS)(self))
+        return list(load_name(self.BLOCKS)(self))
 
     @property
     def identifier(self) -> str:
@@ -298,7 +288,7 @@ class ShownResult(ResultFile):
 
     def publication(self, identifier: str | None = None) -> Publication:
         """Return its report, which can be written as HTML, PDF or Markdown."""
-        made: Publication = load_function(f"{_PUBLICATION}:publish")(self, identifier)
+        made: Publication = load_name(f"{_PUBLICATION}:publish")(self, identifier)
         return made
 
     def write_report(
@@ -310,29 +300,27 @@ class ShownResult(ResultFile):
         overwrite: bool = False,
     ) -> None:
         """Write its report; see `counterspin.write_report`."""
-        load_function(f"{_PUBLICATION}:write_report")(
+        load_name(f"{_PUBLICATION}:write_report")(
             self, path, identifier=identifier, issued=issued, overwrite=overwrite
         )
 
     def __rich__(self) -> Report:
         """Return its screen for rich."""
-        made: Report = load_function("counterspin.reports.text:Report")(self.blocks())
+        made: Report = load_name("counterspin.reports.text:Report")(self.blocks())
         return made
 
     def __repr__(self) -> str:
         """Return the first 20 lines of its screen."""
-        return str(load_function(f"{_PUBLICATION}:short_text")(self._blocks_of_cell()))
+        return str(load_name(f"{_PUBLICATION}:short_text")(self._blocks_of_cell()))
 
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        return str(load_function("counterspin.reports.html:cell")(self._blocks_of_cell()))
+        return str(load_name("counterspin.reports.html:cell")(self._blocks_of_cell()))
 
     def _repr_markdown_(self) -> str:
-        return str(load_function("counterspin.reports.markdown:markdown")(self._blocks_of_cell()))
+        return str(load_name("counterspin.reports.markdown:markdown")(self._blocks_of_cell()))
 
     def _blocks_of_cell(self) -> list[Block]:
-        shown: list[Block] = load_function("counterspin.reports.blocks:without_pictures")(
-            self.blocks()
-        )
+        shown: list[Block] = load_name("counterspin.reports.blocks:without_pictures")(self.blocks())
         return shown

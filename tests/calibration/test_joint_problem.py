@@ -12,7 +12,7 @@ from counterspin.calibration.joint_problem import JointProblem, series_of
 from counterspin.calibration.model import assumed_of, model_of
 from counterspin.calibration.observed import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.two_stage import request_of
+from counterspin.calibration.two_stage.method import request_of
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import Noise

@@ -10,13 +10,13 @@
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
 - `joint_problem`: the joint fit's data and noise; the fit as one accelerometer sees it
 - `readings`: single values and poses beside records, or alone
-- `joint`, `two_stage`: the outcome of each method
-- `two_stage_findings`: what the result of two stages must say beside
+- `joint`: the outcome of the joint method
+- `two_stage`: the two-stage method
 - `outcome`: what a method has found, as the result states it
 - `triad`: three accelerometers as one sensor
 - `findings`: what speaks against a result, and its state
-- `limits`: credible sizes of estimates; `small_angles`: bounds of the first-order attitude theory
-- `diagnosis`: what is wrong, if something is
+- `checks`: checks of every result
+- `extensions`: the functions that a calibration calls by name; `diagnosis`: the causes of a misfit
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `result_file`: results of earlier schemas, and numbers that no result has

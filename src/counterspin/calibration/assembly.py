@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from counterspin._version import __version__
-from counterspin.calibration.conformity import with_conformity
+from counterspin.calibration.extensions import apply_specifications, apply_two_stage
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
 from counterspin.calibration.joint_problem import JointProblem
@@ -18,7 +18,6 @@ from counterspin.calibration.outcome import many_outliers
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
 from counterspin.calibration.timing import with_located_delay
-from counterspin.calibration.two_stage import in_two_stages
 from counterspin.campaign.conditions import origin_of, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
@@ -49,7 +48,7 @@ def calibration(
     """
     problem = with_located_delay(JointProblem(campaign, observed))
     observed = problem.observed
-    found = joint(problem) if method == "joint" else in_two_stages(problem, options)
+    found = joint(problem) if method == "joint" else apply_two_stage(problem, options)
     findings = [
         *found.findings,
         *_asked_about(campaign),
@@ -100,7 +99,7 @@ def calibration(
     result = judge_result(result, accepted_misfit, found.causes)
     if campaign.specifications is None:
         return result
-    return with_conformity(result, campaign.specifications)
+    return apply_specifications(result, campaign.specifications)
 
 
 def _rates(observed: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:

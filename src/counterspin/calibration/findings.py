@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.limits import (
+from counterspin.calibration.checks.limits import (
     beyond_typical,
     incredible,
     incredible_shared,

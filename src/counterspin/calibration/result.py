@@ -32,8 +32,9 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
+from counterspin.loading import load_name
 from counterspin.physics.terms import TERMS
-from counterspin.results import ShownResult, draw_pictures, load_function
+from counterspin.results import ShownResult, draw_pictures
 
 if TYPE_CHECKING:
     from counterspin.calibration.notebook.forms import Prediction
@@ -169,7 +170,7 @@ class Result(ShownResult):
 
     def _ipython_key_completions_(self) -> list[str]:
         """Return the names that ``result["`` may be followed by."""
-        rows = load_function("counterspin.calibration.notebook.exports:rows")(self)
+        rows = load_name("counterspin.calibration.notebook.exports:rows")(self)
         return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in rows]
 
     def predict(
@@ -206,7 +207,7 @@ class Result(ShownResult):
         ValueError
             If the forces are not finite, or of different lengths.
         """
-        made: Prediction = load_function("counterspin.calibration.notebook.instrument:predict")(
+        made: Prediction = load_name("counterspin.calibration.notebook.instrument:predict")(
             self, self._name(accelerometer), force, pendulous, output_axis
         )
         return made
@@ -253,21 +254,21 @@ class Result(ShownResult):
 
     def table(self, library: str = "polars") -> Any:
         """Return the coefficients as a frame; see `counterspin.calibration.notebook.exports`."""
-        return load_function("counterspin.calibration.notebook.exports:frame")(self, library)
+        return load_name("counterspin.calibration.notebook.exports:frame")(self, library)
 
     def to_latex(self) -> str:
         """Return the coefficients as a LaTeX ``tabular``."""
-        made: str = load_function("counterspin.calibration.notebook.exports:latex_table")(self)
+        made: str = load_name("counterspin.calibration.notebook.exports:latex_table")(self)
         return made
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        made: dict[str, Any] = load_function(f"{_PACKAGES}:to_uncertainties")(self)
+        made: dict[str, Any] = load_name(f"{_PACKAGES}:to_uncertainties")(self)
         return made
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        made: dict[str, Any] = load_function(f"{_PACKAGES}:to_gtc")(self)
+        made: dict[str, Any] = load_name(f"{_PACKAGES}:to_gtc")(self)
         return made
 
     def residuals(
@@ -289,9 +290,9 @@ class Result(ShownResult):
         """
         if self.runs and not self._residuals:
             raise CounterspinError(_NO_RESIDUALS)
-        of_readings = load_function(f"{_RESIDUALS}:of_readings")(self.accelerometers)
+        of_readings = load_name(f"{_RESIDUALS}:of_readings")(self.accelerometers)
         chosen: list[RunResiduals | ReadingResiduals]
-        chosen = load_function(f"{_RESIDUALS}:choose")(
+        chosen = load_name(f"{_RESIDUALS}:choose")(
             [*self._residuals, *of_readings], accelerometer, run
         )
         return chosen
@@ -318,19 +319,17 @@ class Result(ShownResult):
     ) -> list[Any]:
         """Draw what the uncertainty of a coefficient consists of."""
         name = self._name(accelerometer)
-        bars = load_function(f"{_PICTURES}:budget_bars")(
-            name, self.accelerometers[name], coefficient
-        )
+        bars = load_name(f"{_PICTURES}:budget_bars")(name, self.accelerometers[name], coefficient)
         return self._drawn([] if bars is None else [bars], axes)
 
     def plot_displacement(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw what was recorded less the reference, and the fit, a picture a run."""
         residuals = self.residuals(self._name(accelerometer))
-        return self._drawn(load_function(f"{_RESIDUALS}:displacement_pictures")(residuals), axes)
+        return self._drawn(load_name(f"{_RESIDUALS}:displacement_pictures")(residuals), axes)
 
     def _pictures(self, which: str, accelerometer: str | None, axes: Any) -> list[Any]:
         name = self._name(accelerometer)
-        shown = load_function(f"{_PICTURES}:{which}")(name, self.accelerometers[name], self.runs)
+        shown = load_name(f"{_PICTURES}:{which}")(name, self.accelerometers[name], self.runs)
         return self._drawn([*shown], axes)
 
     def _name(self, accelerometer: str | None) -> str:
@@ -347,7 +346,7 @@ class Result(ShownResult):
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        made: str = load_function("counterspin.calibration.notebook.exports:brief")(self)
+        made: str = load_name("counterspin.calibration.notebook.exports:brief")(self)
         return made
 
     __str__ = __repr__

@@ -25,8 +25,9 @@ from counterspin.characters import escape_controls
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import BudgetLine, Jackknife, Kind, WhatIf
+from counterspin.loading import load_name
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
-from counterspin.results import ResultPart, load_function
+from counterspin.results import ResultPart
 from counterspin.units import unit_factor
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
@@ -363,7 +364,7 @@ class TriadResult(ResultPart):
         polars.DataFrame or pandas.DataFrame
             The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
         """
-        made = load_function("counterspin.calibration.notebook.exports:frame_of_rows")
+        made = load_name("counterspin.calibration.notebook.exports:frame_of_rows")
         return made((("triad", n, c) for n, c in self.parameters.items()), library)
 
     def __repr__(self) -> str:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from types import FunctionType
 from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
 from counterspin.campaign.documents import KeyPath, key_path
+from counterspin.loading import load_name
 
 M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
@@ -57,7 +57,7 @@ class Section:
     """What may stand in a table of a document that is checked apart, whatever else is wrong there.
 
     written: A class with the table's keys; a dictionary of such tables by name, or a list of them.
-        Of a table that few documents have, a function that loads it.
+        For a table of an extension, the name ``package.module:Class``, loaded where one is found.
     """
 
     def __init__(self, written: Any) -> None:
@@ -66,7 +66,7 @@ class Section:
     @property
     def written(self) -> Any:
         """What may stand there."""
-        return self._written() if isinstance(self._written, FunctionType) else self._written
+        return load_name(self._written) if isinstance(self._written, str) else self._written
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler

@@ -51,6 +51,7 @@ from counterspin.campaign.settings import (
     SiteSettings,
 )
 from counterspin.campaign.triad import TriadSettings, resolve_triad, with_usual_axes
+from counterspin.loading import load_name
 from counterspin.physics.motion import Site
 from counterspin.records.record import ColumnSpec
 
@@ -71,31 +72,11 @@ Accelerometers = Annotated[
 Runs = Annotated[list[Any], Section(list[Run])]
 
 
-# Classes of tables that few descriptions of a calibration have are loaded where one has them.
-
-
-def _readings() -> Any:
-    from counterspin.campaign.readings_table import ReadingsSettings
-
-    return ReadingsSettings
-
-
-def _specification() -> Any:
-    from counterspin.campaign.specification import Specifications
-
-    return Specifications
-
-
-def _simulation() -> Any:
-    from counterspin.campaign.simulated_truth import Simulation
-
-    return Simulation
-
-
-def _truth() -> Any:
-    from counterspin.campaign.truth import TruthSettings
-
-    return TruthSettings
+_READINGS: Final = "counterspin.campaign.readings_table:ReadingsSettings"
+_SPECIFICATION: Final = "counterspin.campaign.specification:Specifications"
+_TRUTH_READER: Final = "counterspin.campaign.simulated_truth"
+_SIMULATION: Final = f"{_TRUTH_READER}:Simulation"
+_TRUTH: Final = "counterspin.campaign.truth:TruthSettings"
 
 
 class CampaignDocument(SettingsSection):
@@ -131,7 +112,7 @@ class CampaignDocument(SettingsSection):
     model: Annotated[dict[str, Any] | None, Section(ModelSettings)] = described(
         "[what is asked for, and what is known](#model)", {}, None, absent="the paper's terms"
     )
-    readings: Annotated[dict[str, Any] | None, Section(_readings)] = described(
+    readings: Annotated[dict[str, Any] | None, Section(_READINGS)] = described(
         "[a table of single values](readings.md)", {}, None
     )
     runs: Runs = described(
@@ -140,13 +121,13 @@ class CampaignDocument(SettingsSection):
         [],
         kind="list of tables",
     )
-    specification: Annotated[dict[str, Any] | None, Section(_specification)] = described(
+    specification: Annotated[dict[str, Any] | None, Section(_SPECIFICATION)] = described(
         "[limits that coefficients shall meet](#specification)", {}, None
     )
-    simulation: Annotated[dict[str, Any] | None, Section(_simulation)] = described(
+    simulation: Annotated[dict[str, Any] | None, Section(_SIMULATION)] = described(
         "[sampling, for `simulate`](#simulation)", {}, None
     )
-    truth: Annotated[dict[str, Any] | None, Section(_truth)] = described(
+    truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = described(
         "[true values, for `simulate`](#truth)", {}, None
     )
     study: dict[str, Any] | None = described(
@@ -332,29 +313,31 @@ class DescriptionReader:
         """Return how records are simulated; parameters as of `DescribedRuns`."""
         if not self.simulated:
             return None
-        from counterspin.campaign.simulated_truth import DescribedRuns, TruthReader
-
+        truth_reader = load_name(f"{_TRUTH_READER}:TruthReader")
         recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
         names = list(self.accelerometers.raw)
-        truth = TruthReader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
+        truth = truth_reader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
         noise, centrifuge = self.parts.get("noise"), self.parts.get("centrifuge")
         outputs = self.accelerometers.outputs
-        described = DescribedRuns(runs, readings, truths)
-        return truth.simulation(self._sampling(), outputs, noise, described, centrifuge, recorders)
+        described = load_name(f"{_TRUTH_READER}:DescribedRuns")(runs, readings, truths)
+        simulation: Simulation | None = truth.simulation(
+            self._sampling(), outputs, noise, described, centrifuge, recorders
+        )
+        return simulation
 
     def _sampling(self) -> Simulation:
-        kind, raw = _simulation(), table_of(self.raw, "simulation")
+        kind, raw = load_name(_SIMULATION), table_of(self.raw, "simulation")
         sampling: Simulation = self.problems.check(kind, raw, ("simulation",)) or kind()
         return sampling
 
     def _specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):
             return None
-        from counterspin.campaign.specification import resolve_specifications
-
-        return resolve_specifications(
+        resolve = load_name("counterspin.campaign.specification:resolve_specifications")
+        specifications: Specifications | None = resolve(
             self.raw["specification"],
             self.accelerometers.raw,
             problems=self.problems,
             gravity=self.gravity,
         )
+        return specifications

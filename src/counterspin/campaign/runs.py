@@ -96,10 +96,7 @@ class PosesSettings(SettingsSection):
     )
 
 
-def _true_of_run() -> Any:
-    from counterspin.campaign.truth import RunTruthSettings  # which a calibration does not need
-
-    return RunTruthSettings
+_TRUTH: Final = "counterspin.campaign.truth:RunTruthSettings"
 
 
 class Run(SettingsSection):
@@ -223,7 +220,7 @@ class Run(SettingsSection):
     stop: Annotated[float, read_exactly("s")] | None = described(
         "until when", "390 s", None, absent="its last row", of=RECORDS
     )
-    truth: Annotated[dict[str, Any] | None, Section(_true_of_run)] = described(
+    truth: Annotated[dict[str, Any] | None, Section(_TRUTH)] = described(
         "for `simulate`: [what differs in this run](campaign.md#truth)",
         {"drift": "2e-6 1/s"},
         None,

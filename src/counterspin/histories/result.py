@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from counterspin.results import ResultPart, ShownResult, draw_pictures, load_function
+from counterspin.loading import load_name
+from counterspin.results import ResultPart, ShownResult, draw_pictures
 
 #: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
@@ -176,4 +177,4 @@ class History(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""
-        return draw_pictures(load_function("counterspin.histories.page:history_plots")(self), axes)
+        return draw_pictures(load_name("counterspin.histories.page:history_plots")(self), axes)

@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
-from counterspin.calibration.diagnosis.reading_findings import pose_findings
+from counterspin.calibration.checks.readings import pose_findings
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
 from counterspin.calibration.model import model_of

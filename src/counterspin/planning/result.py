@@ -23,12 +23,13 @@ from counterspin.campaign.readings import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.summary import BudgetLine, WhatIf
+from counterspin.loading import load_name
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Criterion
 from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
 from counterspin.planning.forecast import Forecast
-from counterspin.results import ResultPart, ShownResult, draw_pictures, load_function
+from counterspin.results import ResultPart, ShownResult, draw_pictures
 
 
 class PlannedRun(ResultPart):
@@ -186,7 +187,7 @@ class PlanResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
-        return draw_pictures(load_function("counterspin.planning.limits:plan_plots")(self), axes)
+        return draw_pictures(load_name("counterspin.planning.limits:plan_plots")(self), axes)
 
 
 def result_of(

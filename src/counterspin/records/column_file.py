@@ -157,6 +157,10 @@ def _damage_words(path: Path, where: str, error: BaseException) -> str:
     return f"{path}: the file is damaged{where}: {text}."
 
 
+class NoRowsError(RecordError):
+    """No rows of numbers stand below names in a sheet."""
+
+
 class ColumnFile(ABC):
     """The named columns of one record file, opened.
 

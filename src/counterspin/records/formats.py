@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final, cast
 
 import numpy as np
 
@@ -20,14 +20,19 @@ from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity, open_file, read_file
-from counterspin.records.array_files import Hdf5File, MatlabFile, TdmsFile
-from counterspin.records.column_file import ColumnFile, Columns, column_rows, record_errors
+from counterspin.loading import load_name
+from counterspin.records.column_file import (
+    ColumnFile,
+    Columns,
+    NoRowsError,
+    column_rows,
+    record_errors,
+)
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.isolation import in_reader_process
 from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.record import ColumnSpec
-from counterspin.records.table_files import ExcelFile, NoRowsError, ParquetFile, excel_table
 
 if TYPE_CHECKING:
     import polars as pl
@@ -42,12 +47,12 @@ def _matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
     import h5py
 
     if h5py.is_hdf5(path):
-        return Hdf5File(path, stream, dialect)
+        return _loaded(_HDF5)(path, stream, dialect)
     head = stream.read(_SHOWN_BYTES)
     stream.seek(0)
     # MATLAB's own begins with words too; numbers follow in bytes that no text has.
     is_text = not head.startswith(b"MATLAB") and b"\0" not in head
-    return (CsvFile if is_text else MatlabFile)(path, stream, dialect)
+    return (CsvFile if is_text else _loaded(_MATLAB))(path, stream, dialect)
 
 
 def _named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
@@ -63,8 +68,15 @@ def _named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
     return CsvFile(path, stream, dialect)
 
 
-#: Ending of a record file, in lower case -> what opens it.
-RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFile]]] = {
+#: Opens a record file.
+Opener = Callable[[Path, BinaryIO, Dialect], ColumnFile]
+
+_HDF5: Final = "counterspin.records.array_files:Hdf5File"
+_MATLAB: Final = "counterspin.records.array_files:MatlabFile"
+_TABLES: Final = "counterspin.records.table_files"
+
+#: Ending of a record file, in lower case -> its opener, or the name by which that is loaded.
+RECORD_FORMATS: Final[Mapping[str, Opener | str]] = {
     ".csv": CsvFile,
     ".txt": CsvFile,
     ".tsv": CsvFile,
@@ -73,12 +85,12 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
     ".dat": CsvFile,
     ".asc": CsvFile,
     ".xls": _named_excel,
-    ".parquet": ParquetFile,
-    ".h5": Hdf5File,
-    ".hdf5": Hdf5File,
+    ".parquet": f"{_TABLES}:ParquetFile",
+    ".h5": _HDF5,
+    ".hdf5": _HDF5,
     ".mat": _matlab,
-    ".xlsx": ExcelFile,
-    ".tdms": TdmsFile,
+    ".xlsx": f"{_TABLES}:ExcelFile",
+    ".tdms": "counterspin.records.array_files:TdmsFile",
 }
 
 
@@ -121,11 +133,15 @@ def wrong_ending(path: Path) -> str:
     return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
 
 
-def opener_of(path: Path) -> Callable[[Path, BinaryIO, Dialect], ColumnFile]:
+def _loaded(opener: Opener | str) -> Opener:
+    return cast("Opener", load_name(opener)) if isinstance(opener, str) else opener
+
+
+def opener_of(path: Path) -> Opener:
     """Return what opens a file; RecordError if no record has its ending, or if it is a folder."""
     if wrong := wrong_ending(path):
         raise RecordError(f"{path}: {wrong}")
-    return RECORD_FORMATS[path.suffix.lower()]
+    return _loaded(RECORD_FORMATS[path.suffix.lower()])
 
 
 def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
@@ -222,7 +238,7 @@ def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], s
     except NoRowsError:  # of words, such as attitudes: names stand in the first row then
         with record_errors(path):
             content = read_file(path)
-        frame = excel_table(path, dialect, content)
+        frame = load_name(f"{_TABLES}:excel_table")(path, dialect, content)
         plain = FiledTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
         return plain, _sheet_places(frame.height), _checksum(content)
 

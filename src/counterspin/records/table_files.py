@@ -13,6 +13,7 @@ from counterspin.input import read_file
 from counterspin.records.column_file import (
     ColumnFile,
     Columns,
+    NoRowsError,
     frame_columns,
     nanoseconds,
     plain_path,
@@ -92,10 +93,6 @@ class ParquetFile(ColumnFile):
 #: What a workbook may unpack to: bytes for any, and bytes for each of its own (ten are usual).
 _UNPACKED_BYTES: Final = 100_000_000
 _UNPACKED_PER_BYTE: Final = 50
-
-
-class NoRowsError(RecordError):
-    """No rows of numbers stand below names in a sheet."""
 
 
 def excel_table(

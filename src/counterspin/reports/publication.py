@@ -13,10 +13,11 @@ from typing import Any, Final, Literal, cast, overload
 from counterspin._version import __version__
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.loading import load_name
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
-from counterspin.results import ShownResult, load_function
+from counterspin.results import ShownResult
 
 #: Endings of the files that are written.
 FORMATS: Final = (".html", ".pdf", ".md")
@@ -88,7 +89,7 @@ def publish(result: ShownResult, identifier: str | None = None) -> Publication:
 
     identifier: Of the report; None: that of the result.
     """
-    blocks = list(load_function(result.REPORT_BLOCKS or result.BLOCKS)(result))
+    blocks = list(load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
     title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
     return Publication(result.report_kind(), title, identifier or result.identifier, blocks)
 

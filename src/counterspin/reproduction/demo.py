@@ -12,7 +12,7 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.calibration.two_stage import TwoStageOutcome, two_stage
+from counterspin.calibration.two_stage.method import TwoStageOutcome, two_stage
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError

@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.two_stage import request_of
+from counterspin.calibration.two_stage.method import request_of
 from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen

@@ -16,7 +16,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.results import ResultPart, ShownResult, draw_pictures, load_function
+from counterspin.loading import load_name
+from counterspin.results import ResultPart, ShownResult, draw_pictures
 
 LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
 
@@ -191,7 +192,7 @@ class StudyResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw how each coefficient's error over its u is distributed."""
-        return draw_pictures(load_function("counterspin.studies.page:z_plots")(self), axes)
+        return draw_pictures(load_name("counterspin.studies.page:z_plots")(self), axes)
 
 
 def summarise(

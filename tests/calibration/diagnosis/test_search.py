@@ -10,8 +10,8 @@ from campaigns import changed
 from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_records, mistaken
 from results import accelerometer
 
+from counterspin.calibration.checks.residuals import residual_findings
 from counterspin.calibration.diagnosis import search
-from counterspin.calibration.diagnosis.noise import residual_findings
 from counterspin.calibration.joint_problem import (
     AccelerometerView,
     JointProblem,

@@ -1,9 +1,6 @@
-"""What is wrong, if something is.
+"""The causes of a misfit. A calibration calls it by name, through `extensions`.
 
-- `search`: the likely causes of a misfit, each tried on the records; `words`: what is said of them
-- `noise`: whether residuals are the noise, as stated or as found
-- `reading_findings`: what speaks against readings and poses
-- `agreement`: each test method (at rest, poses, arm, double turntable) beside the others
+- `search`: the likely causes, each tried on the records; `words`: their explanations
+- `noise`: noise that is stated wrongly, or differs between runs
 - `statements`: mountings and values that the data contradict, or cannot check
-- `unseen_faults`: single faults that the residuals of readings would not show
 """

@@ -16,16 +16,22 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.calibration.diagnosis.noise import (
-    residual_findings,
-    with_noise_by_run,
-    wrong_noise,
+from counterspin.calibration.checks.limits import beyond_typical, incredible
+from counterspin.calibration.checks.priors import Wording
+from counterspin.calibration.checks.residuals import residual_findings
+from counterspin.calibration.diagnosis.noise import with_noise_by_run, wrong_noise
+from counterspin.calibration.diagnosis.statements import (
+    OtherMounting,
+    better,
+    other_mountings,
+    unseen_axes,
+    untested_statements,
+    wrong_mounting,
 )
-from counterspin.calibration.diagnosis.statements import OtherMounting, better, wrong_mounting
-from counterspin.calibration.diagnosis.words import Explanation, Wording
+from counterspin.calibration.diagnosis.words import Explanation
+from counterspin.calibration.extensions import Diagnosis
 from counterspin.calibration.findings import ACCOUNTABLE, CONTRADICTION_SIGMAS, Cause, from_numbers
 from counterspin.calibration.joint_problem import AccelerometerView
-from counterspin.calibration.limits import beyond_typical, incredible
 from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
 from counterspin.calibration.outcome import coefficient, knowledge, noise_lines, residual
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
@@ -96,6 +102,17 @@ _KINDS_OF_PRIORS: Final = ("prior", "priors")
 #: velocity of the Coriolis acceleration, all or nothing, is seldom as large by chance.
 _FIRST_KINDS: Final = (mistakes.CORIOLIS, *_KINDS_OF_PRIORS)
 _KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE, mistakes.BIAS_STEP)  # in a record
+
+
+def diagnose(
+    views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
+) -> Diagnosis:
+    """Return the causes of the findings on a joint fit, and remarks on claims it cannot check."""
+    mountings = other_mountings(views)
+    return Diagnosis(
+        causes_of(views, results, mountings),
+        (*unseen_axes(mountings), *untested_statements(views)),
+    )
 
 
 def causes_of(

@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.checks.unseen_faults import most_moved, shown_size
 from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.readings import with_groups
 from counterspin.calibration.result_parts import Finding
@@ -34,11 +35,10 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.inference.joint.mistakes import ACROSS, turned, with_turned
 from counterspin.inference.joint.series import CLOCK
-from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.poses import TriadPoses
 from counterspin.physics.accelerometer import Mounting
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import format_number
 
 #: Standard deviations by which a mounting may fit worse and still not be excluded.
 _NOT_EXCLUDED: Final = 3.0
@@ -317,29 +317,3 @@ def _clocks(fit: JointFit) -> Iterator[_Thing]:
             )
             words, none = f"the clock in {run} alone", np.zeros(len(fit.model.unknowns))
             yield _Thing(words, CLOCK, unknown.prior[1], (place,), data, none)
-
-
-def most_moved(
-    view: AccelerometerView, places: Sequence[int], moved: Array
-) -> tuple[str, float, float]:
-    """Return which coefficient moves most over its u, by how much, and by how many of its u.
-
-    places: Of unknowns that do not count.
-    moved: By how much each unknown moves, shape (p,).
-    """
-    found = [
-        (symbol, float(moved[place]), abs(float(moved[place])) / u)
-        for symbol, place in view.places.items()
-        if view.assessment.determined[f"{view.name}.{symbol}"]
-        and place not in places
-        and (u := float(view.fit.solution.u[place])) > 0.0
-    ]
-    return max(found, key=lambda one: one[2], default=("", 0.0, 0.0))
-
-
-def shown_size(symbol: str, size: float, digits: int = 2) -> str:
-    """Return a size of a term in the unit in which it is shown."""
-    unit, factor = field_unit(unit_of(symbol))
-    if unit == "1":
-        unit, factor = "ppm", 1e6
-    return f"{format_number(size * factor, digits)} {unit}"

@@ -17,7 +17,7 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import TwoStageOptions, command_words
 from counterspin.calibration.result import Result
-from counterspin.calibration.two_stage import two_stage, two_stage_view
+from counterspin.calibration.two_stage.method import two_stage, two_stage_view
 from counterspin.campaign.description import read_campaign
 from counterspin.cli import main
 from counterspin.errors import NotIdentifiableError

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.diagnosis.reading_findings import columns_beside, group_of
-from counterspin.calibration.diagnosis.statements import most_moved, shown_size
+from counterspin.arrays import Array
+from counterspin.calibration.checks.readings import columns_beside, group_of
 from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
@@ -22,8 +22,10 @@ from counterspin.inference.distributions import student_quantile
 from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.alternatives import Alternative, effects_of
 from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.reading_tests import DRIFT, RANGE, REVERSED, STEP, TURN
 from counterspin.physics.terms import ARCSEC
+from counterspin.reports.numbers import field_unit, format_number
 
 #: A fault that moves a coefficient by so many of its u is stated.
 _WORTH_STATING: Final = 2.0
@@ -146,3 +148,29 @@ def _words(fault: Alternative, size: float) -> str:
     if fault.kind == TURN:
         return f"a head that gains {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
     return f"a drift of the bias by {shown_size('K_F', size, 3)} during the series"
+
+
+def most_moved(
+    view: AccelerometerView, places: Sequence[int], moved: Array
+) -> tuple[str, float, float]:
+    """Return which coefficient moves most over its u, by how much, and by how many of its u.
+
+    places: Of unknowns that do not count.
+    moved: By how much each unknown moves, shape (p,).
+    """
+    found = [
+        (symbol, float(moved[place]), abs(float(moved[place])) / u)
+        for symbol, place in view.places.items()
+        if view.assessment.determined[f"{view.name}.{symbol}"]
+        and place not in places
+        and (u := float(view.fit.solution.u[place])) > 0.0
+    ]
+    return max(found, key=lambda one: one[2], default=("", 0.0, 0.0))
+
+
+def shown_size(symbol: str, size: float, digits: int = 2) -> str:
+    """Return a size of a term in the unit in which it is shown."""
+    unit, factor = field_unit(unit_of(symbol))
+    if unit == "1":
+        unit, factor = "ppm", 1e6
+    return f"{format_number(size * factor, digits)} {unit}"

@@ -7,8 +7,8 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.checks.small_angles import large_drifts
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.calibration.small_angles import large_drifts
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import DEGREE_PER_HOUR
 from counterspin.simulation.simulate import simulate

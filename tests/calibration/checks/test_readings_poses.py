@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import triads
 
-from counterspin.calibration.diagnosis.reading_findings import pose_findings
+from counterspin.calibration.checks.readings import pose_findings
 from counterspin.calibration.readings import with_groups
 
 NOISE = 1e-4  # g

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.diagnosis.noise import hidden_walk
+from counterspin.calibration.checks.limits import incredible
+from counterspin.calibration.checks.residuals import hidden_walk
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
-from counterspin.calibration.limits import incredible
 from counterspin.calibration.model import assumed_of, prior_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
@@ -31,7 +31,7 @@ from counterspin.calibration.result_parts import (
     ParabolaResult,
     Residual,
 )
-from counterspin.calibration.two_stage_findings import (
+from counterspin.calibration.two_stage.findings import (
     findings,
     nothing_known,
     overstated_noise,

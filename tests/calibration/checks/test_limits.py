@@ -10,7 +10,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, place
 
 from counterspin import validation
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.limits import incredible
+from counterspin.calibration.checks.limits import incredible
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.description import read_campaign
 from counterspin.histories.history import history

@@ -13,7 +13,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, place
 from scipy import stats
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.diagnosis.noise import hidden_walk
+from counterspin.calibration.checks.residuals import hidden_walk
 from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.simulation.simulate import simulate

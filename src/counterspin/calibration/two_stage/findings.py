@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.diagnosis.words import Explanation
+from counterspin.calibration.checks.priors import contradicted_prior
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
@@ -19,13 +19,9 @@ from counterspin.calibration.result_parts import Coefficient, Finding, Residual
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import (
     CHI_SQUARE_SIGNIFICANCE,
-    agreement_of,
-    normal_equivalent,
 )
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import ConfoundedTerms, write_combination
-from counterspin.inference.joint.alternatives import of_priors, scores
-from counterspin.inference.joint.fit import relax
 from counterspin.inference.two_stage.second_stage import SecondStage
 from counterspin.physics.terms import INPUTS, term
 from counterspin.reports.numbers import field_unit, format_number
@@ -35,9 +31,6 @@ _SMALLEST_P: Final = 0.001
 
 #: Chi-square of strobes without any noise.
 _LEAST_SQUARES: Final = 1e-12
-
-#: Sizes of tests that differ by less are one: the first of them is named.
-_SAME_SIZE: Final = 1e-6
 
 
 def nothing_known(campaign: Campaign, name: str, second: SecondStage) -> tuple[str, ...]:
@@ -113,7 +106,7 @@ def findings(
         gathered.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
     misfit = _misfit(name, second)
     if model == "exact":
-        wrong = list(_wrong_priors(view))
+        wrong = list(contradicted_prior(view))
         # The misfit is what a wrong prior makes, unless there is more than one mistake.
         gathered += [finding.model_copy(update={"explains": misfit}) for finding in wrong]
         misfit = [] if wrong else misfit
@@ -148,36 +141,6 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
             subject = f"{name}.{symbol}"
             unknown.append(Finding(code="term-unknown", subject=subject, text=text, size=shift / u))
     return unknown
-
-
-def _wrong_priors(view: AccelerometerView) -> Iterator[Finding]:
-    """Yield the prior that the runs contradict most, if one is further off than chance allows."""
-    relaxed = relax(view.fit)
-    unknowns = relaxed.model.unknowns
-    priors = [
-        other
-        for other in of_priors(relaxed)
-        # What is stated as exact is no prior that could give way.
-        if all(unknowns[place].prior[1] > 0.0 for place in other.priors)
-    ]
-    if not priors:
-        return
-    given = not view.estimate.components and bool(np.isinf(view.estimate.dof).all())
-    held = scores(relaxed, priors, noise_given=given)
-    sizes = held.size
-    place = int(np.flatnonzero(sizes >= (1.0 - _SAME_SIZE) * sizes.max())[0])
-    size = normal_equivalent(float(sizes[place]), None if given else held.dof)
-    if size <= agreement_of(held.tested):
-        return
-    value, u = float(held.value[place]), float(held.u[place])
-    wording = Explanation(view.campaign, relaxed, priors[place], value, u).wording()
-    yield Finding(
-        code=wording.code,
-        subject=wording.subject,
-        text=wording.text,
-        size=size,
-        contradicts=size > CONTRADICTION_SIGMAS,
-    )
 
 
 def overstated_noise(

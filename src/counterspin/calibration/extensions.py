@@ -1,0 +1,71 @@
+"""Extensions of a calibration: functions that it calls by name and does not import.
+
+Without them a calibration has its coefficients, uncertainties, tests and states. The diagnosis
+adds the causes of a misfit. The two-stage method is the paper's, and a check of the joint K_II.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from counterspin.calibration.findings import Cause
+from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.outcome import Outcome
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, Comparison
+from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
+from counterspin.loading import is_installed, load_name
+
+if TYPE_CHECKING:
+    from counterspin.campaign.specification import Specifications
+
+DIAGNOSIS: Final = "counterspin.calibration.diagnosis.search:diagnose"
+TWO_STAGE: Final = "counterspin.calibration.two_stage.method:in_two_stages"
+CONFORMITY: Final = "counterspin.calibration.conformity:with_conformity"
+TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare"
+
+
+@frozen
+class Diagnosis:
+    """The causes of the findings on a campaign, and remarks on claims that it cannot check."""
+
+    causes: tuple[Cause, ...] = ()  #: The main cause first.
+    remarks: tuple[str, ...] = ()
+
+
+#: Its signature: the accelerometers as the joint fit sees them, and their results by name.
+Diagnose = Callable[
+    [Sequence[AccelerometerView], Mapping[str, AccelerometerResult]],
+    Diagnosis,
+]
+
+
+def find_diagnosis() -> Diagnose | None:
+    """Return the function that searches for causes; None where it is not installed."""
+    return cast("Diagnose | None", _find(DIAGNOSIS))
+
+
+def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
+    """Return the outcome of the two-stage method; CampaignError where it is not installed."""
+    method = _find(TWO_STAGE)
+    if method is None:
+        raise CampaignError("calibrate", ["method: this installation has no two-stage method"])
+    return cast(Outcome, method(problem, options))
+
+
+def compare_two_stage(view: AccelerometerView) -> Comparison | None:
+    """Return the two-stage K_II beside the joint one; None where the method does not apply."""
+    compare = _find(TWO_STAGE_COMPARISON)
+    return None if compare is None else cast("Comparison | None", compare(view))
+
+
+def apply_specifications(result: Result, specifications: Specifications) -> Result:
+    """Return the result with the conformity of its coefficients."""
+    return cast(Result, load_name(CONFORMITY)(result, specifications))
+
+
+def _find(name: str) -> Callable[..., Any] | None:
+    return load_name(name) if is_installed(name) else None
