@@ -16,8 +16,9 @@ from counterspin.inference.distributions import tail_beside
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.linear_readings import WORDS, LinearReadings, Readings
+from counterspin.inference.linear_readings import LinearReadings, Readings
 from counterspin.inference.poses import TriadPoses
+from counterspin.physics.station import READINGS
 
 #: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone: five,
 #: effective ones rounded, for twelve positions of which nothing is stated have just these. Of
@@ -127,7 +128,7 @@ class FittedReadings:
     @property
     def words(self) -> str:
         """What these readings are called."""
-        return WORDS[self.readings.motion]
+        return READINGS[self.readings.motion]
 
     def outlying(self) -> list[Outlying]:
         """Return what noise leaves open.

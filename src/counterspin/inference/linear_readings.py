@@ -20,7 +20,7 @@ from counterspin.inference.joint.unknowns import Observation, Unknowns
 from counterspin.inference.least_squares import Block, Solution, reduce_block
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Site
-from counterspin.physics.station import Station, mean_products, moved
+from counterspin.physics.station import READINGS, Station, mean_products, moved
 from counterspin.physics.terms import (
     CONDITION_TERMS,
     TABLE,
@@ -51,15 +51,6 @@ _SYMBOLS: Final = tuple(TERMS)
 
 #: No readout resolves more of its range: one of 8.5 digits has ten times as much.
 FINEST: Final = 1e-9 / math.sqrt(12.0)
-
-
-#: Words for the motions.
-WORDS: Final = {
-    "static": "readings at rest",
-    "arm": "readings on the arm",
-    "counter-rotating": "readings on the double turntable",
-    "poses": "poses at unknown attitudes",
-}
 
 
 @frozen
@@ -256,7 +247,7 @@ class Measured(Protocol):
 def source_of(group: Measured) -> str:
     """Return what a group is called in a budget: whose, of which motion, with which noise."""
     estimated = "" if group.u is not None else " (noise estimated)"
-    return f"{group.accelerometer}: {WORDS[group.motion]}{estimated}"
+    return f"{group.accelerometer}: {READINGS[group.motion]}{estimated}"
 
 
 @frozen

@@ -44,6 +44,14 @@ FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
     "static": {**DIRECTIONS, **_ON_THE_ARM},
 }
 
+#: Motion, or ``poses`` -> the name of its readings.
+READINGS: Final = {
+    "static": "readings at rest",
+    "arm": "readings on the arm",
+    "counter-rotating": "readings on the double turntable",
+    "poses": "poses at unknown attitudes",
+}
+
 #: Angles of a revolution at which the mean is taken: exact for products of degree below this.
 _ANGLES: Final = 16
 
