@@ -44,7 +44,7 @@ def test_accelerometer_table_lists_exactly_the_terms():
         [
             row.symbol,
             # a bare bar would end the cell
-            f"`{'-' if row.effect.sign < 0 else ''}{row.effect.text}`".replace("|", r"\|"),
+            f"`{'-' if row.effect.weight < 0 else ''}{row.effect.text}`".replace("|", r"\|"),
             row.unit,
             row.effect.ieee,
             row.words,

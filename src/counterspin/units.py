@@ -103,6 +103,9 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "g/g^2": ("a second-order coefficient", "g/g^2, mg/g^2, ug/g^2"),
     "g/g^3": ("a third-order coefficient", "g/g^3, mg/g^3, ug/g^3"),
     "g/g^4": ("a fourth-order coefficient", "g/g^4, ug/g^4, ng/g^4"),
+    "g/g^5": ("a fifth-order coefficient", "g/g^5, ug/g^5, ng/g^5"),
+    "g s^2/rad^2": ("a spin coefficient", "g s^2/rad^2, mg s^2/rad^2"),
+    "g s^2/rad": ("a coefficient of angular acceleration", "g s^2/rad, mg s^2/rad"),
     "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
     "rad/s/g^2": ("a gyro g^2-sensitivity", "deg/h/g^2, rad/s/g^2"),
     "rad/g": ("a compliance", "arcsec/g, rad/g"),
@@ -315,14 +318,15 @@ class SiUnit:
 def si_unit(unit: str) -> tuple[SiUnit, int]:
     """Return a unit in SI and the power of g (m/s^2) of the conversion.
 
-    unit: As it stands in a result: ``g/g^2``, ``rad/s/g``, ``m``.
+    unit: As it stands in a result: ``g/g^2``, ``rad/s/g``, ``m``, ``g s^2/rad``.
     """
     powers = [0, 0, 0, 0]
-    for place, factor in enumerate(unit.split("/")):
+    above, *below = unit.split("/")
+    for factor, sign in [*((f, 1) for f in above.split(" ")), *((f, -1) for f in below)]:
         match = _SI_FACTOR.fullmatch(factor)
         if match is None:
             raise ValueError(f"{unit!r} is not a unit supported in certificates")
-        exponent = int(match[2] or 1) * (1 if place == 0 else -1)
+        exponent = int(match[2] or 1) * sign
         powers = [
             total + exponent * one for total, one in zip(powers, _SI_POWERS[match[1]], strict=True)
         ]

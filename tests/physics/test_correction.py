@@ -17,6 +17,7 @@ from counterspin.physics.correction import (
     invert,
     missing_axes,
 )
+from counterspin.physics.effects import ROTATIONS
 from counterspin.physics.terms import TERMS
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=80)
@@ -26,19 +27,20 @@ PLAIN = Mounting(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
 #: Sizes up to which every term together still rises over +-100 g: the slope is at least
 #: 0.9 - 600 x 3e-4 (all second-order terms at 100 g) - 3e4 x 1e-5 (third order) - 4e6 x 5e-8
-#: (fourth order) = 0.22.
-SIZES = {"": 0.1, "I": 0.1, "II": 3e-4, "III": 1e-5, "IIII": 5e-8}
+#: (fourth order) - 5e8 x 1e-10 (fifth order) = 0.17. At the jump of K_0_asym it rises too.
+SIZES = [0.1, 0.1, 3e-4, 1e-5, 5e-8, 1e-10]
 
 
 def size(symbol):
-    row = TERMS[symbol]
-    return SIZES["I" * len(row.effect.factors)] if len(row.effect.factors) != 1 else 0.1
+    return SIZES[TERMS[symbol].effect.degree]
 
 
 def coefficients():
     return st.fixed_dictionaries(
         {
-            s: st.floats(-size(s), size(s)).map(lambda v, n=row.nominal: n + v)
+            s: st.floats(0.0 if s == "K_0_asym" else -size(s), size(s)).map(
+                lambda v, n=row.nominal: n + v
+            )
             for s, row in TERMS.items()
         }
     )
@@ -54,9 +56,10 @@ levels = st.floats(-100.0, 100.0)
 def test_slopes_are_the_derivatives_of_the_products(symbol):
     sympy = pytest.importorskip("sympy")
     i, p, o = axes = sympy.symbols("I P O", real=True)
-    names = {"I": i, "P": p, "O": o, "|I|": sympy.Abs(i)}
+    names = {"I": i, "P": p, "O": o, "|I|": sympy.Abs(i), "sign_I": sympy.sign(i)}
+    names |= dict.fromkeys(ROTATIONS, sympy.Integer(0))
     row = TERMS[symbol]
-    product = row.effect.sign * math.prod(
+    product = row.effect.weight * math.prod(
         (names[f] for f in row.effect.factors), start=sympy.Integer(1)
     )
     for at in ((1.3, -0.7, 2.1), (-1.9, 0.4, -0.6)):
@@ -65,12 +68,9 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
             assert row.effect.slope(np.array(at)[:, None], axis)[0] == pytest.approx(
                 exact, rel=1e-14
             )
-    assert row.effect.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
-
-
-def test_no_product_is_of_higher_than_fourth_power_in_the_input_axis():
-    """The turning point is found as the root of a quadratic or a cubic."""
-    assert max(row.effect.power for row in TERMS.values()) == 4
+    if not row.effect.of_rotation:
+        positive = product.subs({sympy.Abs(i): i, sympy.sign(i): 1})
+        assert row.effect.power == sympy.Poly(positive, i).degree()
 
 
 # --- one accelerometer ----------------------------------------------------------------------
@@ -139,12 +139,15 @@ def test_up_to_the_turning_point_and_not_beyond():
         {"K_4": 2e-6, "K_III": -1e-4, "K_II": 1e-3},
         {"K_4": -1e-6, "K_III": 1e-4, "K_II": -4e-3},
         {"K_4": -1e-9, "K_II": 1e-5},
+        {"K_5": -1e-9},
+        {"K_5": 4e-9, "K_4": -9e-7, "K_III": 5e-5},
+        {"K_5": -1e-8, "K_III": 1e-4, "K_II": -5e-3},
     ],
     ids=str,
 )
-def test_the_turning_point_of_the_fourth_order(values):
+def test_the_turning_point_of_the_fourth_and_fifth_order(values):
     """The nearest turn by numpy's eigenvalues; to its very end the model is inverted."""
-    down, up = [values.get(s, 0.0) for s in ("K_4", "K_III", "K_II")], [1.0, 0.0]
+    down, up = [values.get(s, 0.0) for s in ("K_5", "K_4", "K_III", "K_II")], [1.0, 0.0]
     for sign in (1.0, -1.0):
         roots = np.roots(np.polyder(np.poly1d([*down, *up])))
         real = [abs(z.real) for z in roots if abs(z.imag) < 1e-9 and sign * z.real > 0.0]
@@ -159,6 +162,22 @@ def test_the_turning_point_of_the_fourth_order(values):
         assert 0.99 * turn < sign * inside[0] < turn
         with pytest.raises(NotInvertibleError, match="turning point"):
             invert(values, np.array([top * (1.0 + 1e-9)]))
+
+
+@pytest.mark.parametrize("asymmetry", [4e-3, -4e-3])
+def test_a_jump_of_the_bias_at_zero_is_inverted_on_both_sides(asymmetry):
+    values = {"K_F": 1e-3, "K_I": 1.001, "K_0_asym": asymmetry, "K_I_asym": 2e-4}
+    force = np.array([-7.0, -0.1, -0.003, 0.003, 0.1, 7.0])
+    y = indicated(PLAIN, values, np.column_stack([force, 0.0 * force, 0.0 * force]))
+    halves = np.sign(force) * 2e-3 * np.sign(asymmetry)
+    expected = 1e-3 + 1.001 * force + halves + 1e-4 * np.abs(force)
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(invert(values, y), force, rtol=0, atol=1e-14)
+
+
+def test_an_indication_inside_the_jump_stands_for_no_force():
+    got = invert({"K_F": 1e-3, "K_0_asym": 4e-3}, 1e-3 + np.array([-1.9e-3, 0.0, 1.9e-3]))
+    np.testing.assert_array_equal(got, 0.0)
 
 
 def test_the_branch_through_zero_is_taken_although_another_root_lies_nearer():

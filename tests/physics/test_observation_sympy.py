@@ -68,6 +68,7 @@ def product(symbol, axes):
             "K_II": i**2,
             "K_III": i**3,
             "K_4": i**4,
+            "K_5": i**5,
             "K_IP": i * p,
             "K_IO": i * o,
             "K_PO": p * o,
@@ -81,6 +82,9 @@ def product(symbol, axes):
 
 def attitude_error(symbol):
     """The small rotation psi of the platform per unit coefficient, from d(psi)/dt."""
+    if symbol.startswith("table."):
+        *_, n, wave = symbol.split(".")
+        return sp.Matrix([0, 0, {"cos": sp.cos, "sin": sp.sin}[wave](int(n) * tau)])
     kind, which = symbol.removeprefix("platform.").split(".")
     if kind == "g_sensitivity":
         gained = (VELOCITY - VELOCITY.subs(tau, 0)) / g + sp.Matrix([0, 0, tau / w])
@@ -103,7 +107,9 @@ def derived(symbol, accelerometer):
     return displacement(product(symbol, axes))
 
 
-SMOOTH = [symbol for symbol in [*TERMS, *PLATFORM_TERMS] if symbol != "K_OQ"]
+KINKED = [symbol for symbol, row in TERMS.items() if row.effect.has_kink]
+ROTATING = [symbol for symbol, row in TERMS.items() if row.effect.of_rotation]
+SMOOTH = [s for s in [*TERMS, *PLATFORM_TERMS] if s not in (*KINKED, *ROTATING)]
 
 # The formulas as they are published with the package; metres per unit coefficient.
 X, X2 = w * t, 2 * w * t
@@ -202,11 +208,26 @@ def test_the_odd_second_order_term_has_no_parabola():
     pieces = [(-sp.pi / 2, sp.pi / 2, 1), (sp.pi / 2, 3 * sp.pi / 2, -1)]
     assert sum(sp.integrate(sign * c(tau) ** 2, (tau, a, b)) for a, b, sign in pieces) == 0
     assert parabola("K_OQ", QX, 2.3, RADIUS, GRAVITY) == 0.0
+    assert parabola("K_0_asym", QX, 2.3, RADIUS, GRAVITY) == 0.0
     # One column's velocity over whole turns says the same.
     turns = 2 * np.pi / 2.3 * np.arange(1, 5)
     trajectory = Trajectory(Spindle(2.3), RADIUS, Site(GRAVITY, 0.8, earth_rate=0.0))
     velocity = columns(trajectory, QX, ["K_OQ"], turns, "velocity")
     np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
+
+
+def test_the_asymmetry_of_the_scale_factor_has_the_mean_of_a_rectified_cosine():
+    mean = sp.integrate(sp.Abs(c(tau)), (tau, 0, 2 * sp.pi)) / (2 * sp.pi)
+    assert mean == 2 / sp.pi
+    expected = float(mean) / 4.0 * RADIUS * 2.3**2  # half of K_I_asym |a_I|/2
+    assert parabola("K_I_asym", QX, 2.3, RADIUS, GRAVITY) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("symbol", ROTATING)
+def test_a_platform_that_keeps_its_attitude_shows_no_term_of_rotation(symbol):
+    trajectory = Trajectory(Spindle(2.3), RADIUS, Site(GRAVITY, 0.8))
+    assert not columns(trajectory, QX, [symbol], np.linspace(0.0, 9.0, 50)).any()
+    assert parabola(symbol, QX, 2.3, RADIUS, GRAVITY) == 0.0
 
 
 SKEW = [
@@ -217,7 +238,7 @@ SKEW = [
 
 @RATES
 @pytest.mark.parametrize("mounting", SKEW, ids=["pendulum down", "pendulum up"])
-@pytest.mark.parametrize("symbol", ["K_OQ", *SMOOTH])
+@pytest.mark.parametrize("symbol", [*KINKED, *SMOOTH])
 def test_parabola_of_any_horizontal_input_axis(symbol, mounting, rate):
     """Over whole turns the velocity grows by twice the t^2 coefficient a second."""
     trajectory = Trajectory(Spindle(rate), RADIUS, Site(GRAVITY, 0.8, earth_rate=0.0))

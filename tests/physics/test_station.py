@@ -9,6 +9,7 @@ import pytest
 
 from counterspin.physics.accelerometer import QX, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory, path_change
+from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, Station, mean_products
 from counterspin.physics.terms import TERMS
@@ -261,3 +262,65 @@ def test_the_cubic_of_an_arm_that_stretches(inputs, expected):
     for found, printed in zip(cubic(inputs, np.array(actual)), expected, strict=True):
         half_a_digit = 0.5 * float(Decimal((0, (1,), Decimal(printed).as_tuple().exponent)))
         assert abs(found - float(printed)) <= half_a_digit
+
+
+@pytest.mark.parametrize("start", [0.0, 0.3])
+def test_means_of_kinked_products_end_panels_at_the_sign_changes(start):
+    """A tilted axis adds gravity to the wave: |c + a cos x| has a closed mean."""
+    turned = Mounting.from_axes(
+        [math.cos(start), math.sin(start), 0.1], [math.sin(start), -math.cos(start), 0.0]
+    )
+    station = Station("counter-rotating", turned, rate=3.0, radius=2.5)
+    site = replace(SITE, earth_rate=0.0)
+    level = math.hypot(*turned.input_axis[:2])
+    wave, mean = level * 2.5 * 9.0 / site.gravity, float(turned.input_axis[2])
+    crossing = math.acos(-mean / wave)
+    size = 2.0 * (mean * (crossing - math.pi / 2.0) + wave * math.sin(crossing)) / math.pi
+    # The sign grows linearly over +-1 mg, and has the mean of a jump in the middle of it.
+    sign = 2.0 * crossing / math.pi - 1.0
+    found = means_at(station, site, ["K_I_asym", "K_0_asym"])
+    assert found[0] == pytest.approx(0.5 * size, rel=1e-12)
+    assert found[1] == pytest.approx(0.5 * sign, abs=1e-9)
+
+
+def test_an_arm_turns_the_instrument_about_its_axes():
+    halfway = Mounting.from_axes([1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
+    spun = means_at(Station("arm", halfway, rate=-4.0, radius=0.5), SITE, ["K_spin"])
+    assert spun[0] == pytest.approx(8.0, rel=1e-14)
+    drooped = arm("outward", "up", rate=4.0, radius=0.5, droop=1e-4)
+    turn = 1e-4 * 16.0  # about forward: the outer end goes down
+    expected = -math.sin(turn) * math.cos(turn) * 16.0
+    assert means_at(drooped, SITE, ["K_spin"])[0] == pytest.approx(expected, rel=1e-12)
+    at_rest = Station("static", Mounting.from_axes([1, 0, 1], [-1, 0, 1]))
+    turntable = Station("counter-rotating", at_rest.mounting, rate=4.0, radius=0.5)
+    for station in (at_rest, turntable):
+        assert not means_at(station, SITE, ["K_spin", "K_ang"]).any()
+
+
+def test_a_table_that_errs_once_a_turn_adds_a_mean_force():
+    """1 arcsec with a phase of 0.3 rad at 2.5 m and 1 rev/s: -2.33061e-5 g along the axis."""
+    eps, phase = math.pi / 648000.0, 0.3
+    site = Site(9.80665, 0.8, earth_rate=0.0)
+    wave = ((1, eps * math.sin(phase), eps * math.cos(phase)),)
+    station = Station("counter-rotating", QX, rate=2.0 * math.pi, radius=2.5)
+    moved = means_at(replace(station, table=wave), site, ["K_I"])
+    force = moved - means_at(station, site, ["K_I"])
+    expected = -eps * 2.5 * (2.0 * math.pi) ** 2 * math.cos(phase) / 2.0 / site.gravity
+    assert force[0] == pytest.approx(expected, rel=1e-5)
+    assert force[0] == pytest.approx(-2.33061e-5, rel=5e-5)
+    # Twice a turn leaves nothing in the mean, to first order.
+    twice = replace(station, table=((2, eps, eps),))
+    assert abs(means_at(twice, site, ["K_I"])[0]) < 10.0 * eps**2
+
+
+@pytest.mark.parametrize("observable", ["velocity", "specific_force"])
+def test_records_of_a_strapped_instrument_show_the_table_s_error(observable):
+    """The same force as that of readings, in the mean of whole revolutions."""
+    eps, phase, rate = math.pi / 648000.0, 0.3, 2.0 * math.pi
+    trajectory = Trajectory(Spindle(rate), 2.5, Site(9.80665, 0.8, earth_rate=0.0))
+    symbols = ["table.harmonic.1.cos", "table.harmonic.1.sin"]
+    times = np.linspace(0.0, 3.0, 3001)
+    shown = columns(trajectory, QX, symbols, times, observable)
+    shown = shown @ [eps * math.sin(phase), eps * math.cos(phase)]
+    mean = shown[-1] / 3.0 if observable == "velocity" else shown[:-1].mean()
+    assert mean / 9.80665 == pytest.approx(-2.33061e-5, rel=5e-5)

@@ -26,7 +26,7 @@ from counterspin.physics.terms import (
 
 def test_no_term_is_listed_twice():
     symbols = [*TERMS, *PLATFORM_TERMS]
-    assert len(symbols) == len(set(symbols)) == 13 + 27
+    assert len(symbols) == len(set(symbols)) == 18 + 31
     assert all(row.symbol == symbol for symbol, row in (TERMS | PLATFORM_TERMS).items())
     # No product under two names, in whatever order its factors are written.
     products = [tuple(sorted(row.effect.factors)) for row in TERMS.values()]
@@ -46,12 +46,17 @@ IEEE = dict(
             "K2",
             "K3",
             "K4",
+            "K5",
             "Kip",
             "Kio",
             "Kpo",
             "Kpp",
             "Koo",
             "Koq",
+            "K0'",
+            "K1'",
+            "Kspin",
+            "Kang",
             "delta_o",
             "delta_p",
         ],
@@ -79,13 +84,18 @@ def test_products_keep_the_shape_of_their_times():
 def test_units_follow_the_degree_of_the_product(symbol):
     """In g-units a coefficient of degree n has the unit g/g^n: doubling the force shows n."""
     row = TERMS[symbol]
+    if row.effect.of_rotation:
+        assert row.unit == {"K_spin": "g s^2/rad^2", "K_ang": "g s^2/rad"}[symbol]
+        return
     force = np.array([1.3, -0.7, 0.4])
     degree = round(math.log2(row.effect.evaluate(2 * force) / row.effect.evaluate(force)))
     if symbol.startswith("delta"):
         assert degree == 1
         assert row.unit == "rad"
     else:
-        assert row.unit == {0: "g", 1: "g/g", 2: "g/g^2", 3: "g/g^3", 4: "g/g^4"}[degree]
+        assert (
+            row.unit == {0: "g", 1: "g/g", 2: "g/g^2", 3: "g/g^3", 4: "g/g^4", 5: "g/g^5"}[degree]
+        )
 
 
 def test_products_in_words_and_perfect_values():
@@ -94,6 +104,8 @@ def test_products_in_words_and_perfect_values():
         "K_III": "a_I^3",
         "K_OQ": "a_I*|a_I|",
     }
+    texts = {"K_0_asym": "sign(a_I)/2", "K_I_asym": "|a_I|/2", "K_spin": "w_I*w_P"}
+    assert {symbol: TERMS[symbol].effect.text for symbol in texts} == texts
     assert TERMS["K_IP"].effect.text == "a_I*a_P"
     nominal = {symbol: row.nominal for symbol, row in TERMS.items() if row.nominal}
     assert nominal == {"K_I": 1.0}
@@ -112,6 +124,8 @@ def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
         key = f"platform.g_sensitivity.{a}{b}"
         expected[key] = ("g_sensitivity", i, j, "rad/s/g", False)
         expected[f"platform.compliance.{a}{b}"] = ("compliance", i, j, "rad/g", False)
+    for n, wave in itertools.product((1, 2), ("cos", "sin")):
+        expected[f"table.harmonic.{n}.{wave}"] = ("table", 2, None, "rad", False)
     found = {
         s: (turn.kind, turn.axis, turn.force_axis, row.unit, row.per_run)
         for s, row in PLATFORM_TERMS.items()
@@ -129,7 +143,7 @@ def test_term_finds_rows_of_both_tables():
 
 @pytest.mark.parametrize("symbol", ["K2", "k_ii", "", "platform.tilt.west"])
 def test_term_lists_the_known_ones(symbol):
-    with pytest.raises(ValueError, match=r"known: K_F, .*, platform\.compliance\.zz") as error:
+    with pytest.raises(ValueError, match=r"known: K_F, .*, table\.harmonic\.2\.sin") as error:
         term(symbol)
     assert repr(symbol) in str(error.value)
 
@@ -178,7 +192,7 @@ def test_what_is_no_mounting_s_is_no_term(name):
 
 def test_readings_show_machine_and_conditions_and_no_platform():
     kinds = {type(row.effect).__name__ for row in READING_TERMS.values()}
-    assert kinds == {"Displacement", "PathError", "Slope"}
+    assert kinds == {"Displacement", "PathError", "Slope", "Turn"}
     assert not shown_by_readings("platform.tilt.east")
     assert not shown_by_readings("encoder.harmonic.1.cos")
 

@@ -6,8 +6,9 @@ errors are written out from their definitions in 40-digit arithmetic.
 
 The integral from 0 to T, once and twice, is that of f(t) and (T - t) f(t). It is summed by
 Gauss-Legendre with 24 nodes on panels of a quarter turn at most that end at every zero of every
-accelerometer's input-axis force, because a_I*|a_I| has a kink there. The zeros are roots found by
-mpmath. Everything is done again with 48 nodes a panel and must agree to 28 digits.
+accelerometer's input-axis force, because a_I*|a_I| and |a_I| have a kink there and sign(a_I)
+jumps. The zeros are roots found by mpmath. Everything is done again with 48 nodes a panel and must
+agree to 28 digits.
 """
 
 import itertools
@@ -35,12 +36,15 @@ PRODUCTS = {
     "a_I^2": lambda i, p, o: i * i,
     "a_I^3": lambda i, p, o: i * i * i,
     "a_I^4": lambda i, p, o: i * i * i * i,
+    "a_I^5": lambda i, p, o: i * i * i * i * i,
     "a_I*a_P": lambda i, p, o: i * p,
     "a_I*a_O": lambda i, p, o: i * o,
     "a_P*a_O": lambda i, p, o: p * o,
     "a_P^2": lambda i, p, o: p * p,
     "a_O^2": lambda i, p, o: o * o,
     "a_I*|a_I|": lambda i, p, o: i * abs(i),
+    "sign(a_I)/2": lambda i, p, o: mp.sign(i) / 2,
+    "|a_I|/2": lambda i, p, o: abs(i) / 2,
     "a_P": lambda i, p, o: p,
     "a_O": lambda i, p, o: o,
 }

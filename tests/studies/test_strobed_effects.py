@@ -90,10 +90,14 @@ def test_box_is_cut_to_what_a_surrogate_may_hold():
     assert box.varies.tolist() == [0, 1]
 
 
-def test_kinks_are_those_of_the_odd_term_alone():
-    assert {symbol: why for symbol in TERMS if (why := obstacle(symbol))} == {
-        row.symbol: "has a kink" for row in TERMS.values() if "|I|" in row.effect.factors
-    }
+def test_terms_that_need_another_quadrature_are_named():
+    platform = "does not act on a platform that keeps its attitude"
+    kinked = dict.fromkeys(("K_OQ", "K_0_asym", "K_I_asym"), "has a kink")
+    fifth = {"K_5": "has harmonics above the fourth"}
+    rotating = dict.fromkeys(("K_spin", "K_ang"), platform)
+    found = {symbol: why for symbol in TERMS if (why := obstacle(symbol))}
+    assert found == kinked | fifth | rotating
     turning = {symbol for symbol in PLATFORM_TERMS if obstacle(symbol)}
-    assert turning == {s for s in PLATFORM_TERMS if s.startswith("platform.g2_sensitivity")}
+    others = ("platform.g2_sensitivity", "table.")
+    assert turning == {s for s in PLATFORM_TERMS if s.startswith(others)}
     assert term("K_II").effect.factors == ("I", "I")

@@ -30,7 +30,7 @@ from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import Product, Slope
+from counterspin.physics.effects import Product, Slope, Turn
 from counterspin.physics.terms import (
     OWN_TERMS,
     SHARED_TERMS,
@@ -171,22 +171,23 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
     """Return owner and symbol of all terms that act, of one accelerometer or of all of them."""
     names = [only] if only else list(campaign.accelerometers)
     of_frame = campaign.triad.of_frame if campaign.triad else ()
+    known = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
     own = [
         (name, symbol)
         for name in names
         for symbol, row in OWN_TERMS.items()
         if symbol in campaign.model.terms or _acts(campaign, row)
+        if row.by_default or symbol in known or _stated(campaign, name, symbol) is not None
         if (name, symbol) not in of_frame
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
     read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
-    known = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
     # A radius for all accelerometers of a mounting stands in place of theirs where it is named.
     read = [
         (o, s)
         for o, s in read
         if s in known
-        or not s.startswith("centrifuge.radius.")
+        or (term(s).by_default and not s.startswith("centrifuge.radius."))
         or (accelerometer_of(s) and same_for_all(s) not in known)
     ]
     return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))
@@ -195,7 +196,9 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
 def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     """Return whether what a coefficient changes with has changed."""
     if isinstance(row.effect, Product):
-        return True
+        # Everything but the arm keeps the instrument from rotating in space.
+        on_arm = any(reading.motion == "arm" for reading in campaign.readings)
+        return on_arm or not row.effect.of_rotation
     if row.effect.condition == "force":
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     origin = origin_of(campaign)
@@ -220,6 +223,10 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
     for symbol, row in SHARED_TERMS.items():
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
+        if isinstance(row.effect, Turn) and not _turns(campaign, row.effect):
+            continue
+        if not row.by_default and symbol not in {*wanted, *campaign.model.priors}:
+            continue
         acting = {
             key
             for key in attitudes
@@ -230,6 +237,13 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
         ]
         for run in reached if row.per_run else reached[:1]:
             yield (run.name if row.per_run else ""), symbol
+
+
+def _turns(campaign: Campaign, turn: Turn) -> bool:
+    """Return whether a turn acts on records; a strapped instrument has a table but no gyros."""
+    if turn.kind == "table":
+        return campaign.strapped
+    return not campaign.strapped or turn.kind in ("tilt", "compliance")
 
 
 @lru_cache(maxsize=1024)

@@ -48,6 +48,7 @@ TRUTH_TABLES: Final = (
     "platform",
     "centrifuge",
     "encoder",
+    "table",
     "noise",
     "machine",
     "site",

@@ -107,6 +107,8 @@ class Campaign:
         Column of the accelerometers' temperature in records; None without.
     dialect
         How record files are written, as far as that is said.
+    strapped
+        Whether the accelerometers of records are strapped to the counter-rotating table.
     skipped
         Names of the runs that are left out.
     triad
@@ -140,6 +142,7 @@ class Campaign:
     clock: Quantity | None = None
     rate_clock: Quantity | None = None
     own_velocity: bool = False
+    strapped: bool = False
     dialect: Dialect = TO_BE_FOUND
     temperature: ColumnSpec | None = None
     skipped: tuple[str, ...] = ()

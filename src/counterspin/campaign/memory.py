@@ -193,6 +193,7 @@ _COMMON: Final = {
     "gravity": "site.gravity",
     "latitude": "site.latitude",
     "radius": "centrifuge.radius",
+    "strapped": "centrifuge.strapped",
     "reference_temperature": "centrifuge.reference_temperature",
     "time": "records.time",
     "angle": "records.angle",

@@ -258,6 +258,7 @@ class DescriptionReader:
             gravity=site.gravity,
             latitude=site.latitude,
             radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
+            strapped=centrifuge is not None and centrifuge.strapped,
             time=common.time,
             angle=common.angle,
             dialect=common.dialect,

@@ -115,6 +115,12 @@ class CentrifugeSettings(SettingsSection):
         None,
         kind="part ±",
     )
+    strapped: bool = described(
+        "whether the accelerometers of records are strapped to the counter-rotating table, whose"
+        " errors then turn them; otherwise a platform keeps their attitude",
+        True,
+        False,
+    )
     reference_temperature: Temperature | None = described(
         "from which slopes with temperature count; by default the mean of all temperatures",
         "23 degC",

@@ -41,7 +41,7 @@ from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, SHARED_TERMS, term
 
 #: Tables of the errors that all accelerometers share.
-_SHARED: Final = ("platform", "centrifuge", "encoder")
+_SHARED: Final = ("platform", "centrifuge", "encoder", "table")
 
 #: The machine's table of [truth].
 _MACHINE: Final = "machine"
@@ -274,9 +274,11 @@ class TruthReader:
                 if value is not None:
                     given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
                     machine[symbol] = given.value
-        path_errors = self.tables["centrifuge"]
-        if _STRETCH in known and path_errors is not None and path_errors.stretch is not None:
-            machine[_STRETCH] = path_errors.stretch
+        for symbol in known:
+            family, *keys = symbol.split(".")
+            if symbol == _STRETCH or family == "table":
+                value = _stated(self.tables[family], keys)
+                machine |= {} if value is None else {symbol: value}
         return machine
 
     def _of_records(self, stated: StatedNoise | None) -> StatedNoise:

@@ -78,6 +78,8 @@ def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bo
         return float(np.linalg.norm(moved)) > _ROUNDING
     if effect.kind == "compliance":
         return float(np.linalg.norm(np.cross(attitude[effect.axis], input_axis))) > _ROUNDING
+    if effect.kind == "table":
+        return shows(row, mounting, attitude)
     along = effect.force_axis
     steady = along is not None and abs(float(attitude[along] @ _UP)) > _ROUNDING
     if steady and _leans(effect, input_axis, attitude):
@@ -93,15 +95,23 @@ def shows(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> b
     """
     if not isinstance(row.effect, Turn):
         return acts(row, mounting, attitude)
-    axis = np.eye(3)[row.effect.axis] if row.effect.kind == "tilt" else attitude[row.effect.axis]
-    turned = np.cross(axis, mounting.turned(attitude).input_axis)
+    turned = np.cross(_axis_of(row.effect, attitude), mounting.turned(attitude).input_axis)
     return float(np.linalg.norm(turned)) > _ROUNDING
+
+
+def _axis_of(turn: Turn, attitude: Array) -> Array:
+    """Return the axis about which a term turns, east-north-up, shape (3,).
+
+    Tilts are about geographic axes, the table about up, all others about the platform's own axes.
+    """
+    axes = np.eye(3) if turn.kind in ("tilt", "table") else attitude
+    axis: Array = axes[turn.axis]
+    return axis
 
 
 def _leans(turn: Turn, input_axis: Array, attitude: Array) -> bool:
     """Return whether gravity leaks into the input axis as the platform turns by a term."""
-    axis = np.eye(3)[turn.axis] if turn.kind == "tilt" else attitude[turn.axis]
-    return abs(float(np.cross(axis, input_axis) @ _UP)) > _ROUNDING
+    return abs(float(np.cross(_axis_of(turn, attitude), input_axis) @ _UP)) > _ROUNDING
 
 
 def rows_of(
@@ -130,9 +140,10 @@ def _leaves_a_mean(turn: Turn, input_axis: Array, attitude: Array, start: Array 
     input_axis: In the run's attitude, shape (3,).
     start: Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
     """
-    # Tilts are about geographic axes, the others about the platform's own.
-    axis = np.eye(3)[turn.axis] if turn.kind == "tilt" else attitude[turn.axis]
-    turned = np.cross(axis, input_axis)  # gravity leaks in by its vertical part
+    # Gravity leaks in by its vertical part.
+    turned = np.cross(_axis_of(turn, attitude), input_axis)
+    if turn.kind == "table":
+        return float(np.linalg.norm(turned)) > _ROUNDING
     leaning = abs(float(turned @ _UP))
     if turn.force_axis is None:
         return leaning > _ROUNDING

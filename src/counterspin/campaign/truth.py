@@ -140,6 +140,11 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         "tilt of the spindle's axis about `east` or `north`",
         {"east": "5 arcsec"},
     ),
+    "table.harmonic": (
+        "by which the counter-rotating table is turned about up, with the cosine or sine of 1 or 2"
+        " times the angle",
+        {"1": {"sin": "1 arcsec"}},
+    ),
     "encoder.harmonic": (
         "what the encoder records too much, with the cosine or sine of 1 to 4 times the angle",
         {"1": {"sin": "1 arcsec"}},
@@ -171,6 +176,8 @@ PlatformTruthSettings = _truth_table("PlatformTruthSettings", "platform")
 CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge", TrueRadius)
 #: [truth.encoder]: ``harmonic.1.cos`` and so on.
 EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
+#: [truth.table]: ``harmonic.1.cos`` and so on.
+TableTruthSettings = _truth_table("TableTruthSettings", "table")
 
 _TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
 
@@ -237,6 +244,11 @@ class TruthSettings(SettingsSection):
     )
     encoder: Annotated[dict[str, Any], Section(EncoderTruthSettings)] = described(
         "errors of the recorded angle", {"harmonic": {"1": {"sin": "1 arcsec"}}}, {}
+    )
+    table: Annotated[dict[str, Any], Section(TableTruthSettings)] = described(
+        "errors of the counter-rotating table to which instruments are strapped",
+        {"harmonic": {"1": {"sin": "1 arcsec"}}},
+        {},
     )
     noise: Annotated[dict[str, Any], Section(TrueNoise)] = described(
         "of records and of readings", {"displacement": "0.01 m"}, {}, absent="that of `[noise]`"

@@ -19,6 +19,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.linear_readings import FINEST, LinearReadings
+from counterspin.physics.effects import SIGN_WIDTH
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 _SYMBOLS: Final = tuple(TERMS)
@@ -26,9 +27,9 @@ _SYMBOLS: Final = tuple(TERMS)
 #: Terms that make the vector along which an accelerometer feels -> which of I, P, O each is along,
 #: and with which sign.
 LINEAR: Final = {
-    symbol: ("IPO".index(row.effect.factors[0]), row.effect.sign)
+    symbol: ("IPO".index(row.effect.factors[0]), row.effect.weight)
     for symbol, row in TERMS.items()
-    if len(row.effect.factors) == 1
+    if row.effect.is_linear
 }
 
 #: Rounds in which a pose's two angles settle; each leaves a residual's part of the last error.
@@ -284,7 +285,7 @@ def _products(axes: Array, direction: Array, effective: Array) -> tuple[Array, A
     """
     a_ipo = np.einsum("kij,nj->ink", axes, direction)
     rows = [row.effect for row in TERMS.values()]
-    products = np.stack([effect.evaluate(a_ipo) for effect in rows], axis=-1)
+    products = np.stack([effect.evaluate(a_ipo, sign_width=SIGN_WIDTH) for effect in rows], axis=-1)
     by_axis = np.zeros((*a_ipo.shape[1:], 3))
     for place, effect in enumerate(rows):
         if not effective[:, :, place].any():

@@ -74,13 +74,15 @@ def _rising(
     coefficients: Mapping[str, Array | float], y: Array, p: Array, o: Array, rows: np.ndarray
 ) -> Array:
     """Return the root of the indication less y on the branch that holds a_I = 0."""
-    at_zero = _polynomial(coefficients, np.ones_like(y), p, o)[0]
-    side = np.where(y >= at_zero, 1.0, -1.0)
+    # With K_0_asym the indication jumps at zero, and the middle of the jump divides the sides.
+    above, below = (_polynomial(coefficients, np.full_like(y, sign), p, o)[0] for sign in (1, -1))
+    side = np.where(y >= 0.5 * (above + below), 1.0, -1.0)
     # In x = |a_I|, and with this sign, what is sought is the root of a polynomial that begins
-    # below zero and rises.
+    # below zero and rises. An indication inside the jump stands for zero.
     poly = _polynomial(coefficients, side, p, o)
     poly[0] -= y
     poly *= side
+    poly[0] = np.minimum(poly[0], 0.0)
     flat = np.flatnonzero(~(poly[1] > 0.0))
     if flat.size:
         worst = int(flat[0])
@@ -126,28 +128,43 @@ def _polynomial(
 
 def _turning_point(poly: Array) -> Array:
     """Return where the slope, positive at zero, first vanishes beyond; infinite if never."""
-    slope = poly[1:] * np.arange(1.0, poly.shape[0])[:, None]
+    slope = _derivative(poly)
     if poly.shape[0] == 4:
         return _first_zero_of_parabola(slope)
-    # Between the zeros of its own slope the slope is monotone: the first of these stretches at
-    # whose end it is not positive holds the zero.
-    low, high = np.zeros_like(slope[0]), np.full_like(slope[0], np.inf)
-    for end in (*_turns_of_cubic(slope), np.full_like(slope[0], _MAX_FORCE)):
-        reached = np.isinf(high) & (end <= _MAX_FORCE)
-        below = reached & (_value(slope, np.where(reached, end, 0.0)) <= 0.0)
-        high = np.where(below, end, high)
-        low = np.where(reached & ~below, end, low)
-    inside = np.isfinite(high)
-    turn = np.where(inside, 0.5 * (low + np.where(inside, high, 0.0)), np.inf)
-    for _ in range(_MAX_STEPS if inside.any() else 0):
-        at = np.where(inside, turn, 0.0)
-        positive = _value(slope, at) > 0.0
-        low, high = np.where(positive, at, low), np.where(positive, high, at)
-        new = np.where(inside, 0.5 * (low + high), np.inf)
-        if np.all((new == turn) | ~inside):
+    first: Array = _positive_zeros(slope)[0]
+    return first
+
+
+def _derivative(poly: Array) -> Array:
+    slope: Array = poly[1:] * np.arange(1.0, poly.shape[0])[:, None]
+    return slope
+
+
+def _positive_zeros(poly: Array) -> Array:
+    """Return the zeros of a polynomial between 0 and `_MAX_FORCE`, ascending, shape (degree, n).
+
+    Infinite where a sample has fewer. Between the zeros of its derivative a polynomial is monotone,
+    so that a bisection finds the one zero of each stretch at whose ends the signs differ.
+    """
+    if poly.shape[0] == 2:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            zero = -poly[:1] / poly[1:]
+        return np.where((zero > 0.0) & (zero <= _MAX_FORCE), zero, np.inf)
+    stretches = np.empty((poly.shape[0] + 1, poly.shape[1]))
+    stretches[0], stretches[-1] = 0.0, _MAX_FORCE
+    stretches[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
+    low, high = stretches[:-1], stretches[1:]
+    rising, ends = (np.stack([_value(poly, x) for x in at]) > 0.0 for at in (low, high))
+    there = rising != ends
+    zero = np.where(there, 0.5 * (low + high), np.inf)
+    for _ in range(_MAX_STEPS if there.any() else 0):
+        before = np.stack([_value(poly, x) for x in np.where(there, zero, 0.0)]) > 0.0
+        low, high = np.where(before == rising, zero, low), np.where(before == rising, high, zero)
+        new = np.where(there, 0.5 * (low + high), np.inf)
+        if np.all((new == zero) | ~there):
             break
-        turn = new
-    return turn
+        zero = new
+    return np.sort(zero, axis=0)
 
 
 def _first_zero_of_parabola(poly: Array) -> Array:
@@ -162,18 +179,6 @@ def _first_zero_of_parabola(poly: Array) -> Array:
     return zero
 
 
-def _turns_of_cubic(poly: Array) -> tuple[Array, Array]:
-    """Return where a cubic's slope vanishes beyond zero, the nearer first; infinite if nowhere."""
-    a, b, c = poly[1], 2.0 * poly[2], 3.0 * poly[3]
-    root = np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
-    half = -0.5 * (b + np.where(b < 0.0, -root, root))
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        zeros = np.stack([half / c, a / half])
-    zeros[:, b * b < 4.0 * a * c] = np.inf
-    zeros = np.where(np.isfinite(zeros) & (zeros > 0.0), zeros, np.inf)
-    return zeros.min(axis=0), zeros.max(axis=0)
-
-
 def _value(poly: Array, x: Array) -> Array:
     total: Array = poly[-1]
     for row in poly[-2::-1]:
@@ -182,7 +187,7 @@ def _value(poly: Array, x: Array) -> Array:
 
 
 def _slope(poly: Array, x: Array) -> Array:
-    return _value(poly[1:] * np.arange(1.0, poly.shape[0])[:, None], x)
+    return _value(_derivative(poly), x)
 
 
 def _rounding(poly: Array, x: Array, y: Array) -> Array:

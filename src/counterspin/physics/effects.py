@@ -53,40 +53,73 @@ AT_REFERENCE: Final = RunConditions()
 
 @frozen
 class Product:
-    """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7."""
+    """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7.
 
-    #: The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|.
+    A factor of the instrument's rotation counts as well: w_I, w_P (rad/s) or dw_O/dt (rad/s^2).
+    """
+
+    #: The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|;
+    #: ``sign_I`` is the sign of a_I, and `ROTATIONS` are those of the rotation.
     factors: tuple[str, ...]
     ieee: str  #: The coefficient's name in IEEE Std 1293, before that standard's division by K1.
-    sign: float = 1.0  #: The sign with which the product enters Eq. 7.
+    weight: float = 1.0  #: The number with which the product enters Eq. 7.
 
     @property
     def text(self) -> str:
         """The product in plain text, such as ``a_I^2``; ``1`` for the bias."""
-        if self.factors == ("I", "|I|"):
-            return "a_I*|a_I|"
-        powers = Counter(self.factors)
-        return "*".join(f"a_{f}" + (f"^{n}" if n > 1 else "") for f, n in powers.items()) or "1"
+        powers = Counter(_TEXTS.get(factor, f"a_{factor}") for factor in self.factors)
+        product = "*".join(name + (f"^{n}" if n > 1 else "") for name, n in powers.items()) or "1"
+        return product if abs(self.weight) == 1.0 else f"{product}/{1.0 / abs(self.weight):g}"
+
+    @property
+    def degree(self) -> int:
+        """The number of specific forces or rotations that are multiplied."""
+        return sum(factor != "sign_I" for factor in self.factors)
 
     @property
     def power(self) -> int:
-        """How many times a_I or |a_I| stands in the product."""
+        """The power of |a_I| to which the product is proportional on either side of zero."""
         return sum(factor in ("I", "|I|") for factor in self.factors)
 
     @property
-    def has_kink(self) -> bool:
-        """Whether its slope jumps where a_I changes sign."""
-        return "|I|" in self.factors
+    def is_even(self) -> bool:
+        """Whether the product keeps its value when a_I changes its sign."""
+        return sum(factor in ("I", "sign_I") for factor in self.factors) % 2 == 0
 
-    def evaluate(self, a_ipo: Array) -> Array:
+    @property
+    def has_kink(self) -> bool:
+        """Whether the product or its slope jumps where a_I changes sign."""
+        return "|I|" in self.factors or "sign_I" in self.factors
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the product is the specific force along one axis."""
+        return self.factors in (("I",), ("P",), ("O",))
+
+    @property
+    def of_rotation(self) -> bool:
+        """Whether the instrument must rotate in space to show the coefficient."""
+        return not set(self.factors).isdisjoint(ROTATIONS)
+
+    def evaluate(
+        self, a_ipo: Array, rotation: Array | None = None, sign_width: float = 0.0
+    ) -> Array:
         """Return the signed product for specific force along the axes.
 
         a_ipo: Specific force along I, P, O in g, shape (3, ...).
+        rotation: w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instrument, shape (3, ...); None:
+            the instrument does not rotate.
+        sign_width: The sign of a_I grows linearly between minus and plus this, g.
         Returns: shape ``a_ipo.shape[1:]``, in g to the power of the product's degree.
         """
-        value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
+        value = np.full(a_ipo.shape[1:], self.weight, dtype=np.float64)
         for factor in self.factors:
-            value *= _component(a_ipo, factor)
+            if factor in ROTATIONS:
+                value *= 0.0 if rotation is None else rotation[ROTATIONS.index(factor)]
+            elif factor == "sign_I" and sign_width > 0.0:
+                value *= np.clip(a_ipo[0] / sign_width, -1.0, 1.0)
+            else:
+                value *= _component(a_ipo, factor)
         return value
 
     def slope(self, a_ipo: Array, axis: str) -> Array:
@@ -99,7 +132,7 @@ class Product:
         for place, factor in enumerate(self.factors):
             if factor.strip("|") != axis:
                 continue
-            value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
+            value = np.full(a_ipo.shape[1:], self.weight, dtype=np.float64)
             if factor == "|I|":
                 value *= np.sign(a_ipo[0])
             for other in self.factors[:place] + self.factors[place + 1 :]:
@@ -108,9 +141,22 @@ class Product:
         return total
 
 
+#: Factors of the instrument's rotation, in the order in which `Product.evaluate` takes them.
+ROTATIONS: Final = ("w_I", "w_P", "dw_O/dt")
+
+#: Between minus and plus this, g, the sign of a_I counts as growing linearly in a reading: which
+#: side of zero a position at right angles to gravity is on, nobody knows.
+SIGN_WIDTH: Final = 1e-3
+
+_TEXTS: Final = {"|I|": "|a_I|", "sign_I": "sign(a_I)"} | {name: name for name in ROTATIONS}
+
+
 def _component(a_ipo: Array, factor: str) -> Array:
-    along: Array = np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
-    return along
+    if factor == "|I|":
+        return np.asarray(np.abs(a_ipo[0]))
+    if factor == "sign_I":
+        return np.asarray(np.sign(a_ipo[0]))
+    return np.asarray(a_ipo["IPO".index(factor)])
 
 
 @frozen
@@ -161,12 +207,19 @@ class Turn:
     then senses f - psi x f. Tilts are about the geographic axes of a run; all others belong to
     gyros and frame and are about the platform's own axes x, y, z, which point east, north, up in
     the level attitude.
+
+    An instrument that is strapped to the counter-rotating table turns about up by the error of the
+    table's angle, a wave of the spindle's angle.
     """
 
-    kind: str  #: ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity`` or ``compliance``.
+    #: ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity``, ``compliance`` or ``table``.
+    kind: str
     axis: int  #: The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
     #: For g-sensitivity and compliance the axis of the force, else None.
     force_axis: int | None = None
+    #: For the table n times a revolution n, and ``cos`` or ``sin``.
+    harmonic: int = 0
+    quadrature: str = ""
 
 
 @frozen

@@ -48,6 +48,8 @@ _CROSS: Final = (
     (1e-3, 6e-5, _FIFTH),
     (1e-2, 2e-4, _FIFTH),
 )
+_AS_SECOND: Final = "order of magnitude: at 1 g as large as K_II"
+_PENDULUM: Final = ((0.1, 1e-3, "order of magnitude: 10 mm, the length of a pendulum, over g"),) * 3
 _MISALIGNMENT: Final = (
     (1e-2, 5e-5, "order of magnitude, no source: 10 arcsec, aligned on its platform or fixture"),
     (5e-2, 1e-2, "MS1010: misalignment 10 mrad"),
@@ -92,6 +94,11 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
     ),
     "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_5": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_0_asym": ((1e-2, 5e-6, _NONE), (5e-2, 1e-4, _NONE), (0.1, 1e-3, _NONE)),
+    "K_I_asym": ((1e-2, 1e-5, _AS_SECOND), (5e-2, 3e-4, _AS_SECOND), (0.1, 1e-3, _AS_SECOND)),
+    "K_spin": _PENDULUM,
+    "K_ang": _PENDULUM,
     "K_IP": _CROSS,
     "K_IO": _CROSS,
     "K_PO": _CROSS,

@@ -260,6 +260,15 @@ def _made(trajectory: Trajectory, duration: float, kinked: tuple[float, ...]) ->
 _along_short, _along_long = lru_cache(maxsize=48)(_made), lru_cache(maxsize=8)(_made)
 
 
+def wave_of(turn: Turn, angle: Array) -> Array:
+    """Return the error of the counter-rotating table's angle per unit of its term, shape (n,).
+
+    angle: Of the spindle, rad, shape (n,).
+    """
+    wave = np.sin if turn.quadrature == "sin" else np.cos
+    return np.asarray(wave(turn.harmonic * angle))
+
+
 def _integrands(
     effects: Sequence[Integrated], motion: Motion, axes: Mounting, attitude: Array
 ) -> Array:
@@ -297,8 +306,8 @@ class _Shown:
     def along(self, effect: Effect) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
         match effect:
-            case Product(factors=(factor,), sign=sign):
-                axis: Array = sign * self._axes.matrix["IPO".index(factor)]
+            case Product(is_linear=True, factors=(factor,), weight=weight):
+                axis: Array = weight * self._axes.matrix["IPO".index(factor)]
                 return axis
             case Turn(kind="tilt", axis=about):
                 # (-psi x f) . I = f . (psi x I)
@@ -354,13 +363,17 @@ class _SensorInputs:
             path = self._motion.trajectory
             lever = effect.along(path.conditions, path.centripetal, self._motion.t)
             return lever * self.integrand(TERMS[effect.coefficient].effect)
-        integrand: Array = self._attitude_error(effect) * self._turned[effect.axis]
+        # The table turns about up, all else about the platform's axes.
+        turned = self._turned_about_up if effect.kind == "table" else self._turned[effect.axis]
+        integrand: Array = self._attitude_error(effect) * turned
         return integrand
 
     def _attitude_error(self, turn: Turn) -> Array:
-        """Return the attitude error per unit of a term that is no tilt, rad, (m,)."""
+        """Return the attitude error per unit of a term that is not a tilt, rad, (m,)."""
         if turn.kind == "drift":
             return self._motion.t
+        if turn.kind == "table":
+            return wave_of(turn, self._motion.angle)
         if turn.kind == "g2_sensitivity":
             return self._motion.square_of_specific_force / self._gravity**2
         assert turn.force_axis is not None
@@ -378,6 +391,12 @@ class _SensorInputs:
         """What a turn about each of the platform's axes makes of the force, m/s^2, (3, m)."""
         arms = np.cross(self._attitude, self._axes.input_axis)
         return arms @ self._motion.specific_force.T
+
+    @cached_property
+    def _turned_about_up(self) -> Array:
+        """Change of the sensed force per turn about up, m/s^2, (m,)."""
+        arm = np.cross([0.0, 0.0, 1.0], self._axes.input_axis)
+        return np.asarray(self._motion.specific_force @ arm)
 
     @cached_property
     def _gained(self) -> Array:
@@ -408,10 +427,10 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     match term(symbol).effect:
         case Slope() as slope:
             return 0.5 * gravity * slope.lever(AT_REFERENCE, force)
-        case Product(factors=factors, sign=sign):
-            vertical = float(matrix[1, 2]) ** factors.count("P")  # a_P is -1 with P down
-            horizontal = force ** sum(factor != "P" for factor in factors)
-            return 0.5 * gravity * sign * vertical * horizontal * _mean_of_harmonics(factors)
+        case Product(of_rotation=False) as product:
+            vertical = float(matrix[1, 2]) ** product.factors.count("P")  # a_P is -1 with P down
+            horizontal = force ** (product.degree - product.factors.count("P"))
+            return 0.5 * gravity * product.weight * vertical * horizontal * _mean(product)
         case Turn() as turn:
             return _parabola_of_platform(turn, matrix, rate, radius, gravity)
     return 0.0  # the path comes back to where it was after each revolution
@@ -431,6 +450,10 @@ def _parabola_of_platform(
         along = float(np.cross(np.eye(3)[turn.force_axis], seen)[2])
         start_velocity = radius * rate if turn.force_axis == 1 else 0.0
         return 0.25 * radius * rate * force * along - 0.5 * float(seen[2]) * start_velocity
+    if turn.kind == "table" and turn.harmonic == 1:
+        # The centripetal force turns with the table's error: half of it stays in the mean.
+        side = -matrix[0, 1] if turn.quadrature == "cos" else matrix[0, 0]
+        return -0.25 * radius * rate**2 * float(side)
     if turn.kind == "compliance" and turn.force_axis is not None:
         # Gravity leans the platform for good; a level force comes round with what it turns.
         level = turn.force_axis < 2
@@ -438,10 +461,10 @@ def _parabola_of_platform(
     return 0.0
 
 
-def _mean_of_harmonics(factors: Sequence[str]) -> float:
-    """Return the mean over a revolution of cos^i sin^o, as many as there are I and O."""
-    i, o = sum(factor in ("I", "|I|") for factor in factors), factors.count("O")
-    if i % 2 or o % 2 or "|I|" in factors:
+def _mean(product: Product) -> float:
+    """Return the mean of a product over a revolution: a_I is a cosine there, a_O a sine."""
+    i, o = product.power, product.factors.count("O")
+    if not product.is_even or o % 2:
         return 0.0
     # The beta integral, (i-1)!! (o-1)!! / (i+o)!! in terms of gamma functions.
     gammas = math.gamma((i + 1) / 2) * math.gamma((o + 1) / 2)

@@ -35,7 +35,8 @@ def attitude_error(
 ) -> Array:
     """Return the platform's attitude error psi(t) in east-north-up.
 
-    psi = tilt + drift t + D (integral of f)/g + E (integral of |f|^2)/g^2 + C f/g.
+    psi = tilt + drift t + D (integral of f)/g + E (integral of |f|^2)/g^2 + C f/g; an instrument
+    that is strapped to the counter-rotating table turns about up by the table's error too.
 
     trajectory: The motion; the tilt is that at t = 0.
     times: s, shape (n,).
@@ -48,6 +49,9 @@ def attitude_error(
         row = PLATFORM_TERMS[symbol].effect
         if row.kind == "tilt":
             psi[:, row.axis] += value
+            continue
+        if row.kind == "table":
+            psi[:, 2] += value * observation.wave_of(row, motion.angle)
             continue
         if row.kind == "g_sensitivity":
             size = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
@@ -113,7 +117,7 @@ def recorded(
     duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
     breaks = conditions.breaks
     edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
-    if coefficients.get("K_OQ", 0.0) != 0.0:
+    if any(row.effect.has_kink and coefficients.get(s, 0.0) for s, row in TERMS.items()):
         kinks = quadrature.sign_changes(
             lambda t: trajectory.specific_force(t) @ axes.input_axis, edges
         )

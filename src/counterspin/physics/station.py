@@ -14,14 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import DIRECTIONS, Mounting
-from counterspin.physics.effects import Displacement, Input, PathError
+from counterspin.physics.effects import SIGN_WIDTH, Displacement, Input, PathError, Turn
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import TERMS, term
 
@@ -73,6 +75,9 @@ class Station:
     axis_tilt: tuple[float, float] = (0.0, 0.0)
     #: Small right-handed turn of the instrument about the axes of the frame, rad, shape (3,).
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: (n, c, s): the counter-rotating table, and the instrument on it, is turned about up by
+    #: c cos n theta + s sin n theta, rad.
+    table: tuple[tuple[int, float, float], ...] = ()
 
     def force(
         self,
@@ -96,6 +101,15 @@ class Station:
         if self.motion == "arm":
             force[:, 1] += self.radius * acceleration
         return force
+
+    def products(self, site: Site, force: Array) -> Array:
+        """Return the signed products of specific forces, shape (number of `TERMS`, n).
+
+        force: In the station's frame, m/s^2, shape (n, 3).
+        """
+        axes = self.axes_under_load()
+        rotation = _rotations([self], axes[None])[0]
+        return _products(axes @ force.T / site.gravity, rotation)
 
     def axes_under_load(self) -> Array:
         """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
@@ -134,6 +148,9 @@ def _forces(
     speed = radius * w * (about_east * cos + about_north * sin)
     lifted = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
     forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
+    for k, station in enumerate(stations):
+        if station.table:
+            forces[k] = _against(forces[k], _error_of_table(station, angles))
     carried = np.array([station.motion == "arm" for station in stations])
     if not carried.any():
         return forces
@@ -149,6 +166,21 @@ def _forces(
     forces[carried, :, 1] = plumb[:, 1] * cos - plumb[:, 0] * sin
     forces[carried, :, 2] = plumb[:, 2] + 2.0 * radius * w * (earth[:, 0] * cos + earth[:, 1] * sin)
     return forces
+
+
+def _error_of_table(station: Station, angles: Array) -> Array:
+    """Return the turn of the counter-rotating table about up at angles of the spindle, rad."""
+    total = np.zeros(angles.shape)
+    for n, c, s in station.table:
+        total += c * np.cos(n * angles) + s * np.sin(n * angles)
+    return total
+
+
+def _against(forces: Array, turn: Array) -> Array:
+    """Return forces (n, 3) in a frame that is turned about up by (n,), rad."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    east, north, up = forces.T
+    return np.column_stack([cos * east + sin * north, cos * north - sin * east, up])
 
 
 def _axes_under_load(stations: Sequence[Station]) -> Array:
@@ -178,12 +210,68 @@ def mean_products(stations: Sequence[Station], site: Site) -> Array:
     Returns: in g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
-    forces = _forces(stations, site, angles)
-    a_ipo = np.einsum("nij,nmj->inm", _axes_under_load(stations), forces)
+    forces, axes = _forces(stations, site, angles), _axes_under_load(stations)
+    a_ipo = np.einsum("nij,nmj->inm", axes, forces)
     a_ipo /= site.gravity
-    products = np.stack([row.effect.evaluate(a_ipo) for row in TERMS.values()], axis=-1)
-    means: Array = products.mean(axis=1)
+    rotations = np.moveaxis(_rotations(stations, axes), 0, 1)
+    means: Array = _products(a_ipo, rotations).mean(axis=2).T
+    lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
+    bent = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
+    for k in np.flatnonzero(bent).tolist():
+        means[k, _KINKED] = _means_of_kinked(stations[k], site)
     return means
+
+
+#: Places in `TERMS` of the products with a kink or a jump where a_I changes sign.
+_KINKED: Final = [place for place, row in enumerate(TERMS.values()) if row.effect.has_kink]
+
+#: Forces (g) and angles (rad) that differ by less are the same.
+_ROUNDING: Final = 1e-12
+
+#: Panels of a revolution in which sign changes are sought.
+_PANELS: Final = 8
+
+
+def _means_of_kinked(station: Station, site: Site) -> Array:
+    """Return the means of the products that have a kink, by panels that end at sign changes."""
+    axis, end = station.axes_under_load()[0] / site.gravity, 2.0 * np.pi
+    edges = np.linspace(0.0, end, _PANELS + 1)
+
+    def above(least: float, angle: Array) -> Array:
+        over: Array = station.force(site, angle) @ axis - least
+        return over
+
+    changes = [
+        quadrature.sign_changes(partial(above, least), edges)
+        for least in (-SIGN_WIDTH, 0.0, SIGN_WIDTH)
+    ]
+    edges = np.unique(np.concatenate([edges, *changes]))
+    edges = edges[np.append(np.diff(edges) > _ROUNDING, True)]
+    whole = edges[-1:]
+    integrals = quadrature.integrate(
+        lambda angle: station.products(site, station.force(site, angle))[_KINKED], edges, whole, 1
+    )
+    return np.asarray(integrals[0] / end)
+
+
+def _rotations(stations: Sequence[Station], axes: Array) -> Array:
+    """Return w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instruments, shape (stations, 3, 1).
+
+    Only an arm takes the instrument round; the Earth's rate is left out. The mean of the angular
+    acceleration over whole revolutions is zero.
+
+    axes: I, P, O of each, rows, shape (stations, 3, 3).
+    """
+    rates = np.array([station.rate if station.motion == "arm" else 0.0 for station in stations])
+    rotations = np.zeros((len(stations), 3, 1))
+    rotations[:, :2, 0] = axes[:, :2, 2] * rates[:, None]
+    return rotations
+
+
+def _products(a_ipo: Array, rotation: Array) -> Array:
+    """Return the signed products in the order of `TERMS`, shape (terms, *a_ipo.shape[1:])."""
+    rows = (row.effect for row in TERMS.values())
+    return np.stack([effect.evaluate(a_ipo, rotation, SIGN_WIDTH) for effect in rows])
 
 
 def moved(
@@ -209,6 +297,9 @@ def moved(
             changed["axis_tilt"] = (east + size, north) if axis == "east" else (east, north + size)
         case Displacement("droop"):
             changed["droop"] = station.droop + size
+        case Turn("table", harmonic=n, quadrature=quadrature):
+            parts = (n, size, 0.0) if quadrature == "cos" else (n, 0.0, size)
+            changed["table"] = (*station.table, parts)
         case Displacement("misalignment", axis):
             changed["turn"] = _turn_after(station, size * _axis_of(axis, station.motion))
         case Displacement("zero" | "wave", harmonic=n, quadrature=quadrature):

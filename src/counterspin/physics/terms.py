@@ -55,6 +55,9 @@ class Term(Generic[Does_co]):
     nominal: float = 0.0  #: The value of a perfect system.
     #: The motions in which a reading shows it, where it is of the machine or a slope.
     motions: tuple[str, ...] = ()
+    #: Whether the term is in every fit where it acts; otherwise only where it is requested, held or
+    #: stated.
+    by_default: bool = True
 
     def sizes(self, grade: str = DEFAULT_GRADE) -> Size:
         """Return how large the term is in an accelerometer of a grade; of others it is no matter.
@@ -79,7 +82,7 @@ class Term(Generic[Does_co]):
     def family(self) -> str:
         """The symbol without the quadrature of a harmonic."""
         effect: Effect = self.effect
-        wave = effect.quadrature if isinstance(effect, PathError | Displacement) else ""
+        wave = effect.quadrature if isinstance(effect, PathError | Displacement | Turn) else ""
         return self.symbol.removesuffix(f".{wave}") if wave else self.symbol
 
     @property
@@ -104,35 +107,50 @@ def _own(
     """Return the row of a term that every accelerometer has for itself."""
     size = SIZES[symbol][DEFAULT_GRADE]
     sizes = (size.limit, size.typical, size.source)
-    return Term(symbol, effect, words, unit, *sizes, "accelerometer", nominal, motions)
+    always = symbol not in _ON_REQUEST
+    return Term(symbol, effect, words, unit, *sizes, "accelerometer", nominal, motions, always)
+
+
+#: Terms that a fit has only where they are requested, held or stated.
+_ON_REQUEST: Final = ("K_5", "K_0_asym", "K_I_asym", "K_spin", "K_ang")
+
+#: IEEE Std 1293 halves the asymmetries: K0' is the bias at positive less that at negative input.
+_WEIGHTS: Final = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
+
+#: Units that are not g over a power of g.
+_UNITS: Final = {
+    **{"delta_O": "rad", "delta_P": "rad"},
+    **{"K_spin": "g s^2/rad^2", "K_ang": "g s^2/rad"},
+}
 
 
 def _products() -> Iterator[Term[Product]]:
+    asymmetry = "asymmetry of the {}, positive less negative input"
     for symbol, factors, ieee, words in (
         ("K_F", "", "K0", "bias"),
         ("K_I", "I", "K1", "scale factor"),
         ("K_II", "I I", "K2", "second-order coefficient"),
         ("K_III", "I I I", "K3", "third-order coefficient"),
         ("K_4", "I I I I", "K4", "fourth-order coefficient"),
+        ("K_5", "I I I I I", "K5", "fifth-order coefficient"),
         ("K_IP", "I P", "Kip", "cross-coupling of input and pendulous axes"),
         ("K_IO", "I O", "Kio", "cross-coupling of input and output axes"),
         ("K_PO", "P O", "Kpo", "cross-coupling of pendulous and output axes"),
         ("K_PP", "P P", "Kpp", "second-order pendulous-axis coefficient"),
         ("K_OO", "O O", "Koo", "second-order output-axis coefficient"),
         ("K_OQ", "I |I|", "Koq", "odd second-order coefficient"),
+        ("K_0_asym", "sign_I", "K0'", asymmetry.format("bias")),
+        ("K_I_asym", "|I|", "K1'", asymmetry.format("scale factor")),
+        ("K_spin", "w_I w_P", "Kspin", "spin coefficient of input and pendulous axes"),
+        ("K_ang", "dw_O/dt", "Kang", "coefficient of angular acceleration about the output axis"),
         ("delta_O", "P", "delta_o", "misalignment about the output axis"),
         ("delta_P", "O", "delta_p", "misalignment about the pendulous axis"),
     ):
-        product = Product(tuple(factors.split()), ieee, -1.0 if symbol == "delta_P" else 1.0)
-        degree = len(product.factors)
+        product = Product(tuple(factors.split()), ieee, _WEIGHTS.get(symbol, 1.0))
+        degree = product.degree
         unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
-        yield _own(
-            symbol,
-            product,
-            words,
-            "rad" if symbol.startswith("delta") else unit,
-            1.0 if symbol == "K_I" else 0.0,
-        )
+        unit = _UNITS.get(symbol, unit)
+        yield _own(symbol, product, words, unit, 1.0 if symbol == "K_I" else 0.0)
 
 
 def _slopes() -> Iterator[Term[Slope]]:
@@ -203,6 +221,19 @@ def _turns() -> Iterator[Term[Turn]]:
                 called = words.format(*([name] if j is None else suffix))
                 turn = Turn(kind, i, j)
                 yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
+    for n, quadrature, called in _waves((1, 2), "error of the counter-rotating table, {} a turn"):
+        yield Term(
+            f"table.harmonic.{n}.{quadrature}",
+            Turn("table", 2, harmonic=n, quadrature=quadrature),
+            called,
+            "rad",
+            1e-3,
+            ARCSEC,
+            f"{_NO_SOURCE}: 1 arcsec, a good angle encoder in the table's servo loop",
+            "machine",
+            motions=("counter-rotating",),
+            by_default=False,
+        )
 
 
 def _path_errors() -> Iterator[Term[PathError]]:

@@ -263,10 +263,7 @@ def _instantaneous(group: Readings, effective: Array, station: Station, force: A
 
     force: In the station's frame, m/s^2, shape (n, 3).
     """
-    gravity = group.site.gravity
-    a_ipo = station.axes_under_load() @ force.T / gravity
-    products = np.stack([row.effect.evaluate(a_ipo) for row in TERMS.values()])
-    found: Array = gravity * (effective @ products)
+    found: Array = group.site.gravity * (effective @ station.products(group.site, force))
     return found
 
 

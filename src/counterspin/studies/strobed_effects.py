@@ -88,11 +88,17 @@ class StrobedMotion:
         return cls(spindle, angles, mounting.turned(attitude), attitude, site, radius)
 
 
+#: Highest power of the input-axis force that the nodes resolve.
+_HIGHEST_POWER: Final = 4
+
+
 def obstacle(symbol: str) -> str | None:
     """Return why this quadrature cannot take a term, in words after its symbol; None if it can."""
     match term(symbol).effect:
-        case Product(has_kink=True):
-            return "has a kink"
+        case Product(has_kink=kink, power=power) if kink or power > _HIGHEST_POWER:
+            return "has a kink" if kink else "has harmonics above the fourth"
+        case Product(of_rotation=True) | Turn(kind="table"):
+            return "does not act on a platform that keeps its attitude"
         case PathError():
             return "changes the path"
         case Slope():
@@ -267,8 +273,8 @@ def _effect(
     if isinstance(effect, Product):
         if not effect.factors:
             return np.full(gain.shape[1], 0.5 * g)
-        if len(effect.factors) == 1:
-            axis = effect.sign * axes.matrix["IPO".index(effect.factors[0])]
+        if effect.is_linear:
+            axis = effect.weight * axes.matrix["IPO".index(effect.factors[0])]
             return _linear(motion, axis, field, weight, gain)
         a_ipo = np.stack([field.along(axis) for axis in axes.matrix]) / g
         return _weighted(weight, g * effect.evaluate(a_ipo))

@@ -95,7 +95,8 @@ def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
     motion = motion_of(given)
     shown = motion[given["observable"]]["QX"] if motion.get("platform") else ()
     platform = [symbol for symbol in PLATFORM_TERMS if symbol in shown]
-    return {name: [*TERMS, *platform] for name in motion[given["observable"]]}
+    own = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
+    return {name: [*own, *platform] for name in motion[given["observable"]]}
 
 
 def forces_asked(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -138,7 +138,7 @@ def _sum(terms: Iterable[Term[Product]]) -> str:
     parts = []
     for term in terms:
         product = term.effect.text.replace("*", " ")
-        sign = "−" if term.effect.sign < 0.0 else "+"
+        sign = "−" if term.effect.weight < 0.0 else "+"
         parts.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
     return " ".join(parts).removeprefix("+ ")
 

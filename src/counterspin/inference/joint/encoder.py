@@ -79,11 +79,11 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
     matrix = series.mounting.turned(series.attitude).matrix
     rows = {TERMS[symbol].effect: value for symbol, value in coefficients.items() if value != 0.0}
     linear = matrix[0] + sum(
-        value * row.sign * matrix["IPO".index(row.factors[0])]
+        value * row.weight * matrix["IPO".index(row.factors[0])]
         for row, value in rows.items()
-        if len(row.factors) == 1
+        if row.is_linear
     )
-    curved = {row: value for row, value in rows.items() if len(row.factors) > 1}
+    curved = {row: value for row, value in rows.items() if not row.is_linear}
 
     def changed(t: Array, order: int) -> Array:
         spindle = motion.spindle
