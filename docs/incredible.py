@@ -164,7 +164,8 @@ def of_readings(mistake: Mistake, way: str) -> str:
                 f'reading = "{reading}"\n'
             )
         return "".join(pieces)
-    pieces.append(_read_accelerometer("up", "west", ""))
+    # Readings on an arm do not determine a misalignment about the output axis.
+    pieces.append(_read_accelerometer("up", "west", "").replace(', "delta_O"', ""))
     for side, sign in (("inward", 1.0), ("outward", -1.0)):
         for size in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0):
             rate = math.sqrt(size * GRAVITY)

@@ -9,7 +9,14 @@ from results import result
 import counterspin as cs
 from certificates import write_lab
 from counterspin import cli
-from counterspin.calibration.findings import Cause, judge_result, lack_of_fit, rank, refusal
+from counterspin.calibration.findings import (
+    Cause,
+    judge_result,
+    lack_of_fit,
+    not_determined,
+    rank,
+    refusal,
+)
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
 from counterspin.inference.distributions import chi_square_tail
@@ -91,6 +98,26 @@ def test_each_finding_and_the_state_that_follows(change, code, state, size):
         assert found.findings[0].size == (None if size is None else pytest.approx(size, rel=1e-4))
         assert found.findings[0].contradicts == (state == "contradicted")
         assert found.findings[0].subject.startswith("Qx")
+
+
+def _undetermined(symbol="K_III", *, requested=True):
+    return not_determined(f"Qx.{symbol}", symbol, more=" Add a run.", requested=requested)
+
+
+def test_a_requested_term_without_data_has_a_state_between_reservations_and_contradicted():
+    found = judged(findings=[_undetermined(), _undetermined("K_I", requested=False)])
+    assert found.state == found.accelerometers["Qx"].state == "not-determined"
+    assert [finding.subject for finding in found.findings] == ["Qx.K_III", "Qx.K_I"]
+    # Whatever its size, what only raises doubts comes after it; a contradiction comes before.
+    doubtful = judged(findings=[_undetermined()], two_stage=other_method(-10.0))
+    assert codes(doubtful) == ["not-determined", "methods-disagree"]
+    wrong = judged(findings=[_undetermined()], jackknife=run(-6.1))
+    assert (codes(wrong)[0], wrong.state) == ("run-disagrees", "contradicted")
+
+
+def test_a_usual_term_without_data_is_information():
+    found = judged(findings=[_undetermined(requested=False)])
+    assert found.state == "reservations"
 
 
 def test_half_the_true_value_is_never_good():

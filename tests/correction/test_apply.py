@@ -18,7 +18,7 @@ from workbooks import write_workbook
 
 import counterspin as cs
 from counterspin import cli
-from counterspin.calibration.findings import judge_result
+from counterspin.calibration.findings import judge_result, not_determined
 from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.outcome import own_description
 from counterspin.calibration.result_parts import (
@@ -30,7 +30,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
-from counterspin.errors import CampaignError, ConvergenceError
+from counterspin.errors import CampaignError, ConvergenceError, RecordError
 from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
 from counterspin.physics.terms import TERMS
@@ -377,6 +377,20 @@ def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "The misfit was accepted: run1 was on the old motor" in said
+
+
+def test_a_result_that_does_not_determine_what_is_needed_is_not_applied():
+    nothing = coefficient("K_III", None, None, estimated=False)
+    terms = accelerometer({"K_I": 1.0}).coefficients | {"K_III": nothing}
+
+    def found(symbol):
+        finding = not_determined(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
+        return result({"Qx": accelerometer({}, coefficients=terms, findings=[finding])})
+
+    with pytest.raises(RecordError, match=r"needs K_III, which .* not determine\. .* Add a run\."):
+        apply(found("K_III"), "Qx", [1.0])
+    # A drift over the calibration is no part of the correction.
+    assert apply(found("K_F.trend"), "Qx", [1.0]).corrected[0] == pytest.approx(1.0)
 
 
 # --- what is applied, and how sure it is ----------------------------------------------------

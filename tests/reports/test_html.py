@@ -374,6 +374,7 @@ def test_words_and_lines_stand_out_from_their_ground(theme):
         for name in (
             *("--ground", "--raised"),
             *("--good-ground", "--reserved-ground", "--warning-ground"),
+            "--undetermined-ground",
         )
     ]
     # WCAG 2.1: 4.5 for words (1.4.3), 3 for what is drawn (1.4.11).
@@ -383,6 +384,7 @@ def test_words_and_lines_stand_out_from_their_ground(theme):
     assert contrast(colours["--link"], colours["--ground"]) >= 4.5
     for name in (
         "--warning",
+        "--undetermined",
         "--good",
         "--reserved",
         *(f"--series-{index}" for index in range(1, 7)),

@@ -78,7 +78,7 @@ def test_words_come_out_as_they_are(text):
     assert [token.type for token in tokens] == ["paragraph_open", "inline", "paragraph_close"]
     assert shown(tokens[1]) == text
     assert inlines(markdown([Heading(text, 3)]), "heading") == [text]
-    for style in ("answer", "warning"):
+    for style in ("answer", "undetermined", "warning"):
         quotation = markdown([Paragraph(text, style)])
         assert parsed(quotation)[0].type == "blockquote_open"
         (said,) = inlines(quotation.removeprefix("> [!WARNING]\n"), "paragraph")

@@ -35,6 +35,7 @@ _WORDS: Final = {
     "changed": "Changed since its result",
     "good": "Good",
     "reservations": "With reservations",
+    "not-determined": "Not determined by its data",
     "contradicted": "Contradicted by its records",
 }
 

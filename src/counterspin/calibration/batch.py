@@ -63,6 +63,15 @@ class BatchResult(ShownResult):
             and outcome.accepted_misfit is None
         ]
 
+    @property
+    def not_determined(self) -> list[str]:
+        """The folders of results whose data do not determine a requested coefficient."""
+        return [
+            folder
+            for folder, outcome in self.campaigns.items()
+            if isinstance(outcome, Result) and outcome.state == "not-determined"
+        ]
+
 
 def calibrate_many(
     directories: Sequence[Path],

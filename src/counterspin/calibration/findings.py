@@ -46,7 +46,7 @@ CONTRADICTION_SIGMAS: Final = 6.0
 RESIDUAL_RATIO_LIMIT: Final = 2.0
 
 #: From the best to the worst.
-_STATES: Final[tuple[State, ...]] = ("good", "reservations", "contradicted")
+_STATES: Final[tuple[State, ...]] = ("good", "reservations", "not-determined", "contradicted")
 
 #: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.
 LARGEST_WALK: Final = 5e-4
@@ -170,7 +170,7 @@ def _with_state(
 
 
 def rank(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
-    """Return findings, contradictions first, then wrong equations, causes, and the rest by size.
+    """Return findings: contradictions, undetermined terms, wrong equations, causes, others by size.
 
     causes: In the order in which they were found, the one that explains most first.
     """
@@ -181,6 +181,7 @@ def rank(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Find
         findings,
         key=lambda finding: (
             not finding.contradicts,
+            not finding.undetermined,
             finding.code != "as-printed",
             order.get((finding.code, finding.subject), len(order)),
             not finding.explains,
@@ -193,6 +194,8 @@ def state_of(findings: Sequence[Finding]) -> State:
     """Return the state that follows from findings."""
     if any(finding.contradicts for finding in findings):
         return "contradicted"
+    if any(finding.undetermined for finding in findings):
+        return "not-determined"
     return "reservations" if findings else "good"
 
 
@@ -295,10 +298,15 @@ def _misfit(name: str, residual: Residual, accelerometers: int) -> Iterator[Find
     yield lack_of_fit(name, [text], residual)
 
 
-def not_determined(subject: str, symbol: str, data: str = "records", more: str = "") -> Finding:
-    """Return the finding that data do not determine a coefficient; `more` is what to do."""
+def not_determined(
+    subject: str, symbol: str, data: str = "records", more: str = "", *, requested: bool = False
+) -> Finding:
+    """Return the finding that data do not determine a coefficient; `more` is what to do.
+
+    requested: Whether the state follows from it; see `counterspin.calibration.model.is_requested`.
+    """
     text = f"The {data} do not determine {symbol}, and no prior is stated for it.{more}"
-    return Finding(code="not-determined", subject=subject, text=text)
+    return Finding(code="not-determined", subject=subject, text=text, undetermined=requested)
 
 
 def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:

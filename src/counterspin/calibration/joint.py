@@ -26,7 +26,7 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
-from counterspin.calibration.model import SQUARES, inputs_of
+from counterspin.calibration.model import SQUARES, inputs_of, is_requested
 from counterspin.calibration.notebook.residuals import residuals_of, traces
 from counterspin.calibration.outcome import (
     Outcome,
@@ -66,6 +66,12 @@ from counterspin.records.averages import RecordMean
 
 #: An input axis that no pose turns below the level by more than asin of this was never down.
 _DOWN: Final = 0.3
+
+#: Rates whose ratio is smaller count as one rate.
+_SAME_RATE: Final = 1.05
+
+#: What determines a term of which nothing more is known.
+_PRIOR: Final = " State what is known of it in [model.priors], or remove it from model.terms."
 
 #: Poses whose directions differ by less count as one direction in words, rad (3 deg).
 _APART: Final = math.radians(3.0)
@@ -130,7 +136,13 @@ def joint(problem: JointProblem) -> Outcome:
         correlation=whole_correlation(estimated, assessment),
         rests_on=rests_on,
         findings=[
-            *(not_determined(u.name, u.name) for u, c in shared.items() if c.value is None),
+            *(
+                not_determined(
+                    u.name, u.name, more=_PRIOR, requested=is_requested(campaign, u.symbol)
+                )
+                for u, c in shared.items()
+                if c.value is None
+            ),
             *large_drifts(shared, longest),
             *large_tilts(campaign, terms, accelerometers),
             *beyond,
@@ -229,24 +241,32 @@ def _accelerometer(
     )
 
 
-def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> list[Finding]:
-    at_rest = only_at_rest(view.campaign)
-    squares = (
-        " At 1 g the squares of the specific forces add up to one, so that no set of positions "
-        "separates K_II, K_PP and K_OO together from K_F: state what is known of K_PP and "
-        "K_OO, or test at other forces."
-    )
-    return [
-        not_determined(
-            f"{view.name}.{symbol}",
-            symbol,
-            "poses" if only_posed(view) else "records",
-            more=too_few_poses(view)
-            or (squares if at_rest and symbol in ("K_F", "K_II", *SQUARES) else ""),
+def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> Iterator[Finding]:
+    for symbol, c in own.items():
+        if c.value is None:
+            yield not_determined(
+                f"{view.name}.{symbol}",
+                symbol,
+                "poses" if only_posed(view) else "records",
+                too_few_poses(view) or _remedy(view, symbol),
+                requested=is_requested(view.campaign, symbol, view.name),
+            )
+
+
+def _remedy(view: AccelerometerView, symbol: str) -> str:
+    """Return what would determine a term."""
+    campaign = view.campaign
+    if only_at_rest(campaign) and symbol in ("K_F", "K_II", *SQUARES):
+        return (
+            " At 1 g the squares of the specific forces add up to one, so that no set of positions "
+            "separates K_II, K_PP and K_OO together from K_F: state what is known of K_PP and "
+            "K_OO, or test at other forces."
         )
-        for symbol, c in own.items()
-        if c.value is None
-    ]
+    rates = [abs(run.rate) for run in campaign.runs]
+    rates += [abs(reading.rate) for reading in campaign.readings if reading.rate]
+    if symbol in TERMS and rates and max(rates) < _SAME_RATE * min(rates):
+        return " The data have one rate only; add a run at another rate."
+    return _PRIOR
 
 
 # Checks

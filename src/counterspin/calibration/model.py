@@ -29,6 +29,7 @@ from counterspin.campaign.terms import acts, shows, symbols_shown
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
+from counterspin.inference.poses import LINEAR
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import Product, Slope, Turn
 from counterspin.physics.terms import (
@@ -81,6 +82,23 @@ def model_of(campaign: Campaign) -> Unknowns:
             else:
                 others.append(Unknown(owner, symbol, (0.0, u), limit, False, unstated))
     return Unknowns((*asked, *_squares(campaign, others), *others), tuple(held))
+
+
+def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
+    """Return whether a result is not determined without a term.
+
+    Such terms are those that [model] names, K_II of a test on a centrifuge, and the terms that give
+    the corrected output of a triad in poses. Other usual terms may be missing.
+
+    name: Of the accelerometer; empty: a term of the machine.
+    """
+    if campaign.model.named and symbol in campaign.model.terms:
+        return True
+    if symbol == "K_II":
+        return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
+    triad = campaign.triad
+    posed = triad is not None and triad.posed and name in triad.accelerometers
+    return posed and symbol in ("K_F", *LINEAR)
 
 
 def assumed_of(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:

@@ -72,8 +72,8 @@ class Result(ShownResult):
 
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.
-    #: Whether it may be relied on: ``good``, ``reservations`` or ``contradicted``, the worst of all
-    #: parts; null in results of versions that did not say.
+    #: Whether it may be relied on: ``good``, ``reservations``, ``not-determined`` or
+    #: ``contradicted``, the worst of all parts; null in results of versions that did not say.
     state: State | None = None
     #: What speaks against it, the gravest first: those of all accelerometers and of the campaign.
     findings: list[Finding] = []

@@ -32,7 +32,7 @@ from counterspin.units import unit_factor
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
 #: not, for its records contradict it.
-State = Literal["good", "reservations", "contradicted"]
+State = Literal["good", "reservations", "not-determined", "contradicted"]
 
 
 class Coefficient(ResultPart):
@@ -199,6 +199,9 @@ class Finding(ResultPart):
     size: float | None = None
     #: Whether the records contradict the result, so that it must not be used.
     contradicts: bool = False
+    #: Whether the state is ``not-determined`` because of it: the coefficient is the campaign's
+    #: purpose, or ``[model] terms`` names it. Of other coefficients this is information.
+    undetermined: bool = False
     #: Of a cause: what else was found and would not be if this were put right.
     explains: list[Finding] = []
     #: Of a cause: subjects of others that would explain the records as well, the likeliest first.
@@ -408,7 +411,8 @@ class MethodAgreement(ResultPart):
 class AccelerometerResult(ResultPart):
     """All that was found out about one accelerometer."""
 
-    #: Whether it may be relied on: ``good``, ``reservations`` or ``contradicted``.
+    #: Whether it may be relied on: ``good``, ``reservations``, ``not-determined`` or
+    #: ``contradicted``.
     state: State | None = None
     findings: list[Finding] = []  #: What speaks against it, the gravest first.
     #: Single faults of typical size that the residuals of its readings would not show, and by how

@@ -76,6 +76,7 @@ class ErrorModel:
     #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     assume: tuple[str, ...] = ()
     setting: Quantity | None = None  #: Error of setting a position at rest, where one is stated.
+    named: bool = False  #: Whether the description names the terms, and not the usual ones count.
 
     def assumes(self, symbol: str) -> bool:
         """Return whether a term, or an input, is taken as perfect where nothing is stated."""
@@ -206,7 +207,8 @@ def resolve_model(
     for place, name in enumerate(assume):
         if name in (*names, *held):
             problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
-    return ErrorModel(terms, held, shared, limits, typical, assume, on.setting), own
+    named = settings.terms is not None
+    return ErrorModel(terms, held, shared, limits, typical, assume, on.setting, named), own
 
 
 def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:

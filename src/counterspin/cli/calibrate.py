@@ -195,6 +195,9 @@ def calibrate(
     kept.enter(saved.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
         raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_WHAT_TO_DO}")
+    if result.state == "not-determined":
+        first = result.findings[0]
+        raise CounterspinError(f"{first.subject} is not determined: {first.text}")
 
 
 def _result_kind() -> FileType:
@@ -235,3 +238,9 @@ def calibrate_several(
         )
     if batch.contradicted:
         raise CounterspinError(f"{_CONTRADICTED} of {len(batch.contradicted)}. {_WHAT_TO_DO}")
+    if batch.not_determined:
+        names = ", ".join(batch.not_determined)
+        raise CounterspinError(
+            f"the data of {len(batch.not_determined)} of {len(batch.campaigns)} campaigns do not "
+            f"determine all that is requested: {names}"
+        )

@@ -151,7 +151,8 @@ def apply(
     ConvergenceError
         If a sample lies outside of what the model can indicate.
     RecordError
-        If the records contradict the result, and no reason is stated for accepting that.
+        If the records contradict the result, and no reason is stated for accepting that. If they
+        do not determine a requested term that the correction needs.
     """
     options = options or ApplyOptions()
     if result.model == "as-printed" and not options.force:
@@ -182,6 +183,7 @@ def apply(
     judged = judge_result(result)
     if (refused := refusal(judged, indications)) is not None:
         raise RecordError(refused)
+    _require_determined(judged, indications)
     mounting = instruments[0].mounting
     known = [
         _known(given, mounting.matrix[row], factor, result.inputs.gravity, option)
@@ -243,6 +245,21 @@ def apply(
         for k, name in enumerate(options.others, 1)
     }
     return replace(done, others=beside)
+
+
+def _require_determined(result: Result, names: Iterable[str]) -> None:
+    """Refuse accelerometers of which the data do not determine a term that is to be applied."""
+    for name in names:
+        findings = {
+            finding.subject.removeprefix(f"{name}."): finding.text
+            for finding in result.accelerometers[name].findings
+            if finding.undetermined
+        }
+        if needed := [symbol for symbol in findings if acts(symbol)]:
+            raise RecordError(
+                f"{name}: the correction needs {', '.join(needed)}, which the result does not "
+                f"determine. {findings[needed[0]]}"
+            )
 
 
 @frozen

@@ -16,7 +16,9 @@ from typing import Any, Final, Literal
 from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
 
-Style = Literal["plain", "answer", "reserved", "warning", "quiet", "equation", "command"]
+Style = Literal[
+    "plain", "answer", "reserved", "undetermined", "warning", "quiet", "equation", "command"
+]
 
 #: Styles of what was asked for: as it is, and with reservations.
 ANSWERS: Final[tuple[Style, ...]] = ("answer", "reserved")

@@ -71,12 +71,12 @@ def _set(block: Heading | Paragraph | Table) -> str:
 
 def _quoted(block: Block) -> str | None:
     """Return the style of what is set apart by a bar at its side."""
-    apart = isinstance(block, Paragraph) and block.style in {*ANSWERS, "warning"}
+    apart = isinstance(block, Paragraph) and block.style in {*ANSWERS, "undetermined", "warning"}
     return block.style if apart and isinstance(block, Paragraph) else None
 
 
 def _quote(style: str, texts: Sequence[str]) -> str:
-    lines = ["[!WARNING]"] if style == "warning" else []
+    lines = ["[!WARNING]"] if style in ("undetermined", "warning") else []
     for number, text in enumerate(texts):
         said = escape_markdown(text)
         lines += [""] if number else []

@@ -141,6 +141,7 @@ _STYLES: Final[dict[Style, str]] = {
     "plain": "",
     "answer": "bold green",
     "reserved": "bold yellow",
+    "undetermined": "bold magenta",
     "warning": "yellow",
     "quiet": "dim",
     "equation": "italic",

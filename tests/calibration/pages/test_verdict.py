@@ -4,7 +4,7 @@ import pytest
 from results import result
 
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.verdict import misfit_blocks, verdict_sentence
+from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks, verdict_sentence
 
 
 def sentence(**changes):
@@ -35,6 +35,19 @@ def test_nothing_speaks_for_a_contradicted_result():
     told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
     assert told.startswith("Qx is contradicted by its records and must not be used: Without slow")
     assert "In its favour" not in told
+
+
+def test_nothing_supports_a_result_that_is_not_determined():
+    lacking = {"code": "not-determined", "subject": "Qx.K_III", "text": "Add a run."}
+    lacking["undetermined"] = True
+    found = judge_result(result(findings=[lacking]))
+    told = verdict_sentence("Qx", found.accelerometers["Qx"])
+    assert told == "Qx is not determined by its data: Add a run."
+    (first,) = misfit_blocks(found)
+    assert first.style == "undetermined"
+    assert first.text.startswith("This result is not determined by its data (Qx.K_III): Add a run.")
+    (paragraph,) = verdict_blocks(found)
+    assert paragraph.style == "undetermined"
 
 
 @pytest.mark.parametrize(("z", "lines"), [(1.0, 0), (4.0, 0), (7.0, 1)])

@@ -42,7 +42,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, RunResult, State
 from counterspin.characters import Lines
 from counterspin.inference.conformity import expanded_uncertainty
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Picture, Table
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Picture, Style, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
@@ -159,7 +159,8 @@ def _answer_line(
         prior = (
             f"; known beforehand: {format_estimate(value, u, unit)}" if value is not None else ""
         )
-        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", "warning")
+        style: Style = "undetermined" if state == "not-determined" else "warning"
+        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", style)
     text = f"{name} = {format_estimate(value, u, unit)}"
     if in_g:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
@@ -171,7 +172,7 @@ def _answer_line(
         few = coefficient.dof is not None and coefficient.dof < _MANY_DOF
         dof = f", {format_count(coefficient.dof or 0.0)} dof" if few else ""
         text += f"   (95 %: {interval}{dof})"
-    return Paragraph(text, "reserved" if state == "reservations" else "answer")
+    return Paragraph(text, "answer" if state in ("good", None) else "reserved")
 
 
 # Platform and runs
@@ -387,6 +388,10 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     blocks += [
         Paragraph(f"{folder}: the records contradict the result; it must not be used.", "warning")
         for folder in batch.contradicted
+    ]
+    blocks += [
+        Paragraph(f"{folder}: the data do not determine all that is requested.", "undetermined")
+        for folder in batch.not_determined
     ]
     failed = len(batch.failed)
     calibrated = len(batch.campaigns) - failed

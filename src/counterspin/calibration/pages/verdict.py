@@ -8,9 +8,9 @@ from typing import Final
 from counterspin.calibration.findings import supports
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding, State
 from counterspin.inference.conformity import Conformity
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Style, Table
 from counterspin.reports.numbers import (
     field_unit,
     format_estimate,
@@ -22,7 +22,19 @@ from counterspin.reports.numbers import (
 _OPENINGS: Final = {
     "good": "is good",
     "reservations": "can be used with reservations",
+    "not-determined": "is not determined by its data",
     "contradicted": "is contradicted by its records and must not be used",
+}
+
+#: States in which what supports a result is said.
+_USABLE: Final = ("good", "reservations")
+
+#: Styles of the sentence on a state.
+_STYLES: Final[dict[State, Style]] = {
+    "good": "plain",
+    "reservations": "warning",
+    "not-determined": "undetermined",
+    "contradicted": "warning",
 }
 
 _COLUMNS = (
@@ -48,7 +60,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
             sentences.append(
                 f"There {'is 1 more finding' if more == 1 else f'are {more} more findings'}."
             )
-        if speaks_for and accelerometer.state != "contradicted":
+        if speaks_for and accelerometer.state in _USABLE:
             sentences.append(f"In its favour: {speaks_for}.")
     else:
         sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
@@ -73,9 +85,10 @@ def finding_text(finding: Finding) -> str:
 def verdict_blocks(result: Result) -> Iterator[Block]:
     """Yield for each accelerometer of a judged result whether it is good, and what was found."""
     for name, accelerometer in result.accelerometers.items():
+        assert accelerometer.state is not None
         yield Paragraph(
             verdict_sentence(name, accelerometer),
-            "plain" if accelerometer.state == "good" else "warning",
+            _STYLES[accelerometer.state],
         )
         # The first of them stands in the sentence.
         for finding in accelerometer.findings[1:]:
@@ -91,10 +104,10 @@ def verdict_tables(result: Result) -> Iterator[Block]:
         why = "1 finding" if count == 1 else why
         yield Paragraph(
             f"{name} {_opening(accelerometer)}: {why}.",
-            "plain" if accelerometer.state == "good" else "warning",
+            _STYLES[accelerometer.state],
         )
         rows = [(_check(name, finding), finding_text(finding)) for finding in found]
-        if accelerometer.state != "contradicted":
+        if accelerometer.state in _USABLE:
             rows += [
                 (_capital(check), f"{_capital(clause)}.")
                 for check, clause in supports(accelerometer)
@@ -114,10 +127,16 @@ def _capital(text: str) -> str:
 
 
 def misfit_blocks(result: Result) -> Iterator[Block]:
-    """Yield the first lines of a judged result whose records contradict it; nothing otherwise."""
-    if result.state != "contradicted":
+    """Yield the first lines of a result that is contradicted or not determined, else nothing."""
+    if result.state not in ("not-determined", "contradicted"):
         return
     first = result.findings[0]
+    if result.state == "not-determined":
+        yield Paragraph(
+            f"This result is not determined by its data ({first.subject}): {first.text}",
+            "undetermined",
+        )
+        return
     yield Paragraph(
         f"The records contradict this result ({first.subject}): {first.text} Do not "
         "use the numbers below; their uncertainties are not valid.",

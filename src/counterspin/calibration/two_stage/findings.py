@@ -15,6 +15,7 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_problem import AccelerometerView
+from counterspin.calibration.model import is_requested
 from counterspin.calibration.result_parts import Coefficient, Finding, Residual
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import (
@@ -95,7 +96,12 @@ def findings(
         gathered.append(Finding(code="as-printed", subject=name, text=text))
     else:
         gathered += [
-            not_determined(f"{name}.{symbol}", symbol, "runs")
+            not_determined(
+                f"{name}.{symbol}",
+                symbol,
+                "runs",
+                requested=is_requested(view.campaign, symbol, name),
+            )
             for symbol in second.symbols
             if coefficients[symbol].value is None
         ]

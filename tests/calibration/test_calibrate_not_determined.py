@@ -1,0 +1,68 @@
+"""A campaign at one rate does not determine K_II, and its result has a state that says so."""
+
+import json
+
+import pytest
+from campaigns import SMALL, changed, runs, write
+
+import counterspin as cs
+from counterspin import cli
+from counterspin.simulation.simulate import simulate
+
+_THREE = runs("slow", "middle", "fast")
+ONE_RATE = changed(SMALL, (_THREE, _THREE[: _THREE.index("[[runs]]", 2)]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("one-rate")
+    simulate(write(place, ONE_RATE, "plan.toml"), place / "records")
+    return place / "records"
+
+
+def calibrated(folder, tmp_path, *changes):
+    """Return the result of the records with a changed description."""
+    for record in folder.glob("*.csv"):
+        (tmp_path / record.name).write_bytes(record.read_bytes())
+    return cs.calibrate(write(tmp_path, changed(ONE_RATE, *changes)).parent)
+
+
+def test_calibrate_writes_the_result_and_exits_with_1(folder, tmp_path, capsys):
+    status = cli.main(["calibrate", str(folder), "--json", str(tmp_path / "r.json")])
+    printed = capsys.readouterr()
+    out, err = " ".join(printed.out.split()), " ".join(printed.err.split())
+    assert status == 1
+    assert err == (
+        "counterspin: Qx.K_II is not determined: The records do not determine K_II, and no prior "
+        "is stated for it. The data have one rate only; add a run at another rate."
+    )
+    assert "Qx is not determined by its data: " in out
+    assert "In its favour" not in out
+    document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert document["state"] == document["accelerometers"]["Qy"]["state"] == "not-determined"
+    assert document["findings"][0]["undetermined"]
+
+
+def test_several_campaigns_exit_with_1_too(folder, tmp_path, capsys):
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for file in folder.iterdir():
+        (copy / file.name).write_bytes(file.read_bytes())
+    assert cli.main(["calibrate", str(folder), str(copy)]) == 1
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "the data of 2 of 2 campaigns do not determine all that is requested" in printed
+
+
+def test_a_usual_term_that_is_missing_is_information_and_a_named_one_is_not(folder, tmp_path):
+    # With K_F and K_III known, or not requested, one rate determines K_II.
+    bias = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nbias = "0.005 ± 1e-7 g"')
+    other = ('scale_factor = "0.999 g/g"', 'scale_factor = "0.999 g/g"\nbias = "-0.003 ± 1e-7 g"')
+    usual = calibrated(folder, tmp_path, bias, other)
+    assert usual.coefficient("Qx.K_II").estimated
+    assert usual.coefficient("Qx.K_III").value is None
+    assert usual.state == "reservations"
+    named = ('assume = "all"', 'assume = "all"\nterms = ["K_F", "K_I", "K_II", "K_III"]')
+    assert calibrated(folder, tmp_path, bias, other, named).state == "not-determined"
+    # A term that is not requested is not missed.
+    fewer = ('assume = "all"', 'assume = "all"\nterms = ["K_F", "K_I", "K_II"]')
+    assert calibrated(folder, tmp_path, bias, other, fewer).state != "not-determined"
