@@ -14,7 +14,7 @@ from counterspin.errors import CampaignError
 GRAVITY, LATITUDE, EARTH = 9.8066, math.radians(45.0), 7.292115e-5
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 1.5e-5, "K_III": 1e-6}
 SIZES = np.sqrt(np.array([1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0]) * GRAVITY)
-SIGMA = 2e-6
+SIGMA = U_BIAS = 2e-6
 
 #: Where the input axis points in each mounting, and its specific force over R (w^2 + ...).
 SIDES = {"in": ("inward", 1.0), "out": ("outward", -1.0)}
@@ -39,7 +39,7 @@ def campaign(folder, *, more="", spread="", u=SIGMA, sides=SIDES, names=("A",), 
     )
     tables = "".join(
         f'[accelerometers.{name}]\ninput_axis = "up"\npendulous_axis = "west"\n'
-        f'bias = "{TRUTH["K_F"]} ± 2e-6 g"\n'
+        f'bias = "{TRUTH["K_F"]} ± {U_BIAS} g"\n'
         for name in names
     )
     text = (
@@ -63,7 +63,8 @@ def with_values(of, rng, *, rate_errors=0.0, radii=(), sigma=SIGMA):
         float(indicated(w, radii.get((r.accelerometer, r.mounting), 1.0), SIDES[r.mounting][1]))
         for r, w in zip(of.readings, rates, strict=True)
     ]
-    values = np.array(values) + rng.normal(0.0, sigma, len(values))
+    # The bias is drawn from its stated prior.
+    values = np.array(values) + rng.normal(0.0, U_BIAS) + rng.normal(0.0, sigma, len(values))
     read = zip(of.readings, values.tolist(), strict=True)
     return replace(of, readings=tuple(replace(r, value=v, resolution=0.0) for r, v in read))
 
