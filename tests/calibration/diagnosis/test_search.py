@@ -171,3 +171,29 @@ def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):
     for i, column in together.columns.items():
         (own,) = (other.columns[i] for other in single if i in other.columns)
         np.testing.assert_array_equal(column, own)
+
+
+@pytest.mark.parametrize(
+    ("value", "first"), [(-1.74, "K_OQ"), (-1.6, "site.latitude"), (0.01, "site.latitude")]
+)
+def test_a_latitude_far_from_the_stated_one_stands_behind_a_term_that_explains_as_much(
+    value, first
+):
+    """0.8 rad is stated: -0.94 is far from it and from -0.8, which a wrong sign would make."""
+    latitude = Alternative(
+        "input",
+        "",
+        "site.latitude",
+        between=(-2.0, 2.0),
+        typical=5e-6,
+        stated=True,
+        likely=(0.0, -1.6),
+        likely_within=math.radians(1.0),
+    )
+    large = Alternative("term", "Qx", "K_OQ", typical=1e-6, between=(-1e-3, 1e-3))
+    values = np.array([value, 5e-4])
+    size = np.array([8.0, 8.0])
+    every = Scores((latitude, large), values, np.abs(values) / size, size, 1e4)
+    found = search._with_rivals(every, 0, True)
+    assert found.head.symbol == first
+    assert len(found.rivals) == 1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import write
+from campaigns import PLACE, runs, write
 from mistaken_campaigns import (
     ANGLE,
     EAST,
@@ -464,3 +464,56 @@ def test_a_clock_is_named_beside_what_looks_the_same(observable, unit, fast, alo
     else:
         assert named == ["records.clock", "centrifuge.radius"]
         assert "x 1e-4 would fit" in first.text or "x 1e-5 would fit" in first.text
+
+
+VELOCITIES = f"""{PLACE}
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+bias = "0.005 ± 2e-6 g"
+scale_factor = "1.002 ± 5e-6 g/g"
+velocity = {{ column = "east", unit = "m/s" }}
+
+[noise]
+velocity = "1e-3 m/s"
+
+{runs("slow", "middle", "fast")}
+[simulation]
+sampling_rate = "20 Hz"
+revolutions = 30
+seed = 2
+
+[truth.Qx]
+K_F = "0.005 g"
+K_I = "1.002 g/g"
+K_II = "2e-5 g/g^2"
+K_III = "3e-6 g/g^3"
+"""
+
+
+@pytest.mark.parametrize(("ppm", "way"), [(1000.0, "fell"), (-1000.0, "rose")])
+def test_a_gain_that_depends_on_the_frequency_is_named_before_a_stretch(tmp_path, ppm, way):
+    """With the square of the rate; the stretch that would do the same is 200 times its size."""
+    simulate(write(tmp_path, VELOCITIES), tmp_path / "made")
+    for run, part in (("slow", 0.25), ("middle", 0.5), ("fast", 1.0)):
+        file = tmp_path / "made" / f"{run}.csv"
+        head, *lines = file.read_text().splitlines()
+        rows = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+        names = head.split(",")
+        angle, east = (
+            next(k for k, s in enumerate(names) if s.startswith(w)) for w in ("ang", "e")
+        )
+        waves = np.column_stack([np.cos(rows[:, angle]), np.sin(rows[:, angle])])
+        slow = np.vander(rows[:, 0] / rows[-1, 0], 4)
+        both = np.linalg.lstsq(np.column_stack([waves, slow]), rows[:, east], rcond=None)[0]
+        rows[:, east] -= 1e-6 * ppm * part**2 * (waves @ both[:2])
+        written = [",".join(map(repr, row)) for row in rows.tolist()]
+        file.write_text("\n".join([head, *written]) + "\n")
+    first = calibrate(tmp_path / "made").findings[0]
+    assert (first.code, first.subject) == ("frequency-response", "Qx")
+    found = re.search(
+        rf"gain {way} .* by \(?([\d.]+) ± ([\d.]+)\)?( x 1e3)? ppm at 1 Hz", first.text
+    )
+    size, u = (float(x) * (1e3 if found.group(3) else 1.0) for x in found.groups()[:2])
+    assert abs(size - 1000.0) < 4.0 * u
+    assert u < 100.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import three_rates, unknowns
+from joint_campaign import RATES, simulated, three_rates, unknowns
 from scipy import integrate, stats
 
 from counterspin.inference.joint import mistakes
@@ -44,6 +44,25 @@ def test_a_step_of_the_bias_is_found_where_and_as_large_as_it_is(sound):
         assert (other.kind, other.owner) == (mistakes.BIAS_STEP, f"{last.run}.Qx")
         assert other.at == pytest.approx(at, abs=1e-9 * high)
         assert float(every.value[best]) == pytest.approx(SIZE, rel=1e-3)
+
+
+@pytest.mark.parametrize("observable", ["velocity", "specific_force"])
+def test_a_low_pass_is_found_with_its_time_constant(observable):
+    """|H| = 1/sqrt(1 + (w tau)^2), exactly, times the wave of each record."""
+    tau, records = 5e-3, []
+    truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
+    for k, rate in enumerate(RATES):
+        one = simulated(f"run{k}", rate, truth, observable=observable)
+        wave = one.reference()
+        wave -= wave.mean()
+        gain = 1.0 / math.sqrt(1.0 + (rate * tau) ** 2)
+        records.append(replace(one, error=one.error + (gain - 1.0) * wave))
+    fit = relax(estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False).fit)
+    others = mistakes.of_records(fit, {"Qx": 1.7e-9}, angle_recorded=True)
+    every = scores(fit, tuple(others), noise_given=True)
+    best = int(np.argmax(every.size))
+    assert every.alternatives[best].name == "Qx.response"
+    assert float(every.value[best]) == pytest.approx(tau**2, rel=0.01)
 
 
 def of_term(typical, value, u):

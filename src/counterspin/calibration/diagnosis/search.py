@@ -93,6 +93,9 @@ _OUTSIZE: Final = 10.0
 #: Anomalies of the ground's gravity are mostly smaller, m/s^2.
 _ANOMALY: Final = 1e-3
 
+#: A latitude is likely as stated, or with the other sign, within so much, rad.
+_LATITUDE: Final = math.radians(1.0)
+
 #: Steps that are tried in each record, and again about the best of them.
 _STEPS: Final = 24
 
@@ -282,6 +285,8 @@ def _possible(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[
             other,
             between=possible[other.name],
             but_between=beyond if other.name == "site.latitude" else other.but_between,
+            likely=(0.0, -2.0 * latitude) if other.name == "site.latitude" else (),
+            likely_within=_LATITUDE,
             stated=inputs[other.name].value != 0.0,
         )
         if other.name in possible
@@ -414,7 +419,7 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _BestExplanation:
 
     slack = float(held.size[place]) ** 2 - least
 
-    def plausible(k: int) -> tuple[bool, bool, float, bool, int]:
+    def plausible(k: int) -> tuple[bool, bool, bool, float, bool, int]:
         # What is short of the best by all that is allowed is short of it by a decisive chi-square.
         short = _DECISIVE_CHI2 * (float(held.size[place]) ** 2 - float(held.size[k]) ** 2) / slack
         evidence = (
@@ -422,7 +427,8 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _BestExplanation:
         )
         # Of what rounding alone tells apart, what the whole campaign has comes first.
         weight, own = round(-evidence, 6), bool(every[k].owner)
-        return _is_outsized(held, k), every[k].kind not in _FIRST_KINDS, weight, own, k
+        doubtful = every[k].farfetched(float(held.value[k]))
+        return _is_outsized(held, k), doubtful, every[k].kind not in _FIRST_KINDS, weight, own, k
 
     first, *rivals = sorted(as_good, key=plausible)
     return _BestExplanation(

@@ -23,6 +23,7 @@ class Explanation(PriorExplanation):
             "term": self._term,
             mistakes.SCALE: self._scale,
             mistakes.RUN_SCALE: self._scale,
+            mistakes.RESPONSE: self._response,
             mistakes.ANGLE: self._angle,
             mistakes.CORIOLIS: self._coriolis,
             mistakes.BIAS: self._bias,
@@ -71,6 +72,29 @@ class Explanation(PriorExplanation):
         )
         name = f"scale of the record of {self._place}"
         return Wording(code="wrong-scale", subject=self.other.owner, text=text, name=name)
+
+    def _response(self) -> Wording:
+        rates = (
+            abs(self.fit.prepared[i].series.trajectory.spindle.rate) for i in self.other.columns
+        )
+        fastest = max(rates)
+        change, u = (0.5e6 * size * fastest**2 for size in (abs(self.value), self.u))
+        way, cause = (
+            ("fell", "a filter in the recorder, or means over a sample")
+            if self.value > 0.0
+            else ("rose", "a resonance of the sensor")
+        )
+        text = (
+            f"The records of {self.other.owner} would fit if the gain {way} with the square of the "
+            f"frequency, by {format_estimate(change, u, 'ppm')} at {fastest / (2.0 * math.pi):.3g} "
+            f"Hz, as with {cause}. Check the frequency response of accelerometer and recorder."
+        )
+        return Wording(
+            code="frequency-response",
+            subject=self.other.owner,
+            text=text,
+            name=f"frequency response of {self.other.owner}",
+        )
 
     def _angle(self) -> Wording:
         run = self.other.owner

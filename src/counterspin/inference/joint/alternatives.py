@@ -50,6 +50,9 @@ class Alternative:
     between: tuple[float, float] = (-math.inf, math.inf)
     #: Between which, within these, it is not; empty unless the second is the larger one.
     but_between: tuple[float, float] = (0.0, 0.0)
+    #: Sizes about which alone it is likely, and how far from one; empty: any size.
+    likely: tuple[float, ...] = ()
+    likely_within: float = math.inf
     #: Its typical size; None of a mistake, which is of any size.
     typical: float | None = None
     stated: bool = False  #: Whether a value of it was written down, perhaps by mistake.
@@ -58,6 +61,11 @@ class Alternative:
         """Return whether the parameter may be as large as that."""
         (least, most), (low, high) = self.between, self.but_between
         return least <= value <= most and not low < value < high
+
+    def farfetched(self, value: float) -> bool:
+        """Return whether the parameter is credible, but far from every likely size."""
+        far = min((abs(value - size) for size in self.likely), default=0.0)
+        return far > self.likely_within
 
     @property
     def name(self) -> str:

@@ -35,6 +35,7 @@ from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 
 SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
 RUN_SCALE: Final = "run scale"  #: the same in one run only
+RESPONSE: Final = "response"  #: s^2; a gain of 1 - RESPONSE w^2/2 at the angular frequency w
 ANGLE: Final = "angle"  #: rad, by which a recorded angle is too small
 BIAS: Final = "bias"  #: g, of one accelerometer in one run
 BIAS_DRIFT: Final = "bias drift"  #: g/s, of an accelerometer in one run, or in each from its start
@@ -49,6 +50,11 @@ _WHOLE_VELOCITY: Final = (0.8, 1.2)
 #: Up to here a change of scale, and a turn of the angle in rad, is not refused by reading.
 _SCALE_RANGE: Final = (-0.5, 0.5)
 _ANGLE_RANGE: Final = (-0.5, 0.5)
+
+#: Largest change of the gain at the frequency of the fastest run, and the step of a second
+#: derivative in parts of a radian of that run.
+_LARGEST_RESPONSE: Final = 0.1
+_RESPONSE_STEP: Final = 1e-2
 
 #: Terms of accelerometers and platform.
 _ERRORS: Final = frozenset((*TERMS, *SHARED_TERMS))
@@ -93,6 +99,8 @@ def of_records(
         yield Alternative(SCALE, name, SCALE, own, between=_SCALE_RANGE)
         if len(own) > 1:
             yield _drift(fit, list(own), name, trends[name])
+    if len(runs) > 1:
+        yield from _responses(fit, accelerometers)
     for run in runs if len(runs) > 1 else ():
         own = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
         yield Alternative(RUN_SCALE, run, SCALE, own, between=_SCALE_RANGE)
@@ -111,6 +119,24 @@ def of_records(
         for run in runs if len(runs) > 1 else ():
             own = {i: turned[i] for i, part in enumerate(parts) if part.run == run}
             yield Alternative(ANGLE, run, ANGLE, own, between=_ANGLE_RANGE)
+
+
+def _responses(fit: JointFit, accelerometers: Sequence[str]) -> Iterator[Alternative]:
+    """Yield for each accelerometer that its gain depends on the frequency.
+
+    A first-order low pass of time constant tau has the gain 1 - (w tau)^2/2: it adds tau^2/2 times
+    the second derivative of what is recorded. It also delays by tau, as a late angle does.
+    """
+    parts = fit.prepared
+    fastest = max(abs(part.series.trajectory.spindle.rate) for part in parts)
+    step, most = _RESPONSE_STEP / fastest, 2.0 * _LARGEST_RESPONSE / fastest**2
+    for name in accelerometers:
+        columns = {}
+        for i, part in enumerate(parts):
+            if part.accelerometer == name:
+                before, now, after = (part.series.reference(later=by) for by in (-step, 0.0, step))
+                columns[i] = 0.5 * (before - 2.0 * now + after) / step**2
+        yield Alternative(RESPONSE, name, RESPONSE, columns, between=(-most, most))
 
 
 def _fallen(fit: JointFit, i: int, power: int, since: float | None = None) -> Array:
