@@ -157,7 +157,7 @@ def joint(problem: JointProblem) -> Outcome:
             *overstated_noise(views),
             *hidden_walk(views),
             *other_noise(views),
-            *stated_rates_used(read.recorded.without_angle),
+            *warn_of_stated_rates(read.recorded.without_angle),
         ),
         arm_rates=read.recorded.rates,
         residuals=residuals_of(estimated.fit, units),
@@ -176,7 +176,7 @@ def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses
     return with_readings(from_records, problem.model, campaign)
 
 
-def stated_rates_used(runs: Sequence[str]) -> Iterator[str]:
+def warn_of_stated_rates(runs: Sequence[str]) -> Iterator[str]:
     """Yield a remark where records on the arm have no angle."""
     if runs:
         yield (

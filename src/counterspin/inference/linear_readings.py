@@ -115,15 +115,6 @@ class Readings:
                 stations = self.moved(stations, symbol, size)
         return stations
 
-    @property
-    def reversed(self) -> Readings:
-        """The same readings with the other sense of rotation, except where an angle shows it."""
-        signs = np.broadcast_to(1.0 - 2.0 * np.asarray(self.stated_sense), self.size).tolist()
-        every = zip(self.stations, signs, strict=True)
-        return replace(
-            self, stations=tuple(replace(one, rate=sign * one.rate) for one, sign in every)
-        )
-
     def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
         """Return the readings' stations, moved already, with one more of the machine's terms."""
         return [

@@ -179,7 +179,7 @@ def candidates(
         *_of_ranges(forces),
         *_of_approach(readings),
         *_of_sense(readings),
-        *_of_stated_sense(readings, forces),
+        *_reversed_rotation(readings, forces),
     ):
         yield Alternative(kind, readings.accelerometer, symbol, {place: column})
 
@@ -334,12 +334,16 @@ def _of_sense(readings: Readings) -> Iterator[_Column]:
         yield SENSE, "sense of rotation", sense
 
 
-def _of_stated_sense(readings: Readings, forces: Array) -> Iterator[_Column]:
+def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
     """Yield the change of the Coriolis force if the machine turned in the other sense than stated.
 
     forces: Along the input axis, g, shape (n,).
     """
-    change = readings.reversed.products({})[:, [*TERMS].index("K_I")] - forces
+    signs = np.broadcast_to(1.0 - 2.0 * np.asarray(readings.stated_sense), readings.size)
+    every = zip(readings.stations, signs.tolist(), strict=True)
+    stations = tuple(replace(one, rate=sign * one.rate) for one, sign in every)
+    other = replace(readings, stations=stations)
+    change = other.products({})[:, [*TERMS].index("K_I")] - forces
     if np.ptp(change) > 0.0:
         yield REVERSED, "other sense of rotation", change
 

@@ -16,10 +16,10 @@ from counterspin.monitoring.result import CheckedRun, MeanState, ReachedCoeffici
 from counterspin.monitoring.run_state import (
     joint_fit_of,
     nothing_reached,
-    of_report,
-    of_rotation,
     reached_coefficients,
     remarks_of,
+    report_fields,
+    rotation_fields,
     shown_names,
 )
 
@@ -77,7 +77,7 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
     state = _state(campaign, averaged)
     notes = list(dict.fromkeys(note for one in averaged for note in one.mean.report.notes()))
     remarks, good = remarks_of(state, notes, ())
-    others, reached = _with_the_others(campaign, run.name)
+    others, reached = _fit_with_others(campaign, run.name)
     return CheckedRun(
         run=state, remarks=remarks, good=good, others=others, reached=reached, expected=[]
     )
@@ -108,7 +108,7 @@ def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
     first = averaged[0]
     reading, measured = first.reading, first.reading.measured
     assert reading.record is not None
-    facts = of_report(first.mean.report, first.record.time) | of_rotation(first.rotation)
+    facts = report_fields(first.mean.report, first.record.time) | rotation_fields(first.rotation)
     facts["outliers"] = max(sum(one.mean.report.outliers.values()) for one in averaged)
     if measured is not None:
         facts |= {"rate": measured.value, "u_rate": measured.u}
@@ -128,7 +128,7 @@ def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
     )
 
 
-def _with_the_others(campaign: Campaign, name: str) -> tuple[list[str], list[ReachedCoefficient]]:
+def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[ReachedCoefficient]]:
     """Return which other records exist, and the coefficients from all of them together."""
 
     def exists(record: Path) -> bool:

@@ -63,8 +63,8 @@ def run_state(
         state="read",
         stated_seconds=run.duration,
         nominal_rate=run.rate,
-        **of_report(observed.record.report, observed.record.time),
-        **of_rotation(observed.rotation),
+        **report_fields(observed.record.report, observed.record.time),
+        **rotation_fields(observed.rotation),
         residuals={
             view.name: state
             for view in views
@@ -73,7 +73,7 @@ def run_state(
     )
 
 
-def of_report(report: RecordReport, time: Array) -> dict[str, Any]:
+def report_fields(report: RecordReport, time: Array) -> dict[str, Any]:
     """Return the fields of `RunState` that the rows of a record determine.
 
     time: Of the first row to that of the last, s, shape (n,).
@@ -90,7 +90,7 @@ def of_report(report: RecordReport, time: Array) -> dict[str, Any]:
     }
 
 
-def of_rotation(rotation: SpindleFit | None) -> dict[str, Any]:
+def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
     """Return the fields of `RunState` that the recorded angle determines."""
     if rotation is None:
         return {}
@@ -299,7 +299,7 @@ def poses_state(
         run=record.name,
         record=record_name(record.record, campaign.folder),
         state="read",
-        **of_report(report, poses.time),
+        **report_fields(report, poses.time),
         nominal_rate=0.0,
         poses=PosesState(
             count=len(found),

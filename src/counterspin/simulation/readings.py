@@ -137,7 +137,7 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     rates, of_rates = true_rates(campaign), rate_errors(campaign)
     for group, places in numbered_groups(campaign):
         coefficients = truth.coefficients.get(group.accelerometer, {})
-        was = at_rates(at_true_inputs(campaign, group), rates[places])
+        was = with_rates(at_true_inputs(campaign, group), rates[places])
         was = was.with_rate_errors(of_rates[places])
         values[places] = indications(was, coefficients, machine, errors[places])
     return tuple(
@@ -172,8 +172,8 @@ def _mean_rate(spindle: Spindle, duration: float) -> float:
     return math.copysign(math.sqrt(slow + ripple), spindle.rate)
 
 
-def at_rates(group: Readings, rates: Array) -> Readings:
-    """Return readings taken at other rates than the stated ones, rad/s, shape (n,)."""
+def with_rates(group: Readings, rates: Array) -> Readings:
+    """Return readings that were taken at these rates than the stated ones, rad/s, shape (n,)."""
     stated = np.array(group.stated_rates)
     errors = np.divide(rates, stated, out=np.ones_like(rates), where=stated != 0.0) - 1.0
     return group.with_rate_errors(errors)

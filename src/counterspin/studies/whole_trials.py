@@ -33,7 +33,6 @@ from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.physics.terms import shown_by_readings, symbol_of
 from counterspin.records.averages import stretches
 from counterspin.simulation.readings import (
-    at_rates,
     drawn_by_run,
     head_errors,
     indications,
@@ -41,6 +40,7 @@ from counterspin.simulation.readings import (
     true_directions,
     true_poses,
     true_rates,
+    with_rates,
 )
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
 from counterspin.studies.work import JointRequest, Trials
@@ -258,7 +258,7 @@ class TrialReadings:
             at = list(places)
             own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
             # The analysis assumes what is stated of the inputs, whatever is true.
-            actual = at_rates(group, self.rates[at])
+            actual = with_rates(group, self.rates[at])
             for symbol, by in off.items():
                 actual = with_input(actual, symbol, by, known)
             for name in dict.fromkeys(filter(None, group.clocks)):
