@@ -101,12 +101,15 @@ def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
     return posed and symbol in ("K_F", *LINEAR)
 
 
-def assumed_of(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:
+def assumed_of(
+    campaign: Campaign, model: Unknowns, name: str, *, on_request: bool = False
+) -> tuple[Considered, ...]:
     """Return the terms that could reach an accelerometer and that are assumed to be perfect.
 
     Each is taken as a held term without uncertainty; a tilt is one term for each run.
 
     model: Of the campaign, as `model_of` returns it.
+    on_request: Whether to return also the terms that a fit has on request only and lacks.
     """
     there = {
         (other.owner, other.symbol): other.prior[1]
@@ -114,7 +117,7 @@ def assumed_of(campaign: Campaign, model: Unknowns, name: str) -> tuple[Consider
     }
     return tuple(
         Considered(owner, symbol, (term(symbol).nominal, 0.0), campaign.limit_of(symbol, owner))
-        for owner, symbol in _acting(campaign, name)
+        for owner, symbol in _acting(campaign, name, on_request=on_request)
         if there.get((owner, symbol), 0.0) == 0.0
     )
 
@@ -185,8 +188,13 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
     return inputs
 
 
-def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
-    """Return owner and symbol of all terms that act, of one accelerometer or of all of them."""
+def _acting(
+    campaign: Campaign, only: str = "", *, on_request: bool = False
+) -> list[tuple[str, str]]:
+    """Return owner and symbol of all terms that act, of one accelerometer or of all of them.
+
+    on_request: Whether to return also terms that nobody requested and that no fit has by default.
+    """
     names = [only] if only else list(campaign.accelerometers)
     of_frame = campaign.triad.of_frame if campaign.triad else ()
     known = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
@@ -195,7 +203,10 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
         for name in names
         for symbol, row in OWN_TERMS.items()
         if symbol in campaign.model.terms or _acts(campaign, row)
-        if row.by_default or symbol in known or _stated(campaign, name, symbol) is not None
+        if row.by_default
+        or on_request
+        or symbol in known
+        or _stated(campaign, name, symbol) is not None
         if (name, symbol) not in of_frame
     ]
     readings = tuple(r for r in campaign.readings if r.accelerometer in names)
@@ -208,7 +219,7 @@ def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
         or (term(s).by_default and not s.startswith("centrifuge.radius."))
         or (accelerometer_of(s) and same_for_all(s) not in known)
     ]
-    return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))
+    return list(dict.fromkeys([*own, *_of_platform(campaign, names, on_request), *read]))
 
 
 def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
@@ -233,7 +244,9 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     return any(of_runs) or any(temperature != origin.temperature for temperature in warm)
 
 
-def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _of_platform(
+    campaign: Campaign, names: Sequence[str], on_request: bool
+) -> Iterator[tuple[str, str]]:
     """Yield owner and symbol of the terms that records of these accelerometers show."""
     accelerometers = [campaign.accelerometers[name] for name in names]
     attitudes = dict.fromkeys(run.attitude.tobytes() for run in campaign.runs)
@@ -243,7 +256,8 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
             continue
         if isinstance(row.effect, Turn) and not _turns(campaign, row.effect):
             continue
-        if not row.by_default and symbol not in {*wanted, *campaign.model.priors}:
+        by_default = row.by_default or on_request
+        if not by_default and symbol not in {*wanted, *campaign.model.priors}:
             continue
         acting = {
             key

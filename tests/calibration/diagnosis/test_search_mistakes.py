@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import PLACE, runs, write
+from campaigns import PLACE, changed, runs, write
 from mistaken_campaigns import (
     ANGLE,
     EAST,
@@ -517,3 +517,19 @@ def test_a_gain_that_depends_on_the_frequency_is_named_before_a_stretch(tmp_path
     size, u = (float(x) * (1e3 if found.group(3) else 1.0) for x in found.groups()[:2])
     assert abs(size - 1000.0) < 4.0 * u
     assert u < 100.0
+
+
+@pytest.mark.parametrize(
+    ("symbol", "value"), [("K_5", "1e-8 g/g^5"), ("K_I_asym", "2e-5 g/g"), ("K_0_asym", "4e-5 g")]
+)
+def test_a_term_that_a_fit_has_on_request_only_is_named_where_it_acts(tmp_path, symbol, value):
+    """In specific force, with nothing assumed: not K_OQ, K_4, a stretch or a latitude."""
+    forces = changed(
+        VELOCITIES,
+        ("velocity = {", "specific_force = {"),
+        ('"m/s" }', '"m/s^2" }'),
+        ('velocity = "1e-3 m/s"', 'specific_force = "1e-4 m/s^2"'),
+    )
+    simulate(write(tmp_path, f'{forces}{symbol} = "{value}"\n'), tmp_path / "made")
+    first = calibrate(tmp_path / "made").findings[0]
+    assert (first.code, first.subject) == ("term-missing", f"Qx.{symbol}")
