@@ -26,6 +26,19 @@ def test_blocks_are_the_exact_means(tmp_path):
     assert (record.count == 50).all()
 
 
+def test_angles_tell_the_spread_of_times_that_scatter(tmp_path):
+    """Time stamps that err by a twentieth of a step; those that do not tell it themselves."""
+    columns = dense(20_000)
+    assert np.isnan(read(write(tmp_path / "good.parquet", columns)).angle_sd).all()
+    step = columns[TIME][1]
+    rng = np.random.default_rng(6)
+    columns[TIME] = columns[TIME] + 0.05 * step * rng.standard_normal(20_000)
+    columns[TIME][0] = 0.0
+    record = read(write(tmp_path / "run.parquet", columns))
+    spread = columns[ANGLE].reshape(-1, record.report.block).std(axis=1)
+    np.testing.assert_allclose(record.angle_sd, spread, rtol=1e-9)
+
+
 def test_point_samples_on_request(tmp_path):
     record = read(write(tmp_path / "run.parquet", dense(20_000)), block=None)
     assert len(record.time) == 20_000

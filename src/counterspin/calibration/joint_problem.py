@@ -109,7 +109,7 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                 angle_error=run.rotation.error if run.rotation else None,
                 recorder=campaign.recording_of(run.run).recorder,
                 by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
-                stamps=stamps and replace(stamps, delay=stamps.delay[keep]),
+                stamps=stamps and stamps.of_rows(keep),
             )
             one = one.with_timing(timing)
             series.append(one.corrected(stamps.prior[0]) if stamps else one)
@@ -123,10 +123,14 @@ def _stamp_errors(run: ObservedRun, timing: float, encoder_noise: float) -> Stam
         return None
     spindle = rotation.spindle
     rate = abs(spindle.rate)
+    widening = np.zeros(record.time.size)
+    if record.angle_sd is not None:
+        widening = np.nan_to_num((record.angle_sd / rate) ** 2 - record.time_sd**2)
     return StampErrors(
         rotation.residuals / spindle.angular_rate(record.time),
         rotation.rms * math.sqrt(float(np.mean(record.count))) / rate,
         rotation.dof,
+        widening,
         timing,
         encoder_noise / rate,
     )

@@ -249,6 +249,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
             np.zeros_like(time),
             of_angle / abs(run.rate),
             time.size,
+            np.zeros_like(time),
             timing,
             encoder_noise / abs(run.rate),
         )

@@ -403,6 +403,7 @@ class _RecordReader:
             self._report(blocks),
             self._file.identity,
             polynomials=parts,
+            angle_sd=blocks.angle_sd,
         )
 
     def _check_length(self, blocks: Blocks) -> None:

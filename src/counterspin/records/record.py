@@ -280,3 +280,5 @@ class Record:
     #: Accelerometer -> parts of its whole column along 1, t and t^2, over the noise of one row,
     #: shape (4,); NaN where nothing tells it. See `counterspin.records.signals`.
     polynomials: Mapping[str, np.ndarray] = field(default_factory=dict)
+    #: rad, standard deviation of the angles inside each block; NaN where `time_sd` tells it.
+    angle_sd: np.ndarray | None = None

@@ -38,6 +38,8 @@ class Blocks:
     count: np.ndarray
     angle: np.ndarray | None
     signals: list[np.ndarray]
+    #: Standard deviation of the angles inside each block, rad; NaN where the times tell it.
+    angle_sd: np.ndarray
 
     @classmethod
     def joined(cls, parts: list[Blocks]) -> Blocks:
@@ -50,6 +52,7 @@ class Blocks:
             if parts[0].angle is None
             else np.concatenate([part.angle for part in parts if part.angle is not None]),
             [np.concatenate(arrays) for arrays in zip(*(p.signals for p in parts), strict=True)],
+            np.concatenate([part.angle_sd for part in parts]),
         )
 
 
@@ -140,17 +143,25 @@ class Reducer:
 
         mean_time = means(time)
         count = np.full(len(mean_time), size)
+        mean_angle = None if piece.angle is None else means(piece.angle)
+
+        def spreads(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
+            apart = x[:whole].reshape(-1, size) - mean[: whole // size, None]
+            spread = np.sqrt(np.einsum("ij,ij->i", apart, apart) / size)
+            return np.append(spread, x[whole:].std()) if tail else spread
+
+        angle_sd = np.full(len(mean_time), math.nan)
         if unevenness < _IGNORED_UNEVENNESS:
             sd = np.full(len(mean_time), self._step * math.sqrt((size**2 - 1) / 12))
         else:
-            apart = time[:whole].reshape(-1, size) - mean_time[: whole // size, None]
-            sd = np.sqrt(np.einsum("ij,ij->i", apart, apart) / size)
-            sd = np.append(sd, 0.0) if tail else sd
+            sd = spreads(time, mean_time)
+            if piece.angle is not None and mean_angle is not None:
+                angle_sd = spreads(piece.angle, mean_angle)
         if tail:
             sd[-1] = time[whole:].std()
             count[-1] = tail
-        mean_angle = None if piece.angle is None else means(piece.angle)
-        return Blocks(mean_time, sd, count, mean_angle, [means(x) for x in piece.signals])
+        signals = [means(x) for x in piece.signals]
+        return Blocks(mean_time, sd, count, mean_angle, signals, angle_sd)
 
     def _means(self, piece: Piece, usable: list[np.ndarray], by_rows: bool) -> Blocks:
         """Reduce a piece with gaps, empty cells or outliers."""
@@ -179,15 +190,20 @@ class Reducer:
 
         mean_time = means(time)
         sd = np.sqrt(means((time - mean_time[places]) ** 2))
+        mean_angle, angle_sd = None, np.full(len(sd), math.nan)
+        if piece.angle is not None:
+            mean_angle = means(piece.angle)
+            angle_sd = np.sqrt(means((piece.angle - mean_angle[places]) ** 2))
         return Blocks(
             mean_time[filled],
             sd[filled],
             count[filled],
-            None if piece.angle is None else means(piece.angle)[filled],
+            None if mean_angle is None else mean_angle[filled],
             [
                 np.where(gone, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[filled]
                 for x, gone in zip(piece.signals, absent, strict=True)
             ],
+            angle_sd[filled],
         )
 
 
@@ -199,4 +215,5 @@ def _points(piece: Piece, outliers: list[np.ndarray]) -> Blocks:
         x[places] = np.nan
     rows = len(piece)
     angle = None if piece.angle is None else piece.angle.copy()
-    return Blocks(piece.time.copy(), np.zeros(rows), np.ones(rows, dtype=int), angle, signals)
+    none, count = np.zeros(rows), np.ones(rows, dtype=int)
+    return Blocks(piece.time.copy(), none, count, angle, signals, none.copy())

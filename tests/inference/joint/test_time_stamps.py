@@ -50,7 +50,7 @@ def scattered(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
             time=stamps,
             trajectory=replace(one.trajectory, spindle=fit.spindle),
             angle_error=fit.error,
-            stamps=StampErrors(delay, fit.rms / rate, fit.dof, *known),
+            stamps=StampErrors(delay, fit.rms / rate, fit.dof, np.zeros(delay.size), *known),
         )
         late = replace(late, error=output - late.reference()).with_timing(stated[0])
         drawn.append(late.corrected(late.stamps.prior[0]))

@@ -41,11 +41,18 @@ class StampErrors:
     delay: Array  #: That residual over the rate, s, shape (n,).
     sd: float  #: Its standard deviation in a row of one sample, s.
     dof: int  #: Degrees of freedom of that.
+    #: By how much the variance of the times inside each block is larger by the angles than by the
+    #: time stamps, s^2, shape (n,).
+    widening: Array
     #: Stated noise of the time stamps, and stated noise of the encoder over the rate, s; 0: not
     #: stated.
     timing: float = 0.0
     encoder: float = 0.0
     share: float = 0.0  #: Part of the delays by which the times are corrected.
+
+    def of_rows(self, keep: npt.NDArray[np.bool_]) -> StampErrors:
+        """Return those of the rows where `keep` (bool, shape (n,)) is true."""
+        return replace(self, delay=self.delay[keep], widening=self.widening[keep])
 
     @property
     def prior(self) -> tuple[float, float]:
@@ -181,7 +188,7 @@ class Series:
             error=self.error[keep],
             by_latitude=None if self.by_latitude is None else self.by_latitude[keep],
             moved=None if self.moved is None else self.moved[keep],
-            stamps=self.stamps and replace(self.stamps, delay=self.stamps.delay[keep]),
+            stamps=self.stamps and self.stamps.of_rows(keep),
         )
 
     @property
@@ -208,7 +215,9 @@ class Series:
         if not np.all(np.diff(time) > 0.0):
             return self  # an encoder this noisy does not tell the order of the rows
         stamps = replace(self.stamps, share=share)
-        moved = replace(self, time=time, stamps=stamps)
+        more = (share - self.share) * self.stamps.widening
+        spread = np.sqrt(np.maximum(self.spread**2 + more, 0.0))
+        moved = replace(self, time=time, spread=spread, stamps=stamps)
         error = self.error + self.reference() - moved.reference()
         return replace(moved, error=error).with_timing(stamps.left)
 
