@@ -79,6 +79,21 @@ def test_u_is_the_scatter(exact, observable, timing, stated):
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / (2 * trials)))
 
 
+def test_few_samples_of_a_revolution_are_enough():
+    """With eight of them the eighth harmonic at the time stamps is nothing but their errors."""
+    exact = [
+        simulated(
+            f"run{i}", w, TRUTH, observable="specific_force", per_revolution=8, revolutions=20
+        )
+        for i, w in enumerate(RATES)
+    ]
+    for seed in range(3):
+        drawn = scattered(exact, 2e-4, np.random.default_rng(seed))
+        found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
+        assert min(one.share for one in found.series) > 0.99
+        assert np.abs(z_of(found)).max() < 4.0
+
+
 def test_the_angle_tells_the_time(exact):
     """The old treatment, as if output and angle were late independently, wastes all of that."""
     drawn = scattered(exact["specific_force"], 2e-4, np.random.default_rng(2), stated=(2e-4, 0.0))

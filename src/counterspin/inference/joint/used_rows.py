@@ -349,7 +349,10 @@ def without_waves(series: Series, residuals: Array) -> Array:
     """
     last = series.time[-residuals.size :]
     angle = series.trajectory.spindle.angle(last)
-    waves = [f(j * angle) for j in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
+    # A harmonic at or beyond half the sampling rate would follow the errors of the time stamps.
+    turn = abs(series.trajectory.spindle.rate) * median(np.diff(last))
+    highest = min(_HARMONICS, int(math.pi / turn) - 1)
+    waves = [f(j * angle) for j in range(1, highest + 1) for f in (np.cos, np.sin)]
     shapes = np.column_stack([*np.vander(last / last[-1], _POWERS).T, *waves])
     found = np.linalg.lstsq(shapes, residuals, rcond=None)[0]
     count, gone = shapes.shape
