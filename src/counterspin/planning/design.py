@@ -1,4 +1,4 @@
-"""Designs of a campaign: runs, what they may be, what they cost, and what is to be small."""
+"""Designs of a campaign: runs, their limits, their cost, and the criterion to minimise."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TOUCHING: Final = 1e-6
 
 
 class RunType(NamedTuple):
-    """What a run is besides its rate and length: attitude and sense of the spin (+1, -1)."""
+    """Attitude and sense of the spin (+1, -1) of a run."""
 
     attitude: str
     sense: int
@@ -58,7 +58,7 @@ class Design:
         return Design(types, self.rate, self.revolutions)
 
     def joined(self, other: Design) -> Design:
-        """Return the runs of both."""
+        """Return the runs of both designs."""
         return Design(
             self.types + other.types,
             np.concatenate([self.rate, other.rate]),
@@ -68,7 +68,7 @@ class Design:
 
 @frozen
 class Limits:
-    """What a campaign may be."""
+    """Limits of a campaign: available attitudes, senses, rates, times and numbers of runs."""
 
     types: tuple[RunType, ...]  #: Attitudes and senses available.
     rate: tuple[float, float]  #: Smallest and largest size of the rate, rad/s.
@@ -83,11 +83,11 @@ class Limits:
     fewest_rates: int = 1  #: How many different rates the runs must have at least.
 
     def overhead(self, rate: Array) -> Array:
-        """Return the time that runs take beside their records, s."""
+        """Return the time that runs take in addition to their records, s."""
         return self.settling + self.spin_up * rate
 
     def time(self, design: Design) -> float:
-        """Return what a campaign takes, s."""
+        """Return the total time of a campaign, s."""
         attitudes = len({run_type.attitude for run_type in design.types})
         return (
             float(np.sum(design.duration + self.overhead(design.rate)))
@@ -95,7 +95,7 @@ class Limits:
         )
 
     def nearest(self, rate: Array) -> Array:
-        """Return the available rates that are nearest to some, shape (n,), rad/s."""
+        """Return the available rates nearest to the given rates, shape (n,), rad/s."""
         if not self.settings:
             return np.clip(rate, *self.rate)
         settings = np.array(self.settings)
@@ -104,7 +104,7 @@ class Limits:
         return nearest
 
     def hold(self, design: Design) -> bool:
-        """Return whether a campaign is within all of them, to rounding."""
+        """Check that a campaign is within all limits, to rounding."""
         return bool(
             set(design.types) <= set(self.types)
             and len(design.types) <= self.runs
@@ -117,7 +117,7 @@ class Limits:
 
     @property
     def shortest(self) -> float:
-        """The least time in which runs can be made, one at each rate that there must be, s."""
+        """The least time for one run at each required rate, s."""
         rates = np.array(self.settings or self.rate)
         times = np.sort(self.revolutions * 2.0 * math.pi / rates + self.overhead(rates))
         if self.fewest_rates > 1:
@@ -127,7 +127,7 @@ class Limits:
 
     @property
     def possible(self) -> bool:
-        """Whether there is any campaign within them."""
+        """True if any campaign is within the limits."""
         return (
             self.runs >= self.fewest_rates
             and len(self.different_rates(self.rate[1])) >= self.fewest_rates
@@ -136,13 +136,13 @@ class Limits:
 
     @property
     def apart(self) -> float:
-        """How many times the next lower one each of the different rates must be."""
+        """Least ratio of each of the different rates to the next lower one."""
         return 1.0 if self.settings else _DIFFERENT_RATE_RATIO
 
     def different_rates(self, fastest: float) -> list[float]:
-        """Return as many different rates as there must be, from the fastest down, rad/s.
+        """Return as many different rates as are required, from the fastest down, rad/s.
 
-        Fewer if the lowest rate comes before.
+        Return fewer rates if the lowest rate is reached first.
         """
         if self.settings:
             below = [w for w in self.settings if w <= fastest * (1.0 + 1e-9)]
@@ -152,7 +152,7 @@ class Limits:
         return [w for w in rates if w >= self.rate[0] * (1.0 - 1e-9)]
 
     def runs_apart(self, rate: Array) -> list[int]:
-        """Return runs at different rates, from the fastest down: as many as there must be at most.
+        """Return indices of runs at different rates, fastest first, at most the required number.
 
         rate: Of the runs, shape (n,).
         """
@@ -168,7 +168,7 @@ class Limits:
 
 @frozen
 class Criterion:
-    """What is to be small."""
+    """The criterion that a plan minimises."""
 
     places: tuple[int, ...]  #: The unknowns of interest, among the shared ones.
     scales: tuple[float, ...]  #: The size of u that counts as 1, for each.
@@ -224,10 +224,10 @@ def order_of(types: Sequence[RunType]) -> list[int]:
 
 
 def brought_within(design: Design, limits: Limits) -> Design | None:
-    """Return a design that is within the limits as it is, or the like of it that is; or None.
+    """Return the design if it is within the limits, else a similar design that is, or None.
 
     Its longest runs are kept, each at the nearest rate that there is, with the lengths scaled into
-    the time. None: there is no such design, or it has types of run that are not available.
+    the time. None: no such design exists, or it has types of run that are not available.
     """
     if limits.hold(design):
         return design
@@ -242,16 +242,16 @@ def brought_within(design: Design, limits: Limits) -> Design | None:
 
 
 def fitted_into(design: Design, limits: Limits) -> Design | None:
-    """Return the design with its lengths scaled into the time there is; None if none fits."""
+    """Return the design with its lengths scaled into the available time; None if none fits."""
     spread = _at_different_rates(design, limits)
     if spread is None:
         return None
     design = spread
     fixed = float(np.sum(limits.overhead(design.rate)))
     changes = limits.time(design) - float(np.sum(design.duration)) - fixed
-    left = limits.total_time - fixed - changes
+    available = limits.total_time - fixed - changes
     fewest = limits.revolutions * 2.0 * math.pi / design.rate
-    spare = left - float(fewest.sum())
+    spare = available - float(fewest.sum())
     if spare < -1e-9 * limits.total_time:
         return None
     beyond = np.clip(design.duration, fewest, limits.longest_run) - fewest
@@ -262,7 +262,7 @@ def fitted_into(design: Design, limits: Limits) -> Design | None:
 
 
 def _at_different_rates(design: Design, limits: Limits) -> Design | None:
-    """Return the design with its slowest runs moved to rates of their own, if there are too few.
+    """Return the design with its slowest runs moved to separate rates, if it has too few rates.
 
     None if the limits do not allow it.
     """

@@ -1,4 +1,4 @@
-"""What faults that a model does not know would shift, and how large each of them may become.
+"""Shifts of the estimates by faults that a model omits, and the tolerable size of each fault.
 
 A fault is a term of the table that is assumed to be perfect, at its typical size. Each
 moves the estimates, and leaves something in the residuals; where that is too little, the plan
@@ -50,7 +50,7 @@ _LARGEST_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
 
 
 class Requirement(ResultPart):
-    """How large a fault of the centrifuge may be before u of the goal grows by a twentieth.
+    """The size of a fault of the centrifuge that increases u of the goal by a twentieth.
 
     `size` is None where any size that can occur would do.
     """
@@ -82,7 +82,7 @@ class FaultEffect(ResultPart):
 def requirements_of(
     prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
-    """Return how good the centrifuge must be for the uncertainty that is predicted.
+    """Return the requirements on the centrifuge for the predicted uncertainty.
 
     Each fault by itself, at the size given, makes u of the coefficient grow by a twentieth.
 
@@ -97,7 +97,7 @@ def requirements_of(
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
-    fit = replace(before, model=model, observations=_of_model(prediction, model, expected))
+    fit = replace(before, model=model, observations=_omit_terms(prediction, model, expected))
     words = f"at the expected value of {name}"
     if expected[place] == 0.0:
         expected[place] = unknown.limit
@@ -110,8 +110,8 @@ def requirements_of(
         Fault(symbol, "", 1.0, "", tuple(perfect(owner, symbol) for owner in of))
         for symbol, of in owners.items()
     ]
-    found = effects_of(replace(prediction, fit=fit), [*faults, *paths], expected)
-    zero, rate, drift, radius, delay, *machine = (one.moved[place] for one in found)
+    effects = effects_of(replace(prediction, fit=fit), [*faults, *paths], expected)
+    zero, rate, drift, radius, delay, *machine = (effect.moved[place] for effect in effects)
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
         ("radius", radius, "m"),
@@ -132,25 +132,29 @@ def requirements_of(
     return words, [
         Requirement(
             words=text,
-            size=size if (size := _over(allowed, moved)) <= largest[unit] else None,
+            size=size if (size := _allowed_size(allowed, moved)) <= largest[unit] else None,
             unit=unit,
         )
         for text, moved, unit in lines
     ]
 
 
-def _of_model(prediction: Forecast, model: Unknowns, expected: Array) -> tuple[Observation, ...]:
-    """Return what is measured with the columns of a model that has fewer terms."""
+def _omit_terms(prediction: Forecast, model: Unknowns, expected: Array) -> tuple[Observation, ...]:
+    """Return the observations with the columns of a model that has fewer terms."""
     fit, factors = prediction.fit, scale_factors(prediction.campaign)
-    readings = [one.group for one in fit.observations if isinstance(one, LinearReadings)]
+    readings = [
+        observation.group
+        for observation in fit.observations
+        if isinstance(observation, LinearReadings)
+    ]
     return (
         *prepared_for(fit.prepared, fit.model, model, factors, {}),
         *(group.linearised(model, expected) for group in readings),
     )
 
 
-def _over(allowed: float, moved: Array | float) -> float:
-    """Return the size of a fault whose parts, one unit each, move the coefficient so."""
+def _allowed_size(allowed: float, moved: Array | float) -> float:
+    """Return the allowed size of a fault from the coefficient's shifts per unit of its parts."""
     sensitivity = float(np.linalg.norm(moved))
     return allowed / sensitivity if sensitivity > 0.0 else math.inf
 
@@ -167,7 +171,7 @@ def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> flo
         n = sample_count(duration, sampling_rate)
         scale = np.array([1.0, 1.0 / duration, 2.0 / (abs(run.rate) * duration**2)])
         a, b, c = (sensitivity * scale).tolist()  # to 1, t and t^2, t from 0 to 1
-        # The same of 1, t - 1/2 and (t - 1/2)^2 less its mean, whose products add up to nothing
+        # The same of 1, t - 1/2 and (t - 1/2)^2 minus its mean, whose products add up to nothing
         # over even samples, and whose squares have these means.
         linear = (n + 1.0) / (12.0 * (n - 1.0))
         square = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
@@ -178,7 +182,7 @@ def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> flo
 
 @frozen(eq=False)
 class Fault:
-    """Something that may be wrong, and that the model does not know."""
+    """A possible fault that the model omits."""
 
     #: As the term table has it, or as it would; what it is called.
     symbol: str
@@ -194,18 +198,18 @@ class Fault:
     shown: Callable[[Observation], Array] | None = None
 
 
-def _of_family(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
+def _family_fault(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
     row = term(parts[0].symbol)
     return Fault(symbol, row.words_of_family, size, row.unit, tuple(parts), random=row.per_run)
 
 
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
-    """Return what may be wrong for an accelerometer unseen: what is assumed to be perfect."""
+    """Return the possible undetected faults for an accelerometer: terms assumed to be perfect."""
     by_symbol: dict[str, list[Considered]] = {}
-    for other in assumed_of(campaign, model_of(campaign), name):
-        by_symbol.setdefault(term(other.symbol).family, []).append(other)
+    for considered_term in assumed_of(campaign, model_of(campaign), name):
+        by_symbol.setdefault(term(considered_term.symbol).family, []).append(considered_term)
     return [
-        _of_family(symbol, parts, campaign.typical_of(parts[0].symbol, name))
+        _family_fault(symbol, parts, campaign.typical_of(parts[0].symbol, name))
         for symbol, parts in by_symbol.items()
     ]
 
@@ -213,7 +217,7 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
 def of_path(symbol: str) -> Fault:
     """Return an error of the path, both quadratures: such as ``encoder.harmonic.1``."""
     rows = [row for row in MOTION_TERMS.values() if row.family == symbol]
-    return _of_family(symbol, [perfect("", row.symbol) for row in rows], rows[0].typical)
+    return _family_fault(symbol, [perfect("", row.symbol) for row in rows], rows[0].typical)
 
 
 def perfect(owner: str, symbol: str) -> Considered:
@@ -222,17 +226,17 @@ def perfect(owner: str, symbol: str) -> Considered:
 
 
 def square(name: str) -> Fault:
-    """Return K_II of an accelerometer itself, as the estimate is to see it whole."""
+    """Return K_II of an accelerometer, which the estimate must recover completely."""
     return Fault("K_II", "", 1.0, "g/g^2", (perfect(name, "K_II"),))
 
 
 def mean_square(name: str) -> Fault:
-    """Return what K_II of an accelerometer does to the mean force, without its harmonics."""
+    """Return the effect of K_II of an accelerometer on the mean force, without its harmonics."""
 
-    def shown(one: Observation) -> Array:
-        if not isinstance(one, Prepared) or one.accelerometer != name:
-            return np.zeros(len(one.design))
-        series, motion = one.series, one.series.trajectory
+    def shown(observation: Observation) -> Array:
+        if not isinstance(observation, Prepared) or observation.accelerometer != name:
+            return np.zeros(len(observation.design))
+        series, motion = observation.series, observation.series.trajectory
         times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))
         along = motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
         mean = float(np.mean((along / motion.site.gravity) ** 2))
@@ -247,20 +251,20 @@ _PARTS_AT_ONCE: Final = 16
 
 @frozen(eq=False)
 class FaultSensitivity(Sensitivities):
-    """What a fault would shift, and what it would leave in the residuals, part by part."""
+    """The shift by a fault, and its remainder in the residuals, part by part."""
 
     fault: Fault  #: The fault.
 
     def of_unit(self, place: int) -> float:
-        """Return what one unit of the fault moves an unknown by, without sign."""
+        """Return the size of the shift of an unknown per unit of the fault."""
         return float(np.linalg.norm(self.moved[place]))
 
     def shift(self, place: int) -> float:
-        """Return by how much the fault of its size moves an unknown, without sign."""
+        """Return the size of the shift of an unknown by the fault at its typical size."""
         return self.fault.size * self.of_unit(place)
 
     def deviation(self, place: int) -> float:
-        """Return how many standard deviations the best test for this very fault would see."""
+        """Return the deviation seen by the best test for this fault, in standard deviations."""
         return math.sqrt(self.square(self.left, place))
 
     def detection(self, place: int, accelerometer: str, significance: float) -> float:
@@ -272,7 +276,7 @@ class FaultSensitivity(Sensitivities):
         return 1.0 - float(chndtr(chdtri(dof, significance), dof, square))
 
     def square(self, left: Array, place: int) -> float:
-        """Return the sum of squares that the fault of its size leaves, as of `left`.
+        """Return the sum of squares that the fault at its typical size leaves, from `left`.
 
         Of parts that are one amplitude, in the phase that moves an unknown most.
         """
@@ -288,9 +292,9 @@ class FaultSensitivity(Sensitivities):
 def effects_of(
     prediction: Forecast, faults: Sequence[Fault], expected: Array | None = None
 ) -> list[FaultSensitivity]:
-    """Return what faults would do to a campaign's fit, each by itself.
+    """Return the effects of faults on a campaign's fit, each fault separately.
 
-    expected: Values of the fit's unknowns, less nominal, on which inputs act; None: what
+    expected: Values of the fit's unknowns, minus nominal, on which inputs act; None: what
         `expected_values` says.
     """
     fit = prediction.fit
@@ -301,37 +305,39 @@ def effects_of(
         if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _PARTS_AT_ONCE:
             groups.append([])
         groups[-1].append(fault)
-    return [one for group in groups for one in _together(fit, group, expected)]
+    return [effect for group in groups for effect in _sensitivities(fit, group, expected)]
 
 
-def _together(
+def _sensitivities(
     fit: JointFit, faults: Sequence[Fault], expected: Array
 ) -> Iterator[FaultSensitivity]:
     of_terms = columns_of(fit, [part for fault in faults for part in fault.parts], expected)
     ends = np.cumsum([len(fault.parts) for fault in faults])[:-1]
 
-    def shown(one: Observation) -> Array:
-        parts = np.split(of_terms(one), ends, axis=1)
+    def shown(observation: Observation) -> Array:
+        parts = np.split(of_terms(observation), ends, axis=1)
         return np.column_stack(
             [
-                own if fault.shown is None else fault.shown(one)
-                for fault, own in zip(faults, parts, strict=True)
+                block if fault.shown is None else fault.shown(observation)
+                for fault, block in zip(faults, parts, strict=True)
             ]
         )
 
-    found = sensitivities(fit, shown)
+    sensitivity = sensitivities(fit, shown)
     start = 0
     for fault in faults:
-        own = slice(start, start := start + max(1, len(fault.parts)))
-        left_in = {name: left[own, own] for name, left in found.left_in.items()}
-        moved, left = found.moved[:, own], found.left[own, own]
-        yield FaultSensitivity(moved, left, left_in, found.freedom, fault)
+        places = slice(start, start := start + max(1, len(fault.parts)))
+        left_in = {
+            name: remainder[places, places] for name, remainder in sensitivity.left_in.items()
+        }
+        moved, remainder = sensitivity.moved[:, places], sensitivity.left[places, places]
+        yield FaultSensitivity(moved, remainder, left_in, sensitivity.freedom, fault)
 
 
 def unseen_effects(
     prediction: Forecast, name: str, k_ii: int
 ) -> tuple[float | None, list[FaultEffect]]:
-    """Return what of K_II rests on the second harmonic, and which faults would move it.
+    """Return the share of K_II from the second harmonic, and the faults that would shift K_II.
 
     The first is None where there are readings, which are means.
 
@@ -339,13 +345,13 @@ def unseen_effects(
     """
     campaign, fit = prediction.campaign, prediction.fit
     faults = [*faults_of(campaign, name), mean_square(name), square(name)]
-    *found, of_mean, of_square = effects_of(prediction, faults)
+    *sensitivities, of_mean, of_square = effects_of(prediction, faults)
     u = float(fit.solution.u[k_ii])
     effects = []
-    for one in found:
-        shift, fault = one.shift(k_ii), one.fault
+    for effect in sensitivities:
+        shift, fault = effect.shift(k_ii), effect.fault
         if shift > u:
-            detection = one.detection(k_ii, name, SIGNIFICANCE)
+            detection = effect.detection(k_ii, name, SIGNIFICANCE)
             effects.append(
                 FaultEffect(
                     symbol=fault.symbol,
@@ -354,7 +360,7 @@ def unseen_effects(
                     unit=fault.unit,
                     shift=shift,
                     ratio=shift / u,
-                    deviation=one.deviation(k_ii),
+                    deviation=effect.deviation(k_ii),
                     detection=detection,
                     noticed=detection >= _DETECTION_PROBABILITY,
                 )

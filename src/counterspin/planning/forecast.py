@@ -1,4 +1,4 @@
-"""What a campaign's calibration will say, from its description alone, before there are records.
+"""Predict the result of a campaign's calibration from its description, without records.
 
 The same columns, whitening, priors and solve as the calibration's, on the times at which the
 records will be sampled. Only the errors are missing, and the covariance does not need them.
@@ -56,10 +56,10 @@ class Forecast:
 
     def __repr__(self) -> str:
         """Return the u of what the campaign asks for, a line each."""
-        asked = self.fit.model.asked
-        width = max((len(unknown.name) for unknown in asked), default=0)
+        requested = self.fit.model.asked
+        width = max((len(unknown.name) for unknown in requested), default=0)
         lines = []
-        for unknown in asked:
+        for unknown in requested:
             unit, factor = field_unit(unknown.unit)
             u = format_number(self.u[unknown.name] * factor, 2)
             lines.append(f"{unknown.name.ljust(width)}  u = {u} {unit}")
@@ -67,7 +67,7 @@ class Forecast:
 
     @cached_property
     def assessment(self) -> Assessment:
-        """What the records will determine, and what not."""
+        """The assessment of the unknowns that the records will and will not determine."""
         return self.fit.assessment
 
     @property
@@ -103,7 +103,7 @@ def forecast(
     model
         What is estimated and considered; None: what the campaign says.
     expected
-        Values of the model's unknowns, less nominal, on which uncertain inputs act; None: what
+        Values of the model's unknowns, minus nominal, on which uncertain inputs act; None: what
         `expected_values` says.
 
     Raises
@@ -138,11 +138,11 @@ def forecast(
         for name in campaign.accelerometers
     ]
     noise = noise_of_records(campaign)
-    whole = with_encoder(model, series, noise)
-    expected = np.pad(expected, (0, len(whole.unknowns) - len(model.unknowns)))
-    prepared = prepare_columns(series, whole, scale_factors(campaign), expected)
-    read = [group.linearised(whole, expected) for group in groups]
-    return Forecast(campaign, solve_joint([*prepared, *read], whole, noise))
+    full_model = with_encoder(model, series, noise)
+    expected = np.pad(expected, (0, len(full_model.unknowns) - len(model.unknowns)))
+    prepared = prepare_columns(series, full_model, scale_factors(campaign), expected)
+    read = [group.linearised(full_model, expected) for group in groups]
+    return Forecast(campaign, solve_joint([*prepared, *read], full_model, noise))
 
 
 def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:
@@ -169,8 +169,8 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
         noise = _noise(campaign, name)
-        own = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
-        for key in (*own, "quantisation", "timing"):
+        keys = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
+        for key in (*keys, "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(f"noise.{key}: a prediction needs its size")
         sizes = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
@@ -181,7 +181,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
 
 
 def _noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
-    """Return the noise that is said; what is to be estimated, from a simulation's truth."""
+    """Return the stated noise; noise to be estimated is taken from a simulation's truth."""
     stated = dict(said_noise(campaign, 0.0)[name].sizes or ())
     truth = vars(true_noise(campaign)) if campaign.simulation else {}
     return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
@@ -268,7 +268,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
 
 
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
-    """Return what is expected of unknowns, less nominal: the truth, else the prior, else none."""
+    """Return expected values of unknowns, minus nominal: the truth, else the prior, else zero."""
     truth = campaign.simulation.truth if campaign.simulation else None
     coefficients = truth.coefficients if truth else {}
     platform = {name: of_run.shared for name, of_run in truth.runs.items()} if truth else {}
@@ -299,7 +299,7 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
     """Return a plan's problem from its stand-in campaign, which has one run in each attitude.
 
     sampling_rate: Hz.
-    considering: Whether considered terms stay considered; False: they are estimated with their
+    considering: True: considered terms stay considered; False: they are estimated with their
         priors, and nothing changes from run to run, which is a bound for any estimator.
     """
     reference = campaign.reference_temperature or 0.0
@@ -307,7 +307,7 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
         run.model_copy(update={"temperature": (reference + 1.0,)}) for run in campaign.runs
     )
     model = model_of(replace(campaign, reference_temperature=reference, runs=warm))
-    # By how much it becomes warmer is assumed, as where nobody takes it: a slope is all it has.
+    # The warming is assumed, as in runs without a recorded temperature: it is a slope.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
     if not considering:
         estimated = tuple(

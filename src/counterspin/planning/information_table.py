@@ -1,4 +1,4 @@
-"""What a run tells about functions of the angle: closed forms for even samples, else interpolated.
+"""Information of a run about functions of the angle: closed forms for even samples, else tables.
 
 1, th, th^2, th^3 and, for each harmonic m, cos m th, sin m th, th cos m th, th sin m th: the
 products of specific forces have the first harmonics, the platform's drift and g-sensitivity
@@ -14,7 +14,7 @@ are never near to collinear).
 The number of samples need not be whole: between whole numbers the sums follow the smooth curve
 through them.
 
-There is no closed form where the noise has a random walk, or differs from row to row, as that of
+No closed form exists where the noise has a random walk, or differs from row to row, as that of
 time stamps does: the triangular factor of the whitened functions is tabulated over the rate and the
 number of revolutions, with rows about as dense as the records' own.
 """
@@ -150,11 +150,11 @@ def root(samples: EvenSamples, weights: Array, held: int) -> Array:
     """Return square-root information, each row with unit variance.
 
     weights: Combinations of the functions, shape (n, b, k).
-    held: How many of the columns 1 and th are start errors, estimated in each run: 0, 1 or 2.
+    held: Number of the columns 1 and th that are start errors, estimated in each run: 0, 1 or 2.
     Returns: shape (n, b - held, k).
     """
     harmonics = weights.shape[1] // 4 - 1
-    even, odd = _centred(averaged(weights, samples.spread), samples)
+    even, odd = _center(averaged(weights, samples.spread), samples)
     result = np.empty((len(weights), weights.shape[1] - held, weights.shape[2]))
     wide = 2.0 * harmonics * samples.step > _LARGEST_STEP
     close = np.flatnonzero(~wide)
@@ -170,7 +170,7 @@ def root(samples: EvenSamples, weights: Array, held: int) -> Array:
             upper = np.swapaxes(lower, 1, 2)[:, drop:]
             result[close, rows] = size * (upper @ columns[close])
     for run in np.flatnonzero(wide):
-        result[run] = _summed(samples, run, even[run], odd[run], harmonics)[held:]
+        result[run] = _sum_rows(samples, run, even[run], odd[run], harmonics)[held:]
     return result
 
 
@@ -185,7 +185,7 @@ def averaged(weights: Array, spread: Array) -> Array:
     return result
 
 
-def _centred(weights: Array, samples: EvenSamples) -> tuple[Array, Array]:
+def _center(weights: Array, samples: EvenSamples) -> tuple[Array, Array]:
     """Return the combinations in terms of x about the middle: even functions, odd functions.
 
     Even: 1, x^2, cos m t and, for all m, x sin m t; odd: x, x^3, sin m t, x cos m t.
@@ -229,31 +229,31 @@ def _moments(step: Array, count: Array, highest: int) -> Array:
 def _pairs(
     harmonics: int, parity: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp], Array, Array]:
-    """Return, for each pair of functions of one parity, what their product is.
+    """Return the product of each pair of functions of one parity.
 
-    The power of x, the difference and the sum of the harmonics, and the factors of their moments.
+    A product has a power of x, a difference and a sum of harmonics, and factors of their moments.
     """
     zero = [(parity, 0, 0), (parity + 2, 0, 0)]
     m = range(1, harmonics + 1)
     functions = [*zero, *((0, parity, i) for i in m), *((1, 1 - parity, i) for i in m)]
     size = len(functions)
-    power, apart, together = (np.zeros((size, size), dtype=np.intp) for _ in range(3))
+    power, difference, together = (np.zeros((size, size), dtype=np.intp) for _ in range(3))
     by_difference, by_sum = np.zeros((size, size)), np.zeros((size, size))
     for i, (a, sine, m_a) in enumerate(functions):
         for j, (b, other_sine, m_b) in enumerate(functions):
-            power[i, j], apart[i, j], together[i, j] = a + b, abs(m_a - m_b), m_a + m_b
+            power[i, j], difference[i, j], together[i, j] = a + b, abs(m_a - m_b), m_a + m_b
             if sine == other_sine:
                 by_difference[i, j], by_sum[i, j] = 0.5, (-0.5 if sine else 0.5)
             else:  # sin m cos l = (sin (m + l) + sin (m - l))/2, m the sine's
                 towards = m_a - m_b if sine else m_b - m_a
                 by_difference[i, j], by_sum[i, j] = 0.5 * np.sign(towards), 0.5
-    return power, apart, together, by_difference, by_sum
+    return power, difference, together, by_difference, by_sum
 
 
 def _sums(moments: Array, harmonics: int, parity: int) -> Array:
     """Return the mean products of the even (parity 0) or odd (1) functions, shape (n, c, c)."""
-    power, apart, together, by_difference, by_sum = _pairs(harmonics, parity)
-    result = by_difference * moments[:, power, apart]
+    power, difference, together, by_difference, by_sum = _pairs(harmonics, parity)
+    result = by_difference * moments[:, power, difference]
     result += by_sum * moments[:, power, together]
     return np.asarray(result)
 
@@ -265,20 +265,20 @@ def _factor(sums: Array) -> Array:
     return np.asarray(np.linalg.cholesky(sums))
 
 
-def _summed(samples: EvenSamples, run: np.intp, even: Array, odd: Array, harmonics: int) -> Array:
+def _sum_rows(samples: EvenSamples, run: np.intp, even: Array, odd: Array, harmonics: int) -> Array:
     """Return one run's rows from its samples themselves, the start errors' first."""
     count = float(samples.count[run])
-    whole = int(np.ceil(count - 1e-9))
-    t = samples.step[run] * (np.arange(whole) - 0.5 * (count - 1.0))
+    rows_needed = int(np.ceil(count - 1e-9))
+    t = samples.step[run] * (np.arange(rows_needed) - 0.5 * (count - 1.0))
     x = t / samples.half[run]
     m = np.arange(1, harmonics + 1)
     cos, sin = np.cos(t[:, None] * m), np.sin(t[:, None] * m)
     # Start errors first: what the triangle has below their rows is free of them.
-    first = np.column_stack([np.ones(whole), x])
+    first = np.column_stack([np.ones(rows_needed), x])
     rest = np.column_stack([x**2, cos, x[:, None] * sin, x**3, sin, x[:, None] * cos])
     rows = np.hstack([first, rest])
-    rows[-1] *= np.sqrt(count - (whole - 1))  # of the last row only its part counts
-    rows = np.vstack([rows, np.zeros((max(0, rows.shape[1] - whole), rows.shape[1]))])
+    rows[-1] *= np.sqrt(count - (rows_needed - 1))  # of the last row only its part counts
+    rows = np.vstack([rows, np.zeros((max(0, rows.shape[1] - rows_needed), rows.shape[1]))])
     return np.asarray(triangle_of(rows) @ np.vstack([even[0], odd[0], even[1:], odd[1:]]))
 
 
@@ -290,14 +290,14 @@ _REVOLUTION_RATIO: Final = 1.13
 _RATE_RATIO: Final = 1.22
 
 
-#: Variance that a sample has besides, at a rate (rad/s) and angles (rad, shape (n,)): shape (n,).
+#: Additional variance of a sample, at a rate (rad/s) and angles (rad, shape (n,)): shape (n,).
 Added = Callable[[float, Array], Array]
 
 
 class InformationTable:
     """Factors of the whitened functions of the angle.
 
-    order: How often the observable integrates the specific force.
+    order: Number of integrations of the specific force in the observable.
     noise: Of one sample.
     added: None: nothing.
     sampling_rate: Hz.
@@ -352,9 +352,9 @@ class InformationTable:
             samples = 2.0 * math.pi * self._sampling_rate / rate  # to a revolution
             points = _PHASES * int(np.clip(round(samples / _PHASES), 1, densest))
             angle = (np.arange(points * (counts[-1] + 1)) + 0.5) * (2.0 * math.pi / points)
-            each = points / samples  # of a row, of the variance of a sample
-            white = math.sqrt(self._noise.sample_variance * each)
-            added = 0.0 if self._added is None else each * self._added(float(rate), angle)
+            weight = points / samples  # of a row, of the variance of a sample
+            white = math.sqrt(self._noise.sample_variance * weight)
+            added = 0.0 if self._added is None else weight * self._added(float(rate), angle)
             noise = Noise(white, self._noise.random_walk)
             whiten = make_whitener(angle / rate, order, noise, added=added)
             rows = whiten.apply(functions(angle, self._harmonics)[:, lost:])
@@ -376,7 +376,7 @@ class InformationTable:
 
         weights: Combinations of the functions, shape (n, b, k).
         rate, samples: rad/s, and number of samples, shape (n,).
-        with_ripple: Whether the information follows the part of a revolution at the end, which
+        with_ripple: True: the information follows the part of a revolution at the end, which
             takes longer; False: smoothly from whole number to whole number of revolutions.
         Returns: shape (n, b - order, k).
         """
@@ -394,7 +394,7 @@ class InformationTable:
 
 
 def _to_whole_numbers(counts: npt.NDArray[np.int64], phases: int) -> Array:
-    """Return matrices that carry factors tabulated at a phase to whole revolutions.
+    """Return matrices that convert factors tabulated at a phase to whole revolutions.
 
     At one phase of the end a factor is a smooth function of the number of revolutions.
 
@@ -409,10 +409,10 @@ def _to_whole_numbers(counts: npt.NDArray[np.int64], phases: int) -> Array:
 
 def _trigonometric(revolutions: Array) -> Array:
     """Return the weights of equally spaced phases in trigonometric interpolation, (n, phases)."""
-    apart = revolutions[:, None] % 1.0 - np.arange(_PHASES) / _PHASES
-    half = math.pi * np.where(np.abs(apart) < 1e-12, 1.0, apart)
+    distance = revolutions[:, None] % 1.0 - np.arange(_PHASES) / _PHASES
+    half = math.pi * np.where(np.abs(distance) < 1e-12, 1.0, distance)
     weights = np.sin(_PHASES * half) / (_PHASES * np.tan(half))
-    return np.asarray(np.where(np.abs(apart) < 1e-12, 1.0, weights))
+    return np.asarray(np.where(np.abs(distance) < 1e-12, 1.0, weights))
 
 
 def _whole_numbers(between: tuple[float, float]) -> npt.NDArray[np.int64]:

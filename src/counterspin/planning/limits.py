@@ -1,4 +1,4 @@
-"""What limits a plan: what it gains if a limit gives way, and how u goes with time and rate."""
+"""Active limits of a plan: the gain from relaxing each, and u against time and rate."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class _Limit(NamedTuple):
     key: str
     words: str
     touched: bool
-    changes: dict[str, Any]  #: The fields of `Limits` that are others if it gives way.
+    changes: dict[str, Any]  #: The fields of `Limits` that change if a limit is relaxed.
 
 
 def limits_of(search: Search, design: Design) -> list[LimitResult]:
-    """Return which limits bind and what a tenth more would gain, the largest gain first."""
+    """Return the binding limits and the gain from a tenth more of each, the largest gain first."""
     lines = []
     for limit in _limits(search, design):
         if limit.touched:
@@ -103,8 +103,8 @@ def _limits(search: Search, design: Design) -> Iterator[_Limit]:
         {"longest_run": longest * more},
     )
     yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
-    one = all(run_type.sense == 1 for run_type in limits.types)
-    yield _Limit("senses", "one sense of the spin", one, {"types": both_senses(limits).types})
+    one_sense = all(run_type.sense == 1 for run_type in limits.types)
+    yield _Limit("senses", "one sense of the spin", one_sense, {"types": both_senses(limits).types})
 
 
 def _gain(search: Search, key: str, limits: Limits, design: Design) -> float:
@@ -118,12 +118,12 @@ def _gain(search: Search, key: str, limits: Limits, design: Design) -> float:
         faster = search.plan.sampling_rate * (1.0 + RELAXATION)
         predictor = Predictor(predictor.information.sampled_at(faster))
     starts = _starts(search, key, limits, design)
-    after = min(before, *(_improved(search, predictor, limits, start) for start in starts))
+    after = min(before, *(_improve(search, predictor, limits, start) for start in starts))
     return 1.0 - math.exp(after - before)
 
 
 def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[Design]:
-    """Return designs that make use of a relaxed limit, where better lengths alone do not."""
+    """Return starting designs that use a relaxed limit where better lengths alone do not."""
     if key == "senses":
         turned = tuple(
             run_type._replace(sense=-run_type.sense) if index % 2 else run_type
@@ -143,7 +143,7 @@ def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[De
             )
             for run_type, index in run_types.items()
         ]
-        return [design, *(design.joined(other) for other in others)]
+        return [design, *(design.joined(addition) for addition in others)]
     if key == "fewest_rates" and len(design.types) > 1:
         slower = search.limits.runs_apart(design.rate)[1:]
         return [design, *(design.without(index) for index in slower)]
@@ -153,7 +153,7 @@ def _starts(search: Search, key: str, limits: Limits, design: Design) -> list[De
     return [design]
 
 
-def _improved(search: Search, predictor: Predictor, limits: Limits, design: Design) -> float:
+def _improve(search: Search, predictor: Predictor, limits: Limits, design: Design) -> float:
     if search.plan.goal.kind == "target":
         singles = [
             Criterion((place,), (scale,))
@@ -171,7 +171,7 @@ def _improved(search: Search, predictor: Predictor, limits: Limits, design: Desi
 #: The files, in the order of `plan_plots`.
 FIGURES: Final = ("plan-time.svg", "plan-rate.svg", "plan-sources.svg")
 
-#: What each of them says that it is.
+#: Title of each figure.
 FIGURE: Final = "a figure of a plan"
 
 #: Largest over least value up to which a figure is flat, and is drawn from zero.
@@ -205,8 +205,8 @@ def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
             series.append(PlotSeries("", x, y, colour=index))
             series.append(PlotSeries(words, x, y, kind="points", colour=index))
         if at is not None and u is not None:
-            here = PlotSeries("this plan", (at,), (factor * u,), kind="points", stands_out=True)
-            series.append(here)
+            point = PlotSeries("this plan", (at,), (factor * u,), kind="points", stands_out=True)
+            series.append(point)
         y_label = f"u({symbol})" if at is not None else "contribution"
         values = [factor * value for curve in lines.values() for value in curve.u]
         values += [factor * u] if at is not None and u is not None else []
@@ -250,7 +250,7 @@ def save_figures(
 ) -> tuple[Path, ...]:
     """Write the figures into a folder, which is made if it is not there.
 
-    overwrite: Whether earlier figures may be replaced; no other file is.
+    overwrite: True: replace earlier figures; no other file is replaced.
     """
     paths = tuple(Path(folder) / name for name in FIGURES)
     reserve_figures(paths, FIGURE, overwrite=overwrite)

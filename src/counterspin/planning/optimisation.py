@@ -49,9 +49,9 @@ def optimise(
     relaxing: Predictor | None = None,
     start: Design | None = None,
 ) -> Optimum[Design]:
-    """Find the plan with the smallest criterion.
+    """Find the plan with the smallest criterion value.
 
-    relaxing: A predictor in which considered terms are estimated; None: there are none.
+    relaxing: A predictor in which considered terms are estimated; None: no term is considered.
     """
     if not limits.possible:
         raise NotIdentifiableError(
@@ -66,7 +66,7 @@ def optimise(
     for support, relaxed, allowed in choices:
         if best is not None and relaxed.bound > best[0] - _GAIN:
             break  # nor can those that follow be better
-        starts = list(_whole(support, relaxed, allowed))
+        starts = list(_integer_starts(support, relaxed, allowed))
         if start is not None and (near := brought_within(start, allowed)) is not None:
             starts = [near, *starts[:1]]
         if not starts:
@@ -90,32 +90,32 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
         yield limits
         return
     for count in range(1, len(attitudes) + 1):
-        left = limits.total_time - (count - 1) * limits.attitude_change
-        if left < limits.shortest or count > limits.runs:
+        available = limits.total_time - (count - 1) * limits.attitude_change
+        if available < limits.shortest or count > limits.runs:
             return
         for chosen in combinations(attitudes, count):
             yield replace(
                 limits,
                 types=tuple(run_type for run_type in limits.types if run_type.attitude in chosen),
-                total_time=left,
+                total_time=available,
                 attitude_change=0.0,
             )
 
 
-def _whole(found: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[Design]:
+def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights.
 
     found: The runs that the relaxation uses.
     """
     groups: dict[tuple[RunType, float], list[int]] = {}
-    for index, (run_type, w) in enumerate(zip(found.types, found.rate, strict=True)):
+    for index, (run_type, w) in enumerate(zip(design.types, design.rate, strict=True)):
         near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
         groups.setdefault((run_type, near), []).append(index)
     weight = np.array([relaxed.choice[index].sum() for index in groups.values()])
     run_types = [run_type for run_type, _ in groups]
-    rate = np.array([found.rate[i[np.argmax(relaxed.choice[i])]] for i in groups.values()])
+    rate = np.array([design.rate[i[np.argmax(relaxed.choice[i])]] for i in groups.values()])
     turns = np.array(
-        [np.average(found.revolutions[i], weights=relaxed.choice[i]) for i in groups.values()]
+        [np.average(design.revolutions[i], weights=relaxed.choice[i]) for i in groups.values()]
     )
     total = float(weight.sum())
     totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
@@ -155,10 +155,10 @@ def _whole(found: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[D
 def _share(weight: Array, count: int) -> npt.NDArray[np.int64]:
     """Return whole numbers of a given sum nearest to proportional (largest remainders)."""
     exact = weight * (count / weight.sum())
-    whole: npt.NDArray[np.int64] = np.floor(exact).astype(np.int64)
-    rest = np.argsort(-(exact - whole), kind="stable")[: count - int(whole.sum())]
-    whole[rest] += 1
-    return whole
+    counts: npt.NDArray[np.int64] = np.floor(exact).astype(np.int64)
+    rest = np.argsort(-(exact - counts), kind="stable")[: count - int(counts.sum())]
+    counts[rest] += 1
+    return counts
 
 
 def _at_least_one(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
@@ -189,14 +189,14 @@ def _exchange(
     """Exchange, leave out or add runs for as long as it gains."""
     for _ in range(_PASSES):
         value, design = best
-        fitted = (fitted_into(other, limits) for other in _neighbours(design, limits))
+        fitted = (fitted_into(candidate, limits) for candidate in _neighbours(design, limits))
         candidates = sorted(
-            (other for other in fitted if other is not None),
-            key=lambda other: predictor.value(criterion, other),
+            (candidate for candidate in fitted if candidate is not None),
+            key=lambda candidate: predictor.value(criterion, candidate),
         )
         polished = (
-            polish(predictor, limits, criterion, other)
-            for other in candidates[:_CANDIDATES_POLISHED]
+            polish(predictor, limits, criterion, candidate)
+            for candidate in candidates[:_CANDIDATES_POLISHED]
         )
         better = next((pair for pair in polished if pair[0] < value - _GAIN), None)
         if better is None:
@@ -206,7 +206,7 @@ def _exchange(
 
 
 def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
-    """Yield the designs with one run changed; of runs that are alike, only one is."""
+    """Yield the designs with one run changed; of equal runs, change only one."""
     seen: list[tuple[RunType, float, float]] = []
     n = len(design.types)
     for index in range(n):
@@ -220,9 +220,9 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
         ):
             continue
         seen.append((run_type, rate, turns))
-        for other in limits.types:
-            if other != run_type:
-                yield design.with_type(index, other)
+        for new_type in limits.types:
+            if new_type != run_type:
+                yield design.with_type(index, new_type)
         for setting in limits.settings:
             if setting != rate:
                 rates = design.rate.copy()
@@ -243,20 +243,23 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
 def _in_order(
     predictor: Predictor, criterion: Criterion, value: float, design: Design
 ) -> tuple[float, Design]:
-    """Return the design with its runs in order of rate, or in what order tells more, if one does.
+    """Return the design with its runs in order of rate, or in a more informative order.
 
     Up with every other run and down with the rest, a steady warming looks like no rate.
     """
-    ordered = _ordered(design)
+    ordered = _sort_runs(design)
     if not predictor.information.dated:
         return value, ordered
     n = len(design.types)
     mirrored = ordered.taken([*range(0, n, 2), *reversed(range(1, n, 2))])
     tried = (ordered, mirrored, design)
-    return min(((predictor.value(criterion, one), one) for one in tried), key=lambda pair: pair[0])
+    return min(
+        ((predictor.value(criterion, candidate), candidate) for candidate in tried),
+        key=lambda pair: pair[0],
+    )
 
 
-def _ordered(design: Design) -> Design:
+def _sort_runs(design: Design) -> Design:
     """Return the runs by type as they were met, then by rate and length."""
     run_types = list(dict.fromkeys(design.types))
     order = sorted(
@@ -279,7 +282,7 @@ def least_time(
 ) -> Optimum[Design] | None:
     """Find the shortest plan in which u of each unknown of interest is at most its scale.
 
-    Returns: none if no plan within the limits reaches the targets. The criterion's value and bound
+    Returns: None if no plan within the limits reaches the targets. The criterion's value and bound
         are logarithms of the time in s.
     """
     targets = replace(criterion, combination="sum")
@@ -332,7 +335,7 @@ def _relaxed_time(predictor: Predictor, limits: Limits, criterion: Criterion) ->
 def polish(
     predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
 ) -> tuple[float, Design]:
-    """Improve rates and lengths, the types of run being given."""
+    """Improve rates and lengths for given types of run."""
     variables = _Variables(limits, design)
 
     def objective(x: Array) -> tuple[float, Array]:
@@ -340,7 +343,7 @@ def polish(
         return value, variables.gradient(by_rate, by_turns)
 
     x = variables.solve(objective, [variables.time_left])
-    improved = _shortened_to_fit(variables.design(x), limits)
+    improved = _shorten_to_fit(variables.design(x), limits)
     candidates = [improved]
     if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
         candidates.append(design)
@@ -392,14 +395,14 @@ class _Variables:
         bounds = [rate] * self.n * self.free + [turns] * self.n
         x = np.concatenate([np.log(start.rate)] * self.free + [np.log(start.revolutions)])
         low, high = np.array(bounds).T
-        every = [*constraints, self.length_left]
-        every += [self.rates_apart] if self.free and len(self.apart) > 1 else []
+        all_constraints = [*constraints, self.length_left]
+        all_constraints += [self.rates_apart] if self.free and len(self.apart) > 1 else []
 
         def values(x: Array) -> Array:
-            return np.concatenate([constraint(x)[0] for constraint in every])
+            return np.concatenate([constraint(x)[0] for constraint in all_constraints])
 
         def slopes(x: Array) -> Array:
-            return np.vstack([constraint(x)[1] for constraint in every])
+            return np.vstack([constraint(x)[1] for constraint in all_constraints])
 
         minimum = minimize(
             objective,
@@ -413,7 +416,7 @@ class _Variables:
         return np.asarray(np.clip(minimum.x, low, high))
 
     def length_left(self, x: Array) -> tuple[Array, Array]:
-        """Return how far each record is below the longest allowed, as logarithms."""
+        """Return the margin of each record to the longest allowed, as logarithms."""
         duration = self.design(x).duration
         eye = np.eye(self.n)
         return (
@@ -422,15 +425,15 @@ class _Variables:
         )
 
     def rates_apart(self, x: Array) -> tuple[Array, Array]:
-        """Return by how much rates that must differ do so more than they must, as logarithms."""
+        """Return the excess of rate ratios over the required ratio, as logarithms."""
         slopes = np.zeros((len(self.apart) - 1, x.size))
         for row, (faster, slower) in enumerate(pairwise(self.apart)):
             slopes[row, [faster, slower]] = 1.0, -1.0
         return slopes @ x - math.log(self.limits.apart), slopes
 
 
-def _shortened_to_fit(design: Design, limits: Limits) -> Design:
-    """Return the design, shortened where rounding has put it over the time there is."""
+def _shorten_to_fit(design: Design, limits: Limits) -> Design:
+    """Return the design, shortened where rounding has put it over the available time."""
     if limits.time(design) <= limits.total_time:
         return design
     return fitted_into(design, limits) or design

@@ -1,4 +1,4 @@
-"""A plan as a person reads it: what to run, the uncertainties expected, what limits them."""
+"""Printed report of a plan: runs to make, expected uncertainties, active limits."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share
 
 _LINES: Final = 6  #: of a budget
-#: A bound that would allow more than these per cent less says nothing of a plan.
+#: A bound that would allow a reduction by more than these per cent is not informative.
 _EMPTY_BOUND: Final = 90.0
 
 #: Deviations above which a fit that estimates a fault nearly always finds it (5 % each way).
 _DETECTION_DEVIATIONS: Final = 4.0
 
-#: How limits are changed that are no sizes.
+#: Descriptions of changes to limits that are not sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
 
 
@@ -204,14 +204,14 @@ def _accelerometer(
 
 
 def _advice(result: PlanResult, terms: Sequence[str]) -> str:
-    """Return what would separate terms: the other sense, other rates, another attitude."""
+    """Return advice to separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
     if not rates:
         return "Other stations or a stated value of one of them would separate them."
     platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
-    own = [TERMS[symbol] for symbol in terms if symbol in TERMS]
+    rows = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
-        own
+        rows
         and min(rates) * max(rates) > 0.0
         and any(
             row.symbol.startswith(("platform.drift.", "platform.g_sensitivity."))
@@ -221,7 +221,7 @@ def _advice(result: PlanResult, terms: Sequence[str]) -> str:
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
         return "The other sense of the spin would separate them."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
-    if one_rate and len({len(row.effect.factors) for row in own}) > 1:
+    if one_rate and len({len(row.effect.factors) for row in rows}) > 1:
         return "Other rates would separate them."
     if not platform and len({run.attitude for run in result.runs}) == 1:
         return "A second attitude or a stated value of one of them would separate them."
@@ -260,7 +260,7 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
 
 
 def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
-    """List what would shift K_II undetected, and say how much of it rests on a harmonic."""
+    """List faults that would shift K_II undetected, and state the share of K_II from a harmonic."""
     if accelerometer.faults is None:
         return
     yield Heading(f"Effects on {name} that the plan cannot detect")
@@ -343,14 +343,14 @@ def _others(result: PlanResult) -> Iterator[Block]:
         return
     yield Heading("Other plans")
     rows = []
-    for other in result.others:
-        for name, u in other.u.items():
+    for plan in result.others:
+        for name, u in plan.u.items():
             unit, factor = field_unit(_unit(name))
             rows.append(
                 (
-                    other.words,
+                    plan.words,
                     f"u({_spoken(name)}) = {format_number(u * factor, 3)} {unit}",
-                    format_number(other.ratio[name], 3),
+                    format_number(plan.ratio[name], 3),
                 )
             )
     yield Table(
@@ -391,7 +391,7 @@ def _size(line: Requirement) -> str:
 
 
 def _first(result: PlanResult) -> str:
-    """Return what a forecast without a goal is about: K_II, or the first coefficient."""
+    """Return the main coefficient of a forecast without a goal: K_II, or else the first."""
     name, accelerometer = next(iter(result.accelerometers.items()))
     symbols = list(accelerometer.coefficients)
     return f"{name}.{'K_II' if 'K_II' in symbols else symbols[0]}"

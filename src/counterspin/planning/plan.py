@@ -1,4 +1,4 @@
-"""`counterspin plan`: the best campaign within limits, and what limits it."""
+"""`counterspin plan`: the best campaign within limits, and its active limits."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class PlannedCampaign:
     Attributes
     ----------
     result
-        What there is to say about it.
+        The plan itself, its uncertainties and its limits.
     document
         The campaign's description, as TOML.
     source
-        What the plan was made from: limits, goal and the rest of its file.
+        The source of the plan: limits, goal and the rest of its file.
     file
-        The plan's file, beside which the files lie that it names; None of a plan in memory.
+        The plan's file; files that it names are in the same folder. None for a plan in memory.
     """
 
     result: PlanResult
@@ -54,7 +54,7 @@ class PlannedCampaign:
     file: Path | None = None
 
     def __repr__(self) -> str:
-        """Return the beginning of what the terminal shows, at most 20 lines."""
+        """Return the first lines of the printed report, at most 20."""
         return repr(self.result)
 
     def _repr_html_(self) -> str:
@@ -63,8 +63,15 @@ class PlannedCampaign:
     @property
     def u(self) -> dict[str, float]:
         """Standard uncertainty of each coefficient by name, such as ``Qx.K_II``."""
-        owners = {name: own.coefficients for name, own in self.result.accelerometers.items()}
-        named = {f"{name}.{symbol}": c for name, own in owners.items() for symbol, c in own.items()}
+        owners = {
+            name: accelerometer.coefficients
+            for name, accelerometer in self.result.accelerometers.items()
+        }
+        named = {
+            f"{name}.{symbol}": c
+            for name, coefficients in owners.items()
+            for symbol, c in coefficients.items()
+        }
         named |= self.result.platform
         return {name: c.u for name, c in named.items() if c.u is not None}
 
@@ -274,7 +281,7 @@ def check(
 
 
 def refuse_other_campaign(folder: Path) -> Path:
-    """Return the description's place in a folder; CounterspinError if there is one already."""
+    """Return the description's path in a folder; raise CounterspinError if it exists already."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; choose another folder")
@@ -303,11 +310,14 @@ def write_example(file: Path, example: Example = "records") -> Path:
 
 
 def _attitudes(campaign: Campaign, design: Design) -> dict[str, str]:
-    return {run.name: one.attitude for run, one in zip(campaign.runs, design.types, strict=True)}
+    return {
+        run.name: run_type.attitude
+        for run, run_type in zip(campaign.runs, design.types, strict=True)
+    }
 
 
 def _starts(campaign: Campaign, design: Design, limits: Limits) -> dict[str, float]:
-    """Return when each record starts, spin-up, spin-down and settling all counted before it."""
+    """Return the start time of each record, after spin-up, spin-down and settling."""
     now, starts = 0.0, {}
     before = None
     overhead = limits.overhead(design.rate)
@@ -326,14 +336,14 @@ def _requirements(
     prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
     if prediction.campaign.angle is None:
-        return "", []  # what the rotation was is an unknown then
+        return "", []  # the rotation is an unknown then
     return requirements_of(prediction, name, sampling_rate)
 
 
 def _others(search: Search, design: Design, prediction: Forecast, total: float) -> list[OtherPlan]:
-    """Return three rates as in the paper and equally spaced rates in the same time, and half of it.
+    """Return plans for three rates as in the paper, equally spaced rates, and half of the time.
 
-    Half of the time is for plans that minimise: what takes least time has none to spare.
+    Half of the time applies to plans that minimise u; a plan of least time has none to spare.
     """
     half = replace(search.limits, total_time=0.5 * total)
     shorter = None
@@ -341,7 +351,7 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
         start = search.smallest(half).choice
         shorter = search.rounded(search.in_order(start), half)
     others = []
-    for words, other in (
+    for words, alternative in (
         (
             "the paper's plan: 1/4, 1/2 and all of the highest rate, equal revolutions",
             search.three_rates(design, total),
@@ -349,9 +359,9 @@ def _others(search: Search, design: Design, prediction: Forecast, total: float) 
         ("equally spaced rates, equal durations", search.even_rates(design, total)),
         ("the best plan in half of the time", shorter),
     ):
-        if other is None:
+        if alternative is None:
             continue
-        there = forecast(search.campaign(other)).u
-        called, time = f"{words} ({len(other.types)} runs)", search.limits.time(other)
-        others.append(other_plan(called, time, prediction.u, there, search.plan.goal.sizes))
+        u = forecast(search.campaign(alternative)).u
+        called, time = f"{words} ({len(alternative.types)} runs)", search.limits.time(alternative)
+        others.append(other_plan(called, time, prediction.u, u, search.plan.goal.sizes))
     return others

@@ -1,4 +1,4 @@
-"""From ``PLAN.toml`` to a `Plan`: every key checked, all errors reported together.
+"""Conversion of ``PLAN.toml`` to a `Plan`: check every key and report all errors together.
 
 Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
 in each attitude.
@@ -39,7 +39,7 @@ from counterspin.planning.result import GoalResult
 #: Lowest rate where none is given, as a part of the highest.
 _LOWEST_RATE_PART: Final = 0.125
 
-#: Different rates that a plan has where nothing is said of them and as many can be.
+#: Default number of different rates of a plan, if that many are possible.
 _DEFAULT_RATES: Final = 2
 
 #: Fewest samples of the shortest run, and most revolutions of the longest.
@@ -94,19 +94,19 @@ def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict
             patch = {part: patch}
         made = patched(made, patch)
         # A plan either reaches a target or makes u least in the time there is.
-        other = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
-        if path[0] == "goal" and other is not None and value is not None:
-            made = patched(made, {"goal": {other: None}})
+        excluded = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
+        if path[0] == "goal" and excluded is not None and value is not None:
+            made = patched(made, {"goal": {excluded: None}})
     return made
 
 
 def is_plan(document: Mapping[str, Any]) -> bool:
-    """Tell whether a document is a plan, of records or of readings."""
+    """Check for the sections of a plan, of records or of readings, in a document."""
     return {"limits", "goal"} <= document.keys()
 
 
 def plan_name(path: Mapping[str, Any] | Path | str) -> Path:
-    """Return what messages call a plan: its file, if there is one."""
+    """Return the name of a plan for messages: its file, if any."""
     return Path("plan in memory") if isinstance(path, Mapping) else Path(path)
 
 
@@ -157,9 +157,9 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
 
 
 def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
-    """Note terms that depend on when runs are made or how warm it is: nobody knows that yet.
+    """Report terms that depend on the time or temperature of runs, which are not known yet.
 
-    Returns whether there are any.
+    Return True if there are any.
     """
     model, before = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
@@ -208,7 +208,7 @@ def _named(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
 
 
 def _expected(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
-    """Return [truth] with what is known beforehand as the truth of what it does not name."""
+    """Return [truth], completed by the prior values of the terms that it does not name."""
     truth = dict(table_of(document, "truth"))
     for name, accelerometer in campaign.accelerometers.items():
         known = {
@@ -221,7 +221,7 @@ def _expected(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]
 
 
 def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
-    """Return [noise] without what is to be estimated, which is noted: there is no record yet."""
+    """Return [noise] without noise to be estimated, and report that: no record exists yet."""
     unknown = [key for key, size in noise.items() if size == ESTIMATE]
     for key in unknown:
         problems.add(("noise", key), "a plan needs its size; nothing can be estimated yet")
@@ -254,8 +254,8 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
                 "out here, add it to the planned campaign, and forecast that campaign",
             )
     for name, accelerometer in campaign.accelerometers.items():
-        own = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
-        if own == (0.0, 0.0, 0.0):
+        sizes = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
+        if sizes == (0.0, 0.0, 0.0):
             problems.add(
                 ("noise",), f"{name} would have no noise at all; give {accelerometer.observable}"
             )
@@ -326,7 +326,7 @@ def _limits(
 
 
 def _too_few_rates(limits: Limits) -> str:
-    """Return why there cannot be as many different rates as there must be; empty if there can."""
+    """Return the reason why too few different rates are possible; empty if enough are."""
     count = limits.fewest_rates
     if count > limits.runs:
         return f"{count} rates need as many runs, and limits.runs is {limits.runs}"
@@ -385,7 +385,7 @@ def _rates(
 def resolve_goal(
     settings: GoalSettings, campaign: Campaign, problems: Problems
 ) -> GoalResult | None:
-    """Return what a plan is for, or None with what is wrong with it noted."""
+    """Return the goal of a plan, or None after reporting its errors."""
     if settings.minimise is not None and settings.target is not None:
         problems.add(("goal",), "has both minimise and target; keep one")
         return None

@@ -1,4 +1,4 @@
-"""What may stand in ``PLAN.toml`` beside the sections that it shares with ``campaign.toml``.
+"""Sections of ``PLAN.toml`` in addition to those that it shares with ``campaign.toml``.
 
 A plan has no [[runs]], which it makes, and may go without [records]; it has [limits] and [goal].
 """
@@ -48,7 +48,7 @@ def _not_negative(value: float) -> float:
 
 
 def _one_or_more(value: float) -> float:
-    # Within less than a revolution what the angle does is hardly to be told apart.
+    # The functions of the angle are hardly separable within less than a revolution.
     if value < 1.0:
         raise ValueError("must be one revolution at least")
     return value
@@ -224,7 +224,7 @@ class GoalSettings(SettingsSection):
 
 
 class _Sections(SettingsSection):
-    """What a plan is for, and what the machine allows."""
+    """The goal of a plan, and the limits of the machine."""
 
     schema_version: Schema = described("version of this format", 1, alias="schema")
     campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = described(

@@ -1,6 +1,4 @@
-"""Possible observations: what each tells and costs, and the best numbers that need not be whole.
-
-Which runs of the grid, and how many of each, says `counterspin.planning.possibilities`.
+"""Possible observations: their information and cost, and their best numbers, not nec. whole.
 
 An observation is a run of an attitude, sense, rate and length, or a reading at a station. With
 weights n_x >= 0 the information is M = M_0 + sum of n_x M_x, the limits on the cost and on the
@@ -48,7 +46,7 @@ Chosen = TypeVar("Chosen")
 
 @frozen(eq=False)
 class Optimum(Generic[Chosen]):
-    """What is best to choose of possible observations, and how good it is."""
+    """The best choice among possible observations, and its criterion value and bound."""
 
     #: Runs, longest last within each type; or how often each observation is made, shape (n,), in
     #: whole numbers or, relaxed, in numbers that need not be whole.
@@ -66,14 +64,14 @@ class Optimum(Generic[Chosen]):
 def relax(
     predictor: Predictor, limits: Limits, criterion: Criterion
 ) -> tuple[Design, Optimum[Array]]:
-    """Solve the relaxation on a grid: which of its runs are used, and how many of each."""
+    """Solve the relaxation on a grid: the runs that it uses, and the number of each."""
     grid, steps = _first_grid(limits)
     possible = _possible(predictor, limits, grid)
     resources = (float(limits.runs), limits.total_time)
     solved = possible.relaxed(criterion, *resources)
     for level in range(1, _REFINEMENTS + 1):
         used = np.flatnonzero(solved.choice > ZERO_WEIGHT)
-        finer = _finer(limits, grid, used, steps * 0.5**level)
+        finer = _refine_grid(limits, grid, used, steps * 0.5**level)
         if not finer.types:
             break
         grid = grid.joined(finer)
@@ -112,18 +110,18 @@ def _first_grid(limits: Limits) -> tuple[Design, Array]:
             revolutions.append(turns)
     w, turns = np.concatenate(rate), np.concatenate(revolutions)
     several = len(limits.types)
-    types = tuple(one for one in limits.types for _ in w)
+    types = tuple(run_type for run_type in limits.types for _ in w)
     ratio = math.log(rates[-1] / rates[0]) / max(1, len(rates) - 1)
     grid = Design(types, np.tile(w, several), np.tile(turns, several))
     return grid, np.array([0.0 if limits.settings else ratio, step])
 
 
 def _most_revolutions(limits: Limits, rate: float) -> float:
-    left = limits.total_time - float(limits.overhead(np.array(rate)))
-    return min(limits.longest_run, left) * rate / (2.0 * math.pi)
+    available = limits.total_time - float(limits.overhead(np.array(rate)))
+    return min(limits.longest_run, available) * rate / (2.0 * math.pi)
 
 
-def _finer(limits: Limits, grid: Design, used: Places, steps: Array) -> Design:
+def _refine_grid(limits: Limits, grid: Design, used: Places, steps: Array) -> Design:
     """Return possible runs a step to each side of those in use."""
     low, high = limits.rate
     nearby: dict[tuple[RunType, float, float], None] = {}
@@ -140,7 +138,7 @@ def _finer(limits: Limits, grid: Design, used: Places, steps: Array) -> Design:
     known = set(zip(grid.types, grid.rate.tolist(), grid.revolutions.tolist(), strict=True))
     fresh = [key for key in nearby if key not in known]
     rate, turns_of = (np.array([key[i] for key in fresh]) for i in (1, 2))
-    return Design(tuple(one for one, _, _ in fresh), rate, turns_of)
+    return Design(tuple(run_type for run_type, _, _ in fresh), rate, turns_of)
 
 
 Places = npt.NDArray[np.intp]
@@ -168,13 +166,13 @@ _GAP_OF_U: Final = 3e-4
 
 @frozen(eq=False)
 class Possibilities:
-    """What each of n possible observations tells, and what it costs."""
+    """The information and the cost of each of n possible observations."""
 
     #: Rows of unit variance: columns of the unknowns and of what is considered, each of the latter
     #: times its standard uncertainty, shapes (n, b, p) and (n, b, q).
     design: Array
     fixed: Array
-    #: Rows of what is known or there already, shapes (r, p) and (r, q).
+    #: Rows of prior knowledge and existing observations, shapes (r, p) and (r, q).
     known: Array
     known_fixed: Array
     cost: Array  #: Of each observation, s, shape (n,); zero where time does not count.
@@ -206,16 +204,16 @@ class Possibilities:
         scale, inner, moved = self._parts(n)
         if np.max(np.diag(inner) / scale**2) > _ILL_CONDITIONED:
             return self.value(criterion, n + np.eye(n.size))
-        here, turned = list(criterion.places), np.swapaxes(self.design, 1, 2)
+        places, turned = list(criterion.places), np.swapaxes(self.design, 1, 2)
         seen = self.design @ inner
         gain = np.linalg.solve(np.eye(seen.shape[1]) + seen @ turned, seen)
-        rows = inner[here] - np.swapaxes(seen[..., here], 1, 2) @ gain
+        rows = inner[places] - np.swapaxes(seen[..., places], 1, 2) @ gain
         spread = rows @ moved + rows @ turned @ self.fixed
-        inside = rows[..., here] + spread @ np.swapaxes(spread, 1, 2)
-        return replace(criterion, places=tuple(range(len(here)))).value(inside)
+        inside = rows[..., places] + spread @ np.swapaxes(spread, 1, 2)
+        return replace(criterion, places=tuple(range(len(places)))).value(inside)
 
     def _parts(self, n: Array) -> tuple[Array, Array, Array]:
-        """Return what unknowns are scaled by, their covariance alone, and the considered moments.
+        """Return the scales of the unknowns, their noise covariance, and the considered moments.
 
         Shapes (..., p), (..., p, p) and (..., p, q).
         """
@@ -248,9 +246,9 @@ class Possibilities:
         if not math.isfinite(number):
             number = total / float(cost.min())
         known = np.hstack([self.known, self.known_fixed])
-        held = np.eye(known.shape[1])[self.known.shape[1] :]
+        identity = np.eye(known.shape[1])[self.known.shape[1] :]
         solved = _Relaxation(
-            triangle_of(np.vstack([known, held])),
+            triangle_of(np.vstack([known, identity])),
             criterion,
             np.concatenate([self.design, self.fixed], axis=2),
             cost,
@@ -284,9 +282,9 @@ class _Relaxation:
         for _ in range(_GRADIENT_STEPS):
             # With a little of everything no gain is infinite at nothing: the bound holds anywhere.
             mixed = weight + _MIXED_IN * (self.even() - weight)
-            here, gains = self.gain(mixed)
+            current, gains = self.gain(mixed)
             best, price = self.most(gains)
-            bound = max(bound, here + float(gains @ mixed) - float(gains @ best))
+            bound = max(bound, current + float(gains @ mixed) - float(gains @ best))
             if value - bound < _GAP_OF_U:
                 break
             support = np.flatnonzero((weight > ZERO_WEIGHT) | (best > ZERO_WEIGHT))
@@ -303,7 +301,7 @@ class _Relaxation:
         return self._solve(used, weight[used])[0]
 
     def gain(self, weight: Array) -> tuple[float, Array]:
-        """Return the criterion and what each observation would take off it, shape (n,)."""
+        """Return the criterion and its decrease per added observation, shape (n,)."""
         used = np.flatnonzero(weight > 0.0)
         value, covariance = self._solve(used, weight[used])
         v = covariance @ self.criterion.directions(covariance)
@@ -317,7 +315,7 @@ class _Relaxation:
         return float(self.criterion.value(covariance)), covariance
 
     def start(self) -> Array:
-        """Return weights to start from: all alike, then by what each gains for what it takes.
+        """Return starting weights: equal, then in proportion to the gain of each for its cost.
 
         From all of them everything is determined that can be, and the gains are finite: where a
         few leave something open, its price hides all else.
@@ -349,21 +347,21 @@ class _Relaxation:
         """
         cost, gain = np.append(self.cost, 0.0), np.append(phi, 0.0)
         share = self.total / self.number
-        left, right = phi.size, int(np.argmax(gain))
+        lower, upper = phi.size, int(np.argmax(gain))
         weight = np.zeros_like(gain)
-        if cost[right] <= share:  # time is left
-            weight[right] = self.number
-            return weight[:-1], float(gain[right])
+        if cost[upper] <= share:  # time is left
+            weight[upper] = self.number
+            return weight[:-1], float(gain[upper])
         while True:
-            slope = (gain[right] - gain[left]) / (cost[right] - cost[left])
+            slope = (gain[upper] - gain[lower]) / (cost[upper] - cost[lower])
             above = gain - slope * cost
-            price = float(above[left])
+            price = float(above[lower])
             over = int(np.argmax(above))
-            if above[over] <= price + _ROUNDING * gain[right] or over in (left, right):
+            if above[over] <= price + _ROUNDING * gain[upper] or over in (lower, upper):
                 break
-            left, right = (over, right) if cost[over] <= share else (left, over)
-        weight[right] = self.number * (share - cost[left]) / (cost[right] - cost[left])
-        weight[left] = self.number - weight[right]
+            lower, upper = (over, upper) if cost[over] <= share else (lower, over)
+        weight[upper] = self.number * (share - cost[lower]) / (cost[upper] - cost[lower])
+        weight[lower] = self.number - weight[upper]
         return weight[:-1], price
 
     def improved(self, support: Places, weight: Array, best: Array) -> Array:

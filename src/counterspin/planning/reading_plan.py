@@ -69,7 +69,7 @@ def best_counts(
     """
     relaxed = possible.relaxed(criterion, number, time)
     ends = [
-        _exchanged(possible, criterion, start, number, time)
+        _exchange_readings(possible, criterion, start, number, time)
         for start in _starts(possible, relaxed.choice, number, time)
     ]
     value, counts = min(ends, key=lambda end: end[0])
@@ -81,38 +81,38 @@ def _starts(possible: Possibilities, weight: Array, number: float, time: float) 
 
     weight: The numbers that need not be whole, shape (n,).
     """
-    whole = np.floor(weight + 1e-6).astype(np.int64)
+    rounded = np.floor(weight + 1e-6).astype(np.int64)
     drawn = _DRAWN_OF_FEW if number <= _FEW_READINGS else _DRAWN
     rng, drawn = np.random.default_rng(_SEED_OF_ROUNDING), drawn if weight.size <= _FEW else 0
     # Rounded; nothing, to which the best is added one by one; and drawn about the first.
-    starts = [whole.copy(), np.zeros_like(whole), *(whole.copy() for _ in range(drawn))]
+    starts = [rounded.copy(), np.zeros_like(rounded), *(rounded.copy() for _ in range(drawn))]
     for counts in (starts[0], *starts[2:]):
-        first = weight - whole + (0.0 if counts is starts[0] else rng.uniform(size=weight.size))
+        first = weight - rounded + (0.0 if counts is starts[0] else rng.uniform(size=weight.size))
         for index in np.argsort(-first, kind="stable"):
-            counts[index] += _within(possible, counts, number, time)[index]
+            counts[index] += _allow_one_more(possible, counts, number, time)[index]
     return starts
 
 
-def _exchanged(
+def _exchange_readings(
     possible: Possibilities, criterion: Criterion, counts: Counts, number: float, time: float
 ) -> tuple[float, Counts]:
     """Return the criterion and the numbers where no exchange of one reading gains any more."""
     value = float(possible.value(criterion, counts))
     for _ in range(_EXCHANGES):
-        found, better = math.inf, counts
+        lowest, better = math.inf, counts
         for gone in (None, *np.flatnonzero(counts)):
-            left = counts.copy()
+            candidate = counts.copy()
             fits = np.ones(counts.size, dtype=np.bool_)
             if gone is not None:
-                left[gone] -= 1
+                candidate[gone] -= 1
                 fits[gone] = False
-            fits &= _within(possible, left, number, time)
+            fits &= _allow_one_more(possible, candidate, number, time)
             if not fits.any():
                 continue
-            values = np.where(fits, possible.with_one_more(criterion, left), math.inf)
+            values = np.where(fits, possible.with_one_more(criterion, candidate), math.inf)
             best = int(np.argmin(values))
-            if values[best] < found:
-                found, better = float(values[best]), left
+            if values[best] < lowest:
+                lowest, better = float(values[best]), candidate
                 better[best] += 1
         after = float(possible.value(criterion, better))
         if not after < value - _GAIN:
@@ -121,10 +121,10 @@ def _exchanged(
     return value, counts
 
 
-def _within(
+def _allow_one_more(
     possible: Possibilities, counts: Counts, number: float, time: float
 ) -> npt.NDArray[np.bool_]:
-    """Return of which observations there may be one more within the limits, shape (n,)."""
+    """Return a mask of the observations that the limits allow once more, shape (n,)."""
     took = float(possible.cost @ counts) + possible.cost
     return np.asarray((float(counts.sum()) + 1.0 <= number) & (took <= time * (1.0 + 1e-12)))
 
@@ -138,8 +138,8 @@ def least_counts(
 ) -> tuple[Optimum[Counts], float] | None:
     """Return the fewest readings, or the least time, with which every u is at most its scale.
 
-    u_of: What u will be, of all that the criterion asks for, in its order: what goes with time
-        makes it larger than `Possibilities` know.
+    u_of: The forecast u of all unknowns of the criterion, in its order: effects of time make u
+        larger than in `Possibilities`.
     Returns: the choice; the part of the limit below which none can be. None if all of the limit
         does not suffice.
     """
@@ -153,7 +153,7 @@ def least_counts(
     def limits(part: float) -> tuple[float, float] | None:
         if math.isfinite(time):
             return (number, part * time) if part * time >= float(possible.cost.min()) else None
-        return (whole, time) if (whole := math.floor(part * number + 1e-9)) else None
+        return (most, time) if (most := math.floor(part * number + 1e-9)) else None
 
     best = best_counts(possible, criterion, number, time)
     if not reached(best):
@@ -198,7 +198,7 @@ class ReadingSearch:
         chosen, floor = self._chosen()
         prediction, cost = self.forecast(chosen.choice), self.possible.cost
         if floor is None:
-            # Of what is reported: what goes with time is unknown to the search.
+            # From the reported uncertainties: the search omits effects of time.
             names = [unknown.name for unknown in prediction.fit.model.unknowns]
             criterion = self.plan.goal.criterion_of(names)
             value = float(criterion.value(prediction.fit.solution.covariance))
@@ -207,15 +207,15 @@ class ReadingSearch:
             efficiency = floor * self.plan.total_time / float(cost @ chosen.choice)
         else:
             efficiency = floor * self.plan.readings / float(chosen.choice.sum())
-        found = {
-            "readings": planned_readings(_new_of(self.plan, prediction.campaign)),
+        fields = {
+            "readings": planned_readings(_select_new(self.plan, prediction.campaign)),
             "order": self.plan.order,
             "goal": self.plan.goal.met(min(1.0, efficiency)),
             "others": self._others(chosen, prediction),
             "limits": self._limits(chosen),
         }
         result = result_of(prediction, None, float(cost @ chosen.choice))
-        return result.model_copy(update=found), self._in_order(chosen.choice)
+        return result.model_copy(update=fields), self._in_order(chosen.choice)
 
     def forecast(self, counts: Counts) -> Forecast:
         """Return the forecast of the campaign with these readings."""
@@ -252,8 +252,8 @@ class ReadingSearch:
             return best_counts(self.possible, self.criterion, *self.limits), None
 
         def u_of(counts: Counts) -> Array:
-            there = self.forecast(counts).u
-            return np.array([there[name] for name in goal.sizes])
+            u = self.forecast(counts).u
+            return np.array([u[name] for name in goal.sizes])
 
         least = least_counts(self.possible, self.criterion, *self.limits, u_of)
         if least is not None:
@@ -272,18 +272,18 @@ class ReadingSearch:
         size, number = chosen.choice.size, int(chosen.choice.sum())
         spread = np.floor(np.arange(number) * size / number).astype(np.int64)
         counts = np.bincount(spread, minlength=size)
-        there = self.forecast(counts)
-        if not all(there.assessment.determined[name] for name in self.plan.goal.sizes):
+        expected = self.forecast(counts)
+        if not all(expected.assessment.determined[name] for name in self.plan.goal.sizes):
             return []
         often = "every reading equally often"
         words = (
             often if number % size == 0 else "the same number of readings, spread evenly over all"
         )
         time = float(self.possible.cost @ counts)
-        return [other_plan(words, time, prediction.u, there.u, self.plan.goal.sizes)]
+        return [other_plan(words, time, prediction.u, expected.u, self.plan.goal.sizes)]
 
     def _limits(self, chosen: Optimum[Counts]) -> list[LimitResult]:
-        """Return what a tenth more of each limit would gain; nothing of a plan for a target."""
+        """Return the gain from a tenth more of each limit; empty for a plan for a target."""
         if self.plan.goal.kind == "target":
             return []
         number, time = self.limits
@@ -302,7 +302,7 @@ class ReadingSearch:
 
 
 def _possibilities(plan: ReadingPlan, model: Unknowns) -> Possibilities:
-    """Return what each possible reading tells, and what there is already."""
+    """Return the information of each possible reading, and of the existing observations."""
     campaign = plan.stand_in
     expected = expected_values(campaign, model.unknowns)
     names = [reading.name for reading in plan.possible]
@@ -317,12 +317,12 @@ def _possibilities(plan: ReadingPlan, model: Unknowns) -> Possibilities:
     p, q = len(model.unknowns), len(model.considered)
     design = np.zeros((len(names), len(accelerometers), p))
     fixed = np.zeros((len(names), len(accelerometers), q))
-    for group, (own, others) in zip(groups, rows_at(groups, model, expected), strict=True):
+    for group, (design_rows, others) in zip(groups, rows_at(groups, model, expected), strict=True):
         places = [names.index(name) for name in group.names]
         # All three accelerometers of a pose together tell one thing.
         row = 0 if isinstance(group, TriadPoses) else accelerometers.index(group.accelerometer)
-        design[places, row], fixed[places, row] = own, others
-    blocks = _there(plan, model, expected)
+        design[places, row], fixed[places, row] = design_rows, others
+    blocks = _existing_blocks(plan, model, expected)
     known = np.diag([1.0 / unknown.spread for unknown in model.unknowns])
     sizes = np.array(model.considered_sizes)
     return Possibilities(
@@ -334,15 +334,15 @@ def _possibilities(plan: ReadingPlan, model: Unknowns) -> Possibilities:
     )
 
 
-def _there(plan: ReadingPlan, model: Unknowns, expected: Array) -> Sequence[Block]:
-    """Return what the campaign has already."""
+def _existing_blocks(plan: ReadingPlan, model: Unknowns, expected: Array) -> Sequence[Block]:
+    """Return the information of the existing observations of the campaign."""
     if not plan.taken:
         return ()
     rate, campaign = plan.sampling_rate, plan.campaign_as_it_is()
     return forecast(campaign, sampling_rate=rate, model=model, expected=expected).fit.blocks
 
 
-def _new_of(plan: ReadingPlan, campaign: Campaign) -> Campaign:
+def _select_new(plan: ReadingPlan, campaign: Campaign) -> Campaign:
     """Return a planned campaign with the readings alone that are still to be taken."""
     before = len(plan.campaign_as_it_is().readings)
     triad = campaign.triad
@@ -366,14 +366,14 @@ def in_order(counts: Counts, order: str) -> list[int]:
     if order == "random":
         everything = np.repeat(np.arange(counts.size), counts)
         return [int(i) for i in np.random.default_rng(_SEED).permutation(everything)]
-    # Pairs about the middle; what is there once more stands in the middle itself.
+    # Pairs about the middle; an odd reading is in the middle.
     half: list[int] = []
-    left = counts // 2
+    remaining = counts // 2
     forward = True
-    while left.any():
-        places = np.flatnonzero(left)
+    while remaining.any():
+        places = np.flatnonzero(remaining)
         half += [int(i) for i in (places if forward else places[::-1])]
-        left = left - (left > 0)
+        remaining = remaining - (remaining > 0)
         forward = not forward
     middle = [int(index) for index in np.flatnonzero(counts % 2)]
     return [*half, *middle, *reversed(half)]

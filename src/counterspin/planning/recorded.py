@@ -1,4 +1,4 @@
-"""Campaigns that are recorded: what records tell a forecast, and what further runs would add."""
+"""Recorded campaigns: forecasts with data from their records, and the gain of further runs."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def with_pose_noise(campaign: Campaign) -> Campaign:
     """
     if campaign.triad is None:
         return campaign
-    found = poses_of(campaign)
-    poses = [one.pose for one in found]
+    fitted_poses = poses_of(campaign)
+    poses = [fitted.pose for fitted in fitted_poses]
     blank = any(math.isnan(reading.value) for pose in poses for reading in pose)
     if blank or all(reading.u is not None for pose in poses for reading in pose):
         return campaign
-    *_, group = poses_together(campaign, poses, noise_within(found, campaign.gravity.value))
+    *_, group = poses_together(campaign, poses, noise_within(fitted_poses, campaign.gravity.value))
     noise = solve_readings([group], model_of(campaign)).groups[0].noise
     noisy = tuple(_with_noise(pose, noise) for pose in poses)
     return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
@@ -59,15 +59,15 @@ def _with_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
 
 
 def lacks(campaign: Campaign, sampling_rate: float | None) -> bool:
-    """Return whether a forecast needs more than the description says, and the records are there.
+    """Check that a forecast needs data beyond the description and that the records exist.
 
     sampling_rate: Hz, where it is known.
     """
     if not campaign.runs or campaign.simulation is not None:
         return False
     known = sampling_rate is not None and all(run.duration is not None for run in campaign.runs)
-    there = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
-    return there and not (known and _to_be_found(campaign) == set())
+    complete = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
+    return complete and not (known and _missing_noise(campaign) == set())
 
 
 def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
@@ -80,7 +80,7 @@ def from_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
 def observed_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
     """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
     observed = list(observe(campaign))
-    if not _to_be_found(campaign):
+    if not _missing_noise(campaign):
         return observed, {}
     estimated, _ = estimate_campaign(JointProblem(campaign, observed))
     return observed, noise_of_fit(estimated.fit)
@@ -97,7 +97,7 @@ def noise_of_fit(fit: JointFit) -> dict[str, Noise]:
 
 def rates_of(observed: Sequence[ObservedRun]) -> dict[str, float]:
     """Return run -> samples a second, Hz."""
-    return {one.run.name: 1.0 / one.record.report.step for one in observed}
+    return {run.run.name: 1.0 / run.record.report.step for run in observed}
 
 
 def as_recorded(
@@ -107,35 +107,35 @@ def as_recorded(
 
     noise: By accelerometer, as it was found; the largest counts, since a description has one.
     """
-    seconds = {one.run.name: float(one.record.time[-1]) for one in observed}
+    seconds = {run.run.name: float(run.record.time[-1]) for run in observed}
     runs = tuple(
         r.model_copy(update={"duration": seconds.get(r.name, r.duration)}) for r in campaign.runs
     )
-    found: dict[str, float] = {}
-    for name, one in noise.items():
+    largest: dict[str, float] = {}
+    for name, size_of in noise.items():
         sizes = {
-            campaign.accelerometers[name].observable: one.white,
-            "acceleration": one.random_walk,
-            "flicker": one.flicker,
-            "bias_walk": one.bias_walk,
+            campaign.accelerometers[name].observable: size_of.white,
+            "acceleration": size_of.random_walk,
+            "flicker": size_of.flicker,
+            "bias_walk": size_of.bias_walk,
         }
         for key, size in sizes.items():
-            found[key] = max(size, found.get(key, 0.0))
-    angles = [one.rotation.rms for one in observed if one.rotation is not None]
+            largest[key] = max(size, largest.get(key, 0.0))
+    angles = [run.rotation.rms for run in observed if run.rotation is not None]
     stated = campaign.noise or NoiseSettings()
-    sizes = {key: found.get(key, 0.0) for key in _to_be_found(campaign)}
+    sizes = {key: largest.get(key, 0.0) for key in _missing_noise(campaign)}
     if not stated.angle and angles:
         sizes["angle"] = max(angles)
     return replace(campaign, runs=runs, noise=stated.model_copy(update=sizes))
 
 
-def _to_be_found(campaign: Campaign) -> set[str]:
+def _missing_noise(campaign: Campaign) -> set[str]:
     """Return the components of noise that are left to the records."""
-    said = [one.sizes for one in said_noise(campaign).values()]
+    stated = [stated_noise.sizes for stated_noise in said_noise(campaign).values()]
     return {
         key
         for key in StatedNoise.model_fields
-        if any(sizes is None or isinstance(getattr(sizes, key), str) for sizes in said)
+        if any(sizes is None or isinstance(getattr(sizes, key), str) for sizes in stated)
     }
 
 
@@ -147,13 +147,13 @@ _ATTITUDES: Final = (
     "180 deg about north",
 )
 
-#: Runs are worth their time if they leave less than this part of what fewer of them would.
+#: Runs are worth their time if they reduce u below this part of the u with fewer runs.
 _WORTH: Final = 0.8
 
 
 @frozen
 class FurtherRuns:
-    """Runs to be added, and what they would give."""
+    """Runs to be added, and the uncertainty with them."""
 
     attitude: str  #: Of all of them.
     runs: list[dict[str, Any]]  #: As in ``[[runs]]``.
@@ -191,10 +191,10 @@ def further_runs(
             u = u_of(runs)
         except NotIdentifiableError:
             continue
-        found = FurtherRuns(attitude, runs, seconds, u, now)
+        candidate = FurtherRuns(attitude, runs, seconds, u, now)
         longer = best is not None and seconds > best.seconds
         if u < _WORTH * now and (best is None or u < (_WORTH if longer else 1.0) * best.u):
-            best = found
+            best = candidate
     return best
 
 
@@ -209,12 +209,12 @@ def _candidates(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, Any]]]
     by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]
     for chosen in ([runs[0]], by_rate)[: 1 + (len(by_rate) > 1)]:
         for words in attitudes:
-            yield words, [_turned(campaign, run, words) for run in chosen]
+            yield words, [_repeat_run(campaign, run, words) for run in chosen]
 
 
-def _turned(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
+def _repeat_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
     """Return a run as it is described that repeats another one in an attitude."""
-    taken = {other.name for other in campaign.runs}
+    taken = {existing.name for existing in campaign.runs}
     name = next(
         name
         for number in range(1, len(taken) + 2)

@@ -1,4 +1,4 @@
-"""The result of a plan or a forecast: one object, its JSON, and what a forecast says of it.
+"""The result of a plan or a forecast: one object, its JSON, and its values from a forecast.
 
 Units are SI, coefficients in g-units of the stated gravity, as in the result of a calibration.
 """
@@ -104,7 +104,7 @@ class GoalResult(ResultPart):
     efficiency: float | None = None
 
     def criterion_of(self, names: Sequence[str]) -> Criterion:
-        """Return what is to be small, among unknowns of these names."""
+        """Return the criterion to minimise, for unknowns of these names."""
         places = tuple(names.index(name) for name in self.sizes)
         return Criterion(places, tuple(self.sizes.values()), self.criterion)
 
@@ -186,7 +186,7 @@ class PlanResult(ShownResult):
     provenance: Provenance
 
     def plot(self, *, axes: Any = None) -> list[Any]:
-        """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
+        """Draw the limits of the plan; `plan` computes the curves with `curves=True`."""
         return draw_pictures(load_name("counterspin.planning.limits:plan_plots")(self), axes)
 
 
@@ -197,7 +197,7 @@ def result_of(
     attitudes: Mapping[str, str] | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> PlanResult:
-    """Return what a forecast says of a campaign, without a goal and what limits it.
+    """Return the result of a campaign's forecast, without goal and limits.
 
     attitudes, starts: Of each run by name, in words and s, as of `planned_runs`; None: runs are
         there already.
@@ -226,7 +226,7 @@ def other_plan(
     there: Mapping[str, float],
     names: Iterable[str],
 ) -> OtherPlan:
-    """Return another plan beside this one.
+    """Return the comparison of another plan with this one.
 
     here, there: u of this plan and of the other, by name.
     """
@@ -236,7 +236,7 @@ def other_plan(
 
 
 def _one_rate(campaign: Campaign) -> list[str]:
-    """Return what runs that all have one rate cannot tell; nothing of other campaigns."""
+    """Return the note on the limits of runs at a single rate; empty for other campaigns."""
     rates = [abs(run.rate) for run in campaign.runs]
     if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
         return []
@@ -249,34 +249,41 @@ def _one_rate(campaign: Campaign) -> list[str]:
 
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
-    """Return what a campaign is expected to give for each accelerometer."""
-    asked = prediction.fit.model.asked
+    """Return the expected result of a campaign for each accelerometer."""
+    requested = prediction.fit.model.asked
     places = {
-        name: {u.symbol: i for i, u in enumerate(asked) if u.owner == name and u.symbol in TERMS}
+        name: {
+            u.symbol: i for i, u in enumerate(requested) if u.owner == name and u.symbol in TERMS
+        }
         for name in prediction.campaign.accelerometers
     }
-    return {name: _accelerometer(prediction, name, own) for name, own in places.items()}
+    return {
+        name: _accelerometer(prediction, name, symbol_places)
+        for name, symbol_places in places.items()
+    }
 
 
-def _accelerometer(prediction: Forecast, name: str, own: Mapping[str, int]) -> PlannedAccelerometer:
-    coefficients = {symbol: _predicted(prediction, index) for symbol, index in own.items()}
+def _accelerometer(
+    prediction: Forecast, name: str, places: Mapping[str, int]
+) -> PlannedAccelerometer:
+    coefficients = {symbol: _predicted(prediction, index) for symbol, index in places.items()}
     campaign = prediction.campaign
-    others = [f"{other}." for other in campaign.accelerometers if other != name]
+    others = [f"{prefix}." for prefix in campaign.accelerometers if prefix != name]
     determined = "K_II" in coefficients and coefficients["K_II"].estimated
-    share, faults = unseen_effects(prediction, name, own["K_II"]) if determined else (None, None)
+    share, faults = unseen_effects(prediction, name, places["K_II"]) if determined else (None, None)
     budgets = {
         symbol: budget(prediction.fit, index, name)
-        for symbol, index in own.items()
+        for symbol, index in places.items()
         if coefficients[symbol].estimated
     }
     return PlannedAccelerometer(
         coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
         budget=budgets,
-        what_if=what_if(prediction.fit, own, budgets, name),
+        what_if=what_if(prediction.fit, places, budgets, name),
         confounded=[
             replace(item.of(name), value=None)
             for item in prediction.assessment.confounded
-            if not any(t.startswith(other) for t in item.terms for other in others)
+            if not any(t.startswith(prefix) for t in item.terms for prefix in others)
         ],
         harmonic_share=share,
         faults=faults,
@@ -352,7 +359,7 @@ def planned_readings(campaign: Campaign) -> list[PlannedReading]:
 
 
 def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
-    """Return a pose of a triad, which is one reading of all three."""
+    """Return a planned pose of a triad, a single reading of all three accelerometers."""
     values = np.array([reading.value for reading in pose])
     parts = zip(pose, values / np.linalg.norm(values), strict=True)
     return PlannedReading(

@@ -1,4 +1,4 @@
-"""What a run would tell, as a smooth function of its rate and its revolutions: for planning.
+"""Information of a run as a smooth function of its rate and its revolutions, for planning.
 
 `Predictor` puts runs together: the uncertainties of a design.
 
@@ -85,16 +85,16 @@ class RunInformation:
         model = setup.model
         late = [key_of(model.unknowns[setup.shared[i]], A_SECOND) for i in self._by_time]
         owns = {name: setup.own(name) for name in setup.attitudes}
-        self._owns, known = (max(len(own[i]) for own in owns.values()) for i in (0, 1))
+        self._owns, known = (max(len(places[i]) for places in owns.values()) for i in (0, 1))
         shared = [key_of(model.unknowns[i]) for i in setup.shared]
         shared += [key_of(model.considered[i]) for i in setup.considered]
         columns = {
             name: [
-                *_filled([key_of(model.unknowns[i]) for i in own], self._owns),
+                *_pad_keys([key_of(model.unknowns[i]) for i in places], self._owns),
                 *shared,
-                *_filled([key_of(model.considered[i]) for i in considered], known),
+                *_pad_keys([key_of(model.considered[i]) for i in considered], known),
             ]
-            for name, (own, considered) in owns.items()
+            for name, (places, considered) in owns.items()
         }
 
         def chosen(terms: Mapping[Key, Array], keys: Sequence[Key]) -> Array:
@@ -105,31 +105,31 @@ class RunInformation:
             np.array(
                 [
                     chosen(terms, columns[name])
-                    for terms, (name, _) in zip(own, self._run_types, strict=True)
+                    for terms, (name, _) in zip(weights, self._run_types, strict=True)
                 ]
             )
-            for own in self._terms.terms
+            for weights in self._terms.terms
         ]
         #: Of what goes with time, the weights of one second later.
         self._late = [
-            np.array([chosen(terms, late) for terms in own]) if late else None
-            for own in self._terms.terms
+            np.array([chosen(terms, late) for terms in weights]) if late else None
+            for weights in self._terms.terms
         ]
         self._priors = np.ones((len(self._run_types), self._owns))
         for run_type, (name, _) in enumerate(self._run_types):
-            own = [model.unknowns[i] for i in owns[name][0]]
+            unknowns = [model.unknowns[i] for i in owns[name][0]]
             # Of nothing known, the solver's regularisation.
-            self._priors[run_type, : len(own)] = [1.0 / unknown.spread for unknown in own]
+            self._priors[run_type, : len(unknowns)] = [1.0 / unknown.spread for unknown in unknowns]
 
     def of_model(self, setup: Setup) -> RunInformation:
         """Return the same for a set-up whose model has some of these terms, in other parts."""
-        other = copy.copy(self)
-        other.setup = setup
-        other._arrange()
-        return other
+        copied = copy.copy(self)
+        copied.setup = setup
+        copied._arrange()
+        return copied
 
     def _made_tables(self) -> list[list[InformationTable | None]]:
-        """Return what is interpolated for each instrument and kind; None: there is a closed form.
+        """Return the interpolation tables for each instrument and kind; None: a closed form exists.
 
         Noise of the time stamps goes with the slope of what this very kind of run records.
         """
@@ -177,10 +177,10 @@ class RunInformation:
 
     def sampled_at(self, sampling_rate: float) -> RunInformation:
         """Return the same for another sampling rate, Hz."""
-        other = copy.copy(self)
-        other.setup = replace(self.setup, sampling_rate=sampling_rate)
-        other._tables = other._made_tables()
-        return other
+        copied = copy.copy(self)
+        copied.setup = replace(self.setup, sampling_rate=sampling_rate)
+        copied._tables = copied._made_tables()
+        return copied
 
     def blocks(
         self,
@@ -191,12 +191,12 @@ class RunInformation:
         whole_samples: bool = False,
         conditions: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Return what runs say about the shared unknowns.
+        """Return the information of runs about the shared unknowns.
 
         rate, revolutions: Size of the rate (rad/s) and length of each run, shape (..., n).
         conditions: When each run begins (s) and how warm it is (K from the reference), of a shape
             like the rate's; None: nothing changes from run to run.
-        whole_samples: Whether the last sample is the last one that a run of this length has; False:
+        whole_samples: True: the last sample is the last one that a run of this length has; False:
             as smooth functions of the length, with a part of a sample at the end.
         Returns: rows of unit variance, shape (..., n, b, p + q), b = `rows`: columns of the shared
             unknowns, then of the shared considered terms, then of the run's own considered terms,
@@ -210,8 +210,8 @@ class RunInformation:
         samples = revolutions * (2.0 * math.pi * self.setup.sampling_rate) / rate
         samples = np.floor(samples * (1.0 + 1e-12)) + 1.0 if whole_samples else samples + 1.0
         start, warmth = (
-            np.broadcast_to(one, shape).ravel()[:, None, None]
-            for one in conditions or (np.zeros(()), np.zeros(()))
+            np.broadcast_to(condition, shape).ravel()[:, None, None]
+            for condition in conditions or (np.zeros(()), np.zeros(()))
         )
         parts = []
         for instrument, tables, weight, late in zip(
@@ -224,24 +224,24 @@ class RunInformation:
                 weights[..., [self._owns + place for place in self._by_time]] += since
             part = np.empty((rate.size, weights.shape[1] - instrument.order, weights.shape[2]))
             for table in dict.fromkeys(tables[run_type] for run_type in np.unique(run_types)):
-                here = np.array([tables[run_type] is table for run_type in run_types])
-                part[here] = self._root(
-                    instrument, table, weights[here], rate[here], samples[here], whole_samples
+                mask = np.array([tables[run_type] is table for run_type in run_types])
+                part[mask] = self._root(
+                    instrument, table, weights[mask], rate[mask], samples[mask], whole_samples
                 )
             parts.append(part)
         rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         for prior in self._priors[run_types].T:
-            rows = _without_first(rows, prior[:, None, None])
+            rows = _project_out_first(rows, prior[:, None, None])
         return rows.reshape(*shape, *rows.shape[1:])
 
     @property
     def dated(self) -> bool:
-        """Whether what a run tells depends on when it is made."""
+        """True if the information of a run depends on its start time."""
         return bool(self._by_warmth or self._by_time)
 
     @property
     def rows(self) -> int:
-        """How many rows a run has in `blocks`."""
+        """Number of rows of a run in `blocks`."""
         size = 4 + 4 * self._terms.harmonics
         return sum(size - instrument.order for instrument in self.setup.instruments)
 
@@ -273,10 +273,10 @@ class RunInformation:
         return np.asarray(size * root(records, weights, instrument.order))
 
 
-def _without_first(rows: Array, prior: Array) -> Array:
-    """Project the first unknown out of rows, of which 1/u is known beforehand, (n, 1, 1).
+def _project_out_first(rows: Array, prior: Array) -> Array:
+    """Project the first unknown, with the prior 1/u, shape (n, 1, 1), out of rows.
 
-    What is left of the information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y less a
+    What is left of the information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y minus a
     part of its component along x: exact, and no product is formed of which a root must be taken.
     """
     x, others = rows[:, :, :1], rows[:, :, 1:]
@@ -287,7 +287,7 @@ def _without_first(rows: Array, prior: Array) -> Array:
 
 
 def _by_condition(setup: Setup, condition: str) -> list[int]:
-    """Return the places of what goes with a condition, among the shared unknowns."""
+    """Return the places of the shared unknowns that depend on a condition."""
     rows = (CONDITION_TERMS.get(setup.model.unknowns[i].symbol) for i in setup.shared)
     return [
         place
@@ -296,13 +296,13 @@ def _by_condition(setup: Setup, condition: str) -> list[int]:
     ]
 
 
-def _filled(keys: list[Key], count: int) -> list[Key]:
-    """Return as many keys as another attitude has, the last ones of nothing."""
+def _pad_keys(keys: list[Key], count: int) -> list[Key]:
+    """Return the keys, padded with empty keys to the number of another attitude."""
     return [*keys, *[("", "")] * (count - len(keys))]
 
 
 def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array]:
-    """Return when runs begin and how warm they are then, as `conditions_of` takes it, (..., n).
+    """Return the start times and temperatures of runs, as `conditions_of` takes them, (..., n).
 
     duration: s, shape (..., n).
     """
@@ -324,7 +324,7 @@ class Predictor:
         self.names = tuple(unknown.name for unknown in shared)
         sd = np.array([u.prior[1] for u in shared])
         limits = np.array([u.limit for u in shared])
-        #: An unknown of which nothing is known is held as loosely as in the solution.
+        #: An unknown without a prior is constrained as weakly as in the solution.
         self.prior = np.diag(1.0 / np.where(np.isfinite(sd), sd, REGULARISATION * limits))
         sizes = setup.considered_sizes
         self.common = sizes[list(setup.considered)]
@@ -332,7 +332,7 @@ class Predictor:
 
     @property
     def p(self) -> int:
-        """How many unknowns all runs share."""
+        """Number of unknowns that all runs share."""
         return len(self.names)
 
     def covariance(
@@ -383,7 +383,7 @@ class Predictor:
         inner = np.asarray(root @ np.swapaxes(root, -1, -2), dtype=np.float64)
         if blocks.shape[-1] == p:
             return inner, inner, np.zeros((*lead, p, 0))
-        moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._sized(types, blocks)
+        moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._scale_considered(types, blocks)
         q = self.common.size
         common = moments[..., :q].sum(axis=-3)
         own = np.moveaxis(moments[..., q:], -3, -2)
@@ -393,14 +393,14 @@ class Predictor:
         whole: Array = inner + spread @ np.swapaxes(spread, -1, -2)
         return whole, inner, spread
 
-    def _sized(self, types: Sequence[RunType], blocks: Array) -> Array:
+    def _scale_considered(self, types: Sequence[RunType], blocks: Array) -> Array:
         """Return the considered columns of blocks, each times its standard uncertainty."""
         q = self.common.size
         columns = blocks[..., self.p :].copy()
         columns[..., :q] *= self.common
         for index, run_type in enumerate(types):
-            own = self.own[run_type.attitude]
-            columns[..., index, :, q : q + own.size] *= own
+            run_sizes = self.own[run_type.attitude]
+            columns[..., index, :, q : q + run_sizes.size] *= run_sizes
         return columns
 
     def sensitivities(self, design: Design, criterion: Criterion) -> tuple[float, Array, Array]:
@@ -443,7 +443,7 @@ class Predictor:
         # d(spread' c) = -(dB)' v + B' P dM P c, and B' P is -spread'.
         towards = spread @ s
         share -= 2.0 * np.sum(seen * (blocks[..., :p] @ towards), axis=(-2, -1))
-        columns = self._sized(types, blocks)
+        columns = self._scale_considered(types, blocks)
         q, n = self.common.size, len(types)
         width = columns.shape[-1] - q
         weights = np.zeros((n, q + width, c.shape[1]))

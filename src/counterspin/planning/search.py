@@ -53,7 +53,7 @@ class Search:
     def relaxing(self) -> Predictor | None:
         """A predictor whose considered terms are estimated; None if it would be the same.
 
-        Nor does it know of what changes from run to run, of which runs can only tell less.
+        It omits changes from run to run, which can only reduce the information.
         """
         information = self.predictor.information
         if not information.dated and not information.setup.considered_sizes.size:
@@ -63,12 +63,14 @@ class Search:
 
     @property
     def bounded(self) -> bool:
-        """Whether the relaxation bounds every plan: what samples tell must not depend on chance.
+        """True if the relaxation bounds every plan: information must not depend on sample phases.
 
-        With noise of the time stamps those at an extremum of the output tell most, and whether
-        there are any depends on the rate to many digits.
+        With noise of the time stamps, samples at an extremum of the output are most informative,
+        and their number depends on many digits of the rate.
         """
-        return not any(one.scatters for one in self.predictor.information.setup.instruments)
+        return not any(
+            instrument.scatters for instrument in self.predictor.information.setup.instruments
+        )
 
     def best(
         self, limits: Limits | None = None, start: Design | None = None
@@ -105,14 +107,14 @@ class Search:
         limits: None: those of the plan.
         """
         limits = limits or self.limits
-        rounded = self._rounded_down(design)
+        rounded = self._round_down(design)
         if self.plan.goal.kind == "minimise":
             longest = int(np.argmax(rounded.duration))
-            left = limits.total_time - limits.time(rounded)
-            room = min(left, limits.longest_run - float(rounded.duration[longest]))
+            spare = limits.total_time - limits.time(rounded)
+            room = min(spare, limits.longest_run - float(rounded.duration[longest]))
             steps = math.floor(room / _DURATION_STEP + 1e-6)
             if steps > 0:
-                rounded = _longer(rounded, longest, steps * _DURATION_STEP)
+                rounded = _lengthen(rounded, longest, steps * _DURATION_STEP)
         return rounded
 
     def meeting(self, design: Design, targets: Mapping[str, float]) -> Design | None:
@@ -120,7 +122,7 @@ class Search:
 
         Returns: none if the total time does not suffice.
         """
-        rounded = self._rounded_down(design)
+        rounded = self._round_down(design)
         places = [self.predictor.names.index(name) for name in targets]
         wanted = np.array(list(targets.values()))
         while np.any(self.predictor.u(rounded)[places] > wanted):
@@ -128,7 +130,7 @@ class Search:
             candidates = [
                 longer
                 for index in range(len(rounded.types))
-                if (longer := _longer(rounded, index, _DURATION_STEP)).duration[index]
+                if (longer := _lengthen(rounded, index, _DURATION_STEP)).duration[index]
                 <= self.limits.longest_run * (1.0 + 1e-12)
             ]
             if not candidates or self.limits.time(candidates[0]) > self.limits.total_time + 1e-9:
@@ -143,7 +145,7 @@ class Search:
             rounded = candidates[int(np.argmin((u / wanted).max(axis=1)))]
         return rounded
 
-    def _rounded_down(self, design: Design) -> Design:
+    def _round_down(self, design: Design) -> Design:
         rate = np.array([self._rounded_rate(float(w)) for w in design.rate])
         fewest = self.limits.revolutions * 2.0 * math.pi / rate
         steps = np.floor(design.duration / _DURATION_STEP + 1e-6)
@@ -190,30 +192,32 @@ class Search:
     def three_rates(self, design: Design, time: float) -> Design | None:
         """Return the paper's plan: a quarter, half and all of the highest rate, equal turns."""
         high = self.limits.rate[1]
-        return self._alike(design, time, np.array([0.25, 0.5, 1.0]) * high, by_turns=True)
+        return self._equal_runs(design, time, np.array([0.25, 0.5, 1.0]) * high, by_turns=True)
 
     def even_rates(self, design: Design, time: float) -> Design | None:
-        """Return as many runs of equal length at equally spaced rates."""
+        """Return the same number of runs, of equal length, at equally spaced rates."""
         attitudes = len(dict.fromkeys(run_type.attitude for run_type in design.types))
         count = max(2, len(design.types) // attitudes)
         rates = np.linspace(*self.limits.rate, count)
-        return self._alike(design, time, rates, by_turns=False)
+        return self._equal_runs(design, time, rates, by_turns=False)
 
-    def _alike(self, design: Design, time: float, rates: Any, *, by_turns: bool) -> Design | None:
+    def _equal_runs(
+        self, design: Design, time: float, rates: Any, *, by_turns: bool
+    ) -> Design | None:
         """Return runs at given rates, in each attitude of the plan, that take a given time."""
         attitudes = list(dict.fromkeys(run_type.attitude for run_type in design.types))
         rate = np.tile(rates, len(attitudes))
-        left = time - (len(attitudes) - 1) * self.limits.attitude_change
-        left -= float(np.sum(self.limits.overhead(rate)))
+        available = time - (len(attitudes) - 1) * self.limits.attitude_change
+        available -= float(np.sum(self.limits.overhead(rate)))
         share = 1.0 / rate if by_turns else np.ones_like(rate)
-        duration = left * share / share.sum()
-        if left <= 0.0 or np.any(duration * rate < 2.0 * math.pi):
+        duration = available * share / share.sum()
+        if available <= 0.0 or np.any(duration * rate < 2.0 * math.pi):
             return None
         types = tuple(RunType(attitude, 1) for attitude in attitudes for _ in rates)
         return Design(types, rate, duration * rate / (2.0 * math.pi))
 
 
-def _longer(design: Design, index: int, by: float) -> Design:
+def _lengthen(design: Design, index: int, by: float) -> Design:
     """Return the design with one run longer, s."""
     duration: Array = design.duration
     duration[index] = round(float(duration[index]) + by, 9)
@@ -232,7 +236,7 @@ _UNLIMITED_TIME: Final = 1e4
 
 def require_determined(search: Search) -> None:
     """Refuse a goal that no campaign within the limits determines, however it is spent."""
-    assessment = _assessed(search, search.predictor, search.limits.types)
+    assessment = _assess(search, search.predictor, search.limits.types)
     missing, text = not_determined(
         assessment,
         search.plan.goal.sizes,
@@ -241,7 +245,7 @@ def require_determined(search: Search) -> None:
     )
     if not missing:
         return
-    helps = _helpful(search, missing)
+    helps = _find_helpful_attitude(search, missing)
     text += (
         f'. Allow the attitude "{helps}" too (limits.attitudes)'
         if helps
@@ -254,7 +258,7 @@ def require_determined(search: Search) -> None:
 def not_determined(
     assessment: Assessment, goal: Iterable[str], by: str, where: str = ""
 ) -> tuple[list[str], str]:
-    """Return what of a goal is not determined, and a sentence without its end that says so.
+    """Return the undetermined unknowns of a goal, and the beginning of a sentence about them.
 
     by, where: Words: what does not determine it; in what.
     """
@@ -270,7 +274,7 @@ def not_determined(
 def words_of_missed_target(
     prediction: Forecast, goal: Mapping[str, float], none: str, best: str
 ) -> str:
-    """Return a sentence without its end: which target is missed most, by how much, and why.
+    """Return the beginning of a sentence on the target missed most, its excess and the reason.
 
     none, best: Words: what does not reach it; the best of these, whose forecast this is.
     """
@@ -293,13 +297,13 @@ def words_of_missed_target(
     )
 
 
-def _assessed(search: Search, predictor: Predictor, run_types: tuple[RunType, ...]) -> Assessment:
+def _assess(search: Search, predictor: Predictor, run_types: tuple[RunType, ...]) -> Assessment:
     """Assess a campaign with much of everything: all run types, four rates, all the time each."""
     limits = search.limits
     rates = np.array(limits.settings or np.geomspace(*limits.rate, 4))
     longest = np.minimum(limits.longest_run, limits.total_time - limits.overhead(rates))
     turns = np.maximum(limits.revolutions, longest * rates / (2.0 * math.pi))
-    types = tuple(one for one in run_types for _ in rates)
+    types = tuple(run_type for run_type in run_types for _ in rates)
     tell = predictor.information.blocks
     blocks = tell(types, np.tile(rates, len(run_types)), np.tile(turns, len(run_types)))
     return assess_blocks(predictor, blocks)
@@ -329,7 +333,7 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
     return assess(solution, [unknown.name for unknown in shared if unknown.asked])
 
 
-def _helpful(search: Search, missing: list[str]) -> str | None:
+def _find_helpful_attitude(search: Search, missing: list[str]) -> str | None:
     """Return an attitude with which the missing coefficients would be determined."""
     plan, limits = search.plan, search.limits
     run = plan.stand_in.runs[0]
@@ -347,9 +351,9 @@ def _helpful(search: Search, missing: list[str]) -> str | None:
                 (1, -1),
             )
         )
-        senses = {one.sense for one in limits.types}
+        senses = {run_type.sense for run_type in limits.types}
         run_types = (*limits.types, *(RunType(words, sense) for sense in sorted(senses)))
-        assessment = _assessed(search, predictor, run_types)
+        assessment = _assess(search, predictor, run_types)
         if all(assessment.determined[name] for name in missing):
             return words
     return None
@@ -379,8 +383,8 @@ def unreachable(search: Search) -> CounterspinError:
         floor = math.exp(relaxed.value) * size
         if floor > size:
             text += f". With any amount of time it would be {format_apart(floor, size)} {unit}"
-    if all(one.sense == 1 for one in search.limits.types):
+    if all(run_type.sense == 1 for run_type in search.limits.types):
         both = search.smallest(both_senses(search.limits), best.choice)
-        there = search.predictor.u(both.choice)[search.predictor.names.index(name)]
-        text += f", with both senses of the spin {format_apart(there, size)} {unit}"
+        u = search.predictor.u(both.choice)[search.predictor.names.index(name)]
+        text += f", with both senses of the spin {format_apart(u, size)} {unit}"
     return CounterspinError(text + ".")

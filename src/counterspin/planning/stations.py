@@ -1,4 +1,4 @@
-"""From ``PLAN.toml`` with [[stations]] to a `ReadingPlan`: where readings may be taken, and why.
+"""Conversion of ``PLAN.toml`` with [[stations]] to a `ReadingPlan` of possible readings.
 
 Every station becomes a run with a reading of a stand-in campaign, so that both are checked alike.
 """
@@ -41,7 +41,7 @@ from counterspin.planning.plan_sections import (
 from counterspin.planning.recorded import with_pose_noise
 from counterspin.planning.result import GoalResult
 
-#: Most possible readings: what an exchange of one for another would gain is asked of all pairs.
+#: Most possible readings: the gain of an exchange is computed for all pairs.
 _MOST_POSSIBLE: Final = 3600
 
 
@@ -56,7 +56,7 @@ class PossibleReading:
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the reading."""
         return str(self.run["name"])
 
 
@@ -68,7 +68,7 @@ class ReadingPlan:
     document: Mapping[str, Any]  #: The campaign to be, without runs.
     taken: tuple[Any, ...]  #: Runs that it has already, records and readings, as [[runs]] has them.
     sampling_rate: float | None  #: Of the records among them, Hz; None where there is none.
-    stand_in: Campaign  #: The campaign with what it has, and each possible reading once.
+    stand_in: Campaign  #: The campaign with existing observations and each possible reading once.
     possible: tuple[PossibleReading, ...]  #: The possible readings.
     poses: tuple[tuple[Reading, ...], ...]  #: Those that it has already, with their u.
     #: Most of them, and s; infinite where there is no such limit.
@@ -83,7 +83,7 @@ class ReadingPlan:
         """Return the document of the campaign with readings in this order."""
         timed = any(reading.time > 0.0 for reading in chosen)
         now, runs = 0.0, []
-        for name, reading in zip(_numbered(chosen), chosen, strict=True):
+        for name, reading in zip(_number_names(chosen), chosen, strict=True):
             run = _with_value(reading.run, value) | {"name": name}
             if timed:
                 # The time in the middle of the reading, from the start of the first.
@@ -93,28 +93,28 @@ class ReadingPlan:
         return {**self.document, "runs": [*self.taken, *runs]}
 
     def campaign_as_it_is(self) -> Campaign:
-        """Return the campaign with what it has already, of the same model."""
+        """Return the campaign with its existing observations only, of the same model."""
         names = {reading.name for reading in self.possible}
-        there = tuple(r for r in self.stand_in.readings if r.name not in names)
+        existing = tuple(r for r in self.stand_in.readings if r.name not in names)
         triad = self.stand_in.triad and replace(self.stand_in.triad, poses=self.poses)
-        return replace(self.stand_in, readings=there, triad=triad)
+        return replace(self.stand_in, readings=existing, triad=triad)
 
     def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
         """Return the campaign with readings in this order, their values zero."""
         campaign = resolved_campaign(self.campaign_document(chosen, value="0"), self.path)
         if campaign.triad is None:
             return campaign
-        planned = _pointed(campaign, dict(zip(_numbered(chosen), chosen, strict=True)))
+        planned = _simulate_poses(campaign, dict(zip(_number_names(chosen), chosen, strict=True)))
         triad = replace(campaign.triad, poses=(*self.poses, *planned), records=())
         return replace(campaign, triad=triad)
 
 
-def _numbered(chosen: Sequence[PossibleReading]) -> list[str]:
+def _number_names(chosen: Sequence[PossibleReading]) -> list[str]:
     digits = len(str(len(chosen)))
     return [f"{index:0{digits}d} {reading.name}" for index, reading in enumerate(chosen, start=1)]
 
 
-def _pointed(
+def _simulate_poses(
     campaign: Campaign, planned: Mapping[str, PossibleReading]
 ) -> tuple[tuple[Reading, ...], ...]:
     """Return the poses that are planned, by the names of their runs, as they will be read."""
@@ -123,8 +123,8 @@ def _pointed(
     if not poses:
         return ()
     ups = [planned[pose[0].name].up or {} for pose in poses]
-    own = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
-    known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in own]
+    priors_of = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
+    known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in priors_of]
     values = pointing_up(one_group(campaign, poses), ups, known).value.tolist()
     return tuple(
         tuple(replace(reading, value=value) for reading, value in zip(pose, row, strict=True))
@@ -139,7 +139,9 @@ def pointing_up(
 
     known: Coefficients of each accelerometer; those not named are nominal.
     """
-    up = np.array([[own.get(name, 0.0) for name in poses.accelerometers] for own in ups])
+    up = np.array(
+        [[directions.get(name, 0.0) for name in poses.accelerometers] for directions in ups]
+    )
     along = up @ poses.axes[:, 0]
     unit = along / np.linalg.norm(along, axis=1)[:, None]
     return replace(poses, value=indications_along(poses, known, unit))
@@ -150,8 +152,12 @@ def every_up(names: Sequence[str]) -> list[dict[str, float]]:
 
     First one axis, then two, then all three.
     """
-    signs = [one for one in product((1.0, -1.0, 0.0), repeat=len(names)) if any(one)]
-    ups = [dict(zip(names, one, strict=True)) for one in signs]
+    signs = [
+        combination
+        for combination in product((1.0, -1.0, 0.0), repeat=len(names))
+        if any(combination)
+    ]
+    ups = [dict(zip(names, combination, strict=True)) for combination in signs]
     return sorted(ups, key=lambda up: sum(map(abs, up.values())))
 
 
@@ -185,8 +191,8 @@ def read_reading_plan(
     problems.check(ReadingPlanDocument, raw, ())
     limits = problems.check(ReadingLimitsSettings, table_of(raw, "limits"), ("limits",))
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
-    apart = ("limits", "goal", "stations", "runs")
-    document = {k: v for k, v in raw.items() if k not in apart}
+    plan_keys = ("limits", "goal", "stations", "runs")
+    document = {k: v for k, v in raw.items() if k not in plan_keys}
     taken = list_of(raw, "runs")
     tables = table_of(raw, "accelerometers")
     names = list(tables)
@@ -215,16 +221,16 @@ def read_reading_plan(
     runs = [_with_value(reading.run, "0") for reading in possible]
     campaign = None
     if runs and not problems.lines:
-        whole = {**document, "runs": [*taken, *runs]}
-        inside = Problems(whole)
-        campaign = resolve_campaign(whole, file, inside)
-        # One line for what is wrong with every reading alike.
+        full_document = {**document, "runs": [*taken, *runs]}
+        inside = Problems(full_document)
+        campaign = resolve_campaign(full_document, file, inside)
+        # One message for an error that all readings share.
         lines = (_at_stations(line, len(taken)) for line in inside.lines)
         problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
     poses: tuple[tuple[Reading, ...], ...] = ()
     if campaign is not None and campaign.triad is not None:
-        campaign, poses = _with_poses(campaign, possible)
-        # How many poses there are decides what is asked for; here the fewest count as enough.
+        campaign, poses = _add_poses(campaign, possible)
+        # The number of poses decides the parameters of interest; here the minimum is enough.
         model = {"terms": list(campaign.model.terms), **table_of(raw, "model")}
         document = {**document, "model": model}
     sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
@@ -251,18 +257,18 @@ def read_reading_plan(
     )
 
 
-def _with_poses(
+def _add_poses(
     campaign: Campaign, possible: Sequence[PossibleReading]
 ) -> tuple[Campaign, tuple[tuple[Reading, ...], ...]]:
     """Return a stand-in campaign with the values of possible poses; and those taken already."""
     assert campaign.triad is not None
     planned = {reading.name: reading for reading in possible}
-    pointed = _pointed(campaign, planned)
-    there = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
-    told = with_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=there)))
-    assert told.triad is not None
-    triad = replace(told.triad, poses=(*told.triad.poses, *pointed))
-    return replace(campaign, triad=triad), told.triad.poses
+    pointed = _simulate_poses(campaign, planned)
+    existing = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
+    complete = with_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=existing)))
+    assert complete.triad is not None
+    triad = replace(complete.triad, poses=(*complete.triad.poses, *pointed))
+    return replace(campaign, triad=triad), complete.triad.poses
 
 
 def _at_stations(line: str, taken: int) -> str:
@@ -313,12 +319,12 @@ def _possible(
             {
                 "name": " ".join(filter(None, (settings.name, name))),
                 **shared,
-                **own,
+                **entry_keys,
                 "reading": reading,
             },
             settings.time,
         )
-        for name, own in made
+        for name, entry_keys in made
     ]
 
 
@@ -353,8 +359,8 @@ def _up(text: str, names: Sequence[str]) -> dict[str, float]:
         elif part in up:
             raise ValueError(f'"{part}" is listed twice')
         elif part not in names:
-            said = did_you_mean(part, names)
-            raise ValueError(f'"{part}" is not an accelerometer of the triad{said}')
+            suggestion = did_you_mean(part, names)
+            raise ValueError(f'"{part}" is not an accelerometer of the triad{suggestion}')
         else:
             up[part], sign = sign, 1.0
     if not up:
@@ -395,9 +401,9 @@ def _rates(
 
 
 def _rate_for(force: float, raw: Mapping[str, Any]) -> float:
-    """Return the rate at which the centripetal force has a size, g; 1 where the machine is wrong.
+    """Return the rate at which the centripetal force has a size, g; 1 for an invalid machine.
 
-    What is wrong with the machine is said where the campaign is checked.
+    The check of the campaign reports the errors of the machine.
     """
     from counterspin.campaign.quantity import parse
 

@@ -32,7 +32,7 @@ from counterspin.planning.information_table import functions, integration
 
 @frozen
 class PlannedInstrument:
-    """One accelerometer as a plan sees it."""
+    """An accelerometer in a plan."""
 
     #: As in `Series`.
     name: str
@@ -46,7 +46,7 @@ class PlannedInstrument:
 
     @property
     def order(self) -> int:
-        """How often the observable integrates the specific force."""
+        """Number of integrations of the specific force in the observable."""
         return ORDERS[self.observable]
 
     def timing_left(self, rate: float) -> float:
@@ -56,26 +56,28 @@ class PlannedInstrument:
 
     @property
     def scatters(self) -> bool:
-        """Whether any noise of the times is left."""
+        """True if noise of the time stamps remains."""
         return self.timing > 0.0 and self.encoder > 0.0
 
 
 def expected_record(
     series: Series, expected: Mapping[Unknown, float], scale_factor: float
 ) -> Series:
-    """Return a record with the errors that are expected of it, but for those of inputs.
+    """Return a record with its expected errors, except those of inputs.
 
-    expected: Values less nominal.
+    expected: Values minus nominal.
     scale_factor: K_I, with which the accelerometer sees the platform's errors.
     """
-    own = [u for u in expected if expected[u] and u.symbol not in INPUTS and u.concerns(series)]
-    columns = series.columns([u.symbol for u in own], scale_factor)
-    return replace(series, error=columns @ [expected[u] for u in own])
+    relevant = [
+        u for u in expected if expected[u] and u.symbol not in INPUTS and u.concerns(series)
+    ]
+    columns = series.columns([u.symbol for u in relevant], scale_factor)
+    return replace(series, error=columns @ [expected[u] for u in relevant])
 
 
 @frozen
 class Setup:
-    """What is planned: instruments, attitudes, unknowns."""
+    """The setup of a plan: instruments, attitudes, unknowns."""
 
     instruments: tuple[PlannedInstrument, ...]  #: The accelerometers.
     #: Name -> rows x, y, z in east-north-up, shape (3, 3). The model has the unknowns that belong
@@ -86,7 +88,7 @@ class Setup:
     site: Site
     sampling_rate: float  #: Samples a second, Hz.
     model: Unknowns  #: What is estimated and considered.
-    #: Expected values of the unknowns, less nominal, shape (p,); the uncertain inputs act on them.
+    #: Expected values of the unknowns, minus nominal, shape (p,); the uncertain inputs act on them.
     estimate: Array
     scale_factors: dict[str, float]  #: K_I of each accelerometer.
 
@@ -99,7 +101,7 @@ class Setup:
     @cached_property
     def considered(self) -> tuple[int, ...]:
         """Places of the considered terms that all runs share."""
-        owners = [other.owner for other in self.model.considered]
+        owners = [considered_term.owner for considered_term in self.model.considered]
         return tuple(i for i, owner in enumerate(owners) if owner not in self.attitudes)
 
     def own(self, attitude: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -107,7 +109,11 @@ class Setup:
         model = self.model
         return (
             tuple(i for i, unknown in enumerate(model.unknowns) if unknown.owner == attitude),
-            tuple(i for i, other in enumerate(model.considered) if other.owner == attitude),
+            tuple(
+                i
+                for i, considered_term in enumerate(model.considered)
+                if considered_term.owner == attitude
+            ),
         )
 
     @property
@@ -119,7 +125,7 @@ class Setup:
 #: Highest harmonics of the angle that are tried, until the columns are combinations of the
 #: functions to `_RESIDUAL` of their size, or as well as they ever are: difference quotients have
 #: rounding. A term with a kink has all harmonics, those of its force falling off as n^-3: of it
-#: what is left in the record counts, whose square is missing from the information.
+#: the remainder in the record counts, whose square is missing from the information.
 _HARMONICS: Final = (3, 4, 6, 11)
 _RESIDUAL: Final = 1e-6
 _RESIDUAL_OF_KINK: Final = 5e-4
@@ -216,7 +222,7 @@ class TermWeights:
     def _suffice(
         self, harmonics: int, instrument: PlannedInstrument, keys: list[Key], forces: Array
     ) -> bool:
-        """Return whether the terms are combinations of the functions, as well as they have to be.
+        """Check that the terms are combinations of the functions, to the required accuracy.
 
         forces: Of the terms, as of `_forces`.
         """
@@ -253,9 +259,9 @@ class TermWeights:
         series = self.series(forced, attitude, rate, times)
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
         (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
-        asked = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
-        held = [setup.model.considered[i].symbol for i in prepared.considered]
-        for symbols, columns in ((asked, prepared.design), (held, prepared.fixed)):
+        unknowns = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
+        considered = [setup.model.considered[i].symbol for i in prepared.considered]
+        for symbols, columns in ((unknowns, prepared.design), (considered, prepared.fixed)):
             if CLOCK in symbols and instrument.order > 0:
                 column = columns[:, symbols.index(CLOCK)]
                 column[:] = self._by_clock(prepared, column, instrument.order)
@@ -283,18 +289,18 @@ class TermWeights:
         )
 
     def _by_clock(self, prepared: Prepared, column: Array, order: int) -> Array:
-        """Return what a fast clock does to a record, differentiated so often, from the force's.
+        """Return the `order`-th derivative of a fast clock's effect on a record, from the force.
 
-        Of a force at true times the clock makes one that is less by itself for each integration.
+        The clock reduces a force at true times by its own size for each integration.
         A circle is passed at the same angles: nothing of it shows in displacement, its
         acceleration in velocity.
         """
         series, model = prepared.series, self.setup.model
-        asked = [k for k, i in enumerate(prepared.unknowns) if model.unknowns[i].asked]
-        values = self.setup.estimate[[prepared.unknowns[k] for k in asked]]
-        errors = prepared.design[:, asked] @ values
-        there = series.by_clock(_CLOCK_STEP).reference() - series.reference()
-        shown: Array = column - there / _CLOCK_STEP - order * errors
+        requested = [k for k, i in enumerate(prepared.unknowns) if model.unknowns[i].asked]
+        values = self.setup.estimate[[prepared.unknowns[k] for k in requested]]
+        errors = prepared.design[:, requested] @ values
+        change = series.by_clock(_CLOCK_STEP).reference() - series.reference()
+        shown: Array = column - change / _CLOCK_STEP - order * errors
         if order == 1:
             axis = series.mounting.turned(series.attitude).input_axis
             shown = shown + series.trajectory.acceleration(series.time) @ axis
@@ -327,7 +333,7 @@ def _combination(columns: Array, harmonics: int) -> tuple[Array, Array]:
 
 
 def key_of(one: Unknown, ending: str = "") -> Key:
-    """Return what the weights of an unknown are found by."""
+    """Return the key of an unknown's weights."""
     return one.owner, one.symbol + ending
 
 
