@@ -31,6 +31,10 @@ TRIALS: Final = 200
 TRIALS_WITHOUT: Final = 120
 TRIALS_MOST: Final = 400
 
+#: Trials of a case with time stamps that scatter, and their standard deviation.
+TRIALS_OF_STAMPS: Final = 60
+TIMING: Final = "2e-4 s"
+
 #: Seed of the first trial.
 FIRST: Final = 1000
 
@@ -54,6 +58,8 @@ class Case:
     @property
     def trials(self) -> int:
         """How many there are of it in the table."""
+        if "time stamps" in self.words:
+            return TRIALS_OF_STAMPS
         if self.words == HIDDEN[1]:
             return TRIALS_MOST
         if self.method == "two-stage":
@@ -135,6 +141,11 @@ def _cases() -> Iterator[Case]:
         ("white and walk, not stated", both, {}),
     ):
         yield Case("two-stage", "displacement", words, true, stated)
+    for method, observable in (*(("joint", one) for one in _WHITE), ("two-stage", "displacement")):
+        white = {observable: _WHITE[observable]}
+        true = {**white, "timing": TIMING}
+        yield Case(method, observable, "white and time stamps, stated", true, true)
+        yield Case(method, observable, "white stated, time stamps found", true, white)
 
 
 CASES: Final = tuple(_cases())
