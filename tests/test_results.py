@@ -153,6 +153,21 @@ def test_a_file_without_a_seal_is_read_and_gets_none_by_being_written_again(tmp_
         assert not Log.read(tmp_path / "again.json").sealed
 
 
+@pytest.mark.parametrize("more", ['"series": [9.0]', '"rooms": {}', r'"ser\u0069es": [9.0]'])
+def test_a_key_that_occurs_twice_is_refused(tmp_path, more):
+    # Programs differ in which of two they read; the seal is that of one of them.
+    path = tmp_path / "log.json"
+    LOG.write(path)
+    whole = path.read_text(encoding="utf-8")
+    for text in (
+        f"{{{more}, {whole.lstrip()[1:]}",
+        whole.replace('"value"', '"value": 1, "value"', 1),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(RecordError, match=r"the key '.*' occurs twice in one object"):
+            Log.read(path)
+
+
 def test_what_was_read_knows_the_bytes_of_its_file(tmp_path):
     path = tmp_path / "log.json"
     LOG.write(path)

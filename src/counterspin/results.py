@@ -6,6 +6,7 @@ import hashlib
 import json
 import platform
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -152,7 +153,9 @@ class ResultFile(ResultPart):
         try:
             content = read_file(path)
             text = content.decode("utf-8")
-            document = json.loads(text, parse_constant=_not_a_number)
+            document = json.loads(
+                text, parse_constant=_not_a_number, object_pairs_hook=_unique_keys
+            )
             if _HALF.search(text) and document != _escaped(document):
                 raise ValueError("a text in it contains half of a character")
         except OSError as error:
@@ -227,6 +230,15 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
         elif value < _SMALLEST_UNCERTAINTY and value != 0 and _UNCERTAINTY.fullmatch(key):
             wrong = "not negative" if value < 0 else "0 or not so small"
             yield f"{path} is {value:g}, and an uncertainty is {wrong}"
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; ValueError if a key occurs twice, which programs read differently."""
+    document = dict(pairs)
+    if len(document) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {twice!r} occurs twice in one object")
+    return document
 
 
 def _not_a_number(word: str) -> None:

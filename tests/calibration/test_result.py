@@ -8,6 +8,7 @@ import pytest
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_file import upgrade
 from counterspin.errors import RecordError
+from counterspin.reports.blocks import Paragraph
 
 K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}
 RESULT = {
@@ -151,3 +152,16 @@ def test_a_newer_schema_is_named(tmp_path):
     path = stored(tmp_path, RESULT | {"schema": Result.newest_schema() + 1})
     with pytest.raises(RecordError, match=r"written by a newer counterspin \(schema"):
         Result.read(path)
+
+
+@pytest.mark.parametrize(("removed", "warnings"), [([], 0), (["seal"], 1)])
+def test_report_and_screen_warn_of_a_result_without_a_seal(tmp_path, removed, warnings):
+    path = Path(__file__).parents[1] / "frozen" / "schema-2-joint.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    kept = {key: value for key, value in document.items() if key not in removed}
+    found = Result.read(stored(tmp_path, kept))
+    found.write_report(tmp_path / "report.md")
+    report = (tmp_path / "report.md").read_text(encoding="utf-8")
+    screen = "\n".join(block.text for block in found.blocks() if isinstance(block, Paragraph))
+    for text in (report, screen):
+        assert text.count("The file of this result has no seal") == warnings

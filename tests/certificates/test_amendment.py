@@ -99,6 +99,24 @@ def test_what_cannot_be_amended_is_refused(desk, capsys):
     assert "give --amends OLD.xml and --reason WHY together" in capsys.readouterr().err
 
 
+def test_a_chain_that_returns_to_itself_is_refused_without_a_ledger(desk):
+    for number in range(3):
+        write_lab(desk, LAB.replace('language = "de"', f'identifier = "CS 00{number}"'))
+        amends = Amendment(desk / f"{number - 1}.xml", "why") if number else None
+        certificate("r.json", "LAB.toml", amends=amends).write(f"{number}.xml")
+    newest = read_certificate((desk / "2.xml").read_bytes(), "")
+    assert (newest.amends, newest.replaced) == ("CS 001", ("CS 001", "CS 000"))
+    for name in ("CS 000", "cs 000", "CS\u00a0000", "CS 001", "CS000"):
+        write_lab(desk, LAB.replace('language = "de"', f'identifier = "{name}"'))
+        with pytest.raises(CampaignError, match="is the identifier of a certificate that CS 002"):
+            certificate("r.json", "LAB.toml", amends=Amendment(desk / "2.xml", "why"))
+    # One that was made by another program is found by its reader.
+    whole = (desk / "2.xml").read_bytes()
+    (desk / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
+    with pytest.raises(RecordError, match="the amendments return to their beginning"):
+        check_certificate(desk / "2.xml", amends=desk / "1.xml")
+
+
 def test_identifiers_count_on():
     assert AmendedCertificate("CS-1", "", "").next_identifier() == "CS-1-A1"
     assert AmendedCertificate("CS-1-A9", "", "").next_identifier() == "CS-1-A10"

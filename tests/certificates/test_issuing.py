@@ -358,15 +358,27 @@ def test_the_default_identifier_follows_from_the_bytes_and_the_laboratory_s_data
     assert earlier.identifier == certificate(Result.read("r.json"), tomllib.loads(LAB)).identifier
 
 
-def test_a_result_without_a_seal_is_certified_and_the_certificate_says_so(desk, capsys):
+def test_a_result_without_a_seal_is_certified_for_a_stated_reason_only(desk, capsys):
     text = re.sub(r'"seal": .*,', "", (desk / "r.json").read_text(encoding="utf-8"))
+    # An earlier schema, stated by hand, is no way around it.
+    for schema in ('"schema": 2', '"schema": 1'):
+        (desk / "r.json").write_text(text.replace('"schema": 2', schema), encoding="utf-8")
+        status, _, complaint = command(capsys, "r.json", "LAB.toml", "-o", "a.xml")
+        assert status == 1
+        assert "r.json: the file has no seal" in complaint
+        assert "state in --accept-unsealed why" in " ".join(complaint.split())
     (desk / "r.json").write_text(text, encoding="utf-8")
+    reason = ("--accept-unsealed", "Compared with the printed report.")
     for name in ("a.xml", "a.pdf"):
-        assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
-    said = "written by an earlier version of counterspin, without a seal"
+        assert command(capsys, "r.json", "LAB.toml", "-o", name, *reason)[0] == 0
+    said = "was accepted: Compared with the printed report."
     assert said.encode() in (desk / "a.xml").read_bytes()
     pages = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "a.pdf").pages)
     assert said in " ".join(pages.split())
     # Attached is the file itself.
     (data,) = find((desk / "a.xml").read_bytes(), "//dcc:dataBase64")[:1]
     assert base64.b64decode(data.text) == text.encode()
+    result().write(desk / "r.json", overwrite=True)
+    status, _, complaint = command(capsys, "r.json", "LAB.toml", "-o", "b.xml", *reason)
+    assert status == 1
+    assert "the file has a valid seal; leave --accept-unsealed out" in " ".join(complaint.split())

@@ -1,15 +1,21 @@
 """Results, certificates and amendments come into the ledger, with their checksums and reasons."""
 
+import contextlib
 import hashlib
+import os
 import subprocess
 import sys
+from itertools import count
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
 from results import result
+from signing_keys import write_pair
 
 from certificates import LAB, write_lab
 from counterspin import cli
 from counterspin.certificates.ledger import verify_ledger
+from counterspin.certificates.reading import read_document
 
 KEPT = LAB.replace('language = "de"', 'ledger = "ledger.jsonl"')
 
@@ -126,6 +132,53 @@ def test_one_entered_on_another_day_is_found_and_told(desk, killed, monkeypatch,
     found = verify_ledger(desk / "ledger.jsonl").entries
     assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
     assert b"2027-01-15" in (desk / "a.xml").read_bytes()
+
+
+@pytest.mark.parametrize("lab", [KEPT, LAB], ids=["ledger", "no ledger"])
+@pytest.mark.parametrize("link", range(1, 6))
+def test_both_files_of_an_interrupted_command_are_completed(desk, monkeypatch, lab, link):
+    # Killed before each name is given, and repeated on another day, with another signature.
+    write_lab(desk, lab)
+    key, cert = write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1()))
+    words = ("r.json", "LAB.toml", "-o", "a.pdf", "--both", "--key", str(key), "--cert", str(cert))
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "link", dying(os.link, link))
+        with contextlib.suppress(KilledError):
+            run(*words)
+    whole = [(desk / name).is_file() for name in ("a.xml", "a.pdf")]
+    before = (desk / "a.xml").read_bytes() if whole[0] else None
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
+    assert run(*words) == (1 if all(whole) else 0)
+    assert before in (None, (desk / "a.xml").read_bytes())
+    assert read_document(desk / "a.pdf") == (desk / "a.xml").read_bytes()
+    for name in ("a.xml", "a.pdf"):
+        assert run("--verify", name, "--cert", str(cert)) == 0
+    if lab == KEPT:
+        found = verify_ledger(desk / "ledger.jsonl").entries[1:]
+        assert [e.of["file_sha256"] for e in found] == [
+            digest(desk / n) for n in ("a.xml", "a.pdf")
+        ]
+    assert not [path for path in desk.iterdir() if path.name.startswith(".")]
+
+
+def dying(function, call):
+    """Return a function that raises KilledError at one of its calls."""
+    calls = count(1)
+
+    def called(*words):
+        if next(calls) == call:
+            raise KilledError
+        return function(*words)
+
+    return called
+
+
+def test_the_pdf_of_another_xml_is_not_completed(desk, capsys):
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    words = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
+    assert run(*words) == 1
+    assert "a.xml exists and its PDF was not begun by this command" in capsys.readouterr().err
+    assert not (desk / "a.pdf").exists()
 
 
 def test_an_identifier_stands_for_one_content(desk, monkeypatch, capsys):

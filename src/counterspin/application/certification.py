@@ -12,7 +12,7 @@ from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
 from counterspin.application.desk import Desk, certificate_command
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.documents import load_document
-from counterspin.certificates.issuing import certificate, check_place, other_kind
+from counterspin.certificates.issuing import certificate, check_place, check_places, other_kind
 from counterspin.certificates.signers import KeyFile, PasswordNeededError, Signer, read_signer
 from counterspin.errors import CounterspinError
 from counterspin.input import read_file
@@ -83,23 +83,23 @@ def begin_certificate(
     both: The other of XML and PDF is written beside it too.
     """
     files = desk.file(result), desk.file(lab)
-    outputs = [desk.folder.path(output)]
-    check_place(outputs[0])
+    place = desk.folder.path(output)
     if both:
-        outputs.append(desk.folder.path(desk.folder.name(other_kind(outputs[0]))))
-        check_place(outputs[1])
+        check_places(place)
+        desk.folder.path(desk.folder.name(other_kind(place)))
+    else:
+        check_place(place)
     # The ledger, too.
     desk.require_inside(files[1].parent, load_document(files[1]))
     with desk.drawing:
         made = certificate(*files, signer=None if signing is None else lambda: signing.signer(desk))
-        for place in outputs:
-            made.write(place)
+        outputs = made.write_both(place) if both else [made.write(place)]
     return {
         "identifier": made.identifier,
         "accelerometers": made.accelerometers,
         "notes": made.notes,
         "files": [desk.folder.name(place) for place in outputs],
-        "command": certificate_command(*files, outputs[0], both, _options(desk, signing)),
+        "command": certificate_command(*files, place, both, _options(desk, signing)),
     }
 
 

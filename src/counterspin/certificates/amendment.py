@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
+from unicodedata import normalize
 
 from counterspin.certificates.reading import (
+    EARLIER,
     CertificateNumbers,
     CertifiedAccelerometer,
     read_certificate,
@@ -59,6 +61,8 @@ class AmendedCertificate:
     checksum: str  #: SHA-256 of its XML, hexadecimal.
     reason: str  #: Why it is replaced.
     changes: tuple[str, ...] = ()  #: What is otherwise in the new one, in sentences.
+    #: Identifiers of the certificates that the replaced one replaced, newest first.
+    earlier: tuple[str, ...] = ()
 
     def next_identifier(self) -> str:
         """Return an identifier for the new one, where the laboratory gives none."""
@@ -79,7 +83,30 @@ def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
             f"{amendment.path}: is a draft, which was never issued and cannot be amended"
         )
     checksum = hashlib.sha256(data).hexdigest()
-    return AmendedCertificate(found.identifier, checksum, " ".join(amendment.reason.split())), data
+    reason = " ".join(amendment.reason.split())
+    amended = AmendedCertificate(found.identifier, checksum, reason, earlier=found.replaced)
+    return amended, data
+
+
+def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
+    """Refuse an identifier that the amended certificate or one before it has.
+
+    Blanks and capitals do not make another identifier.
+    """
+    if _same(identifier, amended.identifier):
+        words = "is the identifier of the amended certificate"
+    elif any(_same(identifier, other) for other in amended.earlier):
+        words = f"is the identifier of a certificate that {amended.identifier} amends"
+    else:
+        return
+    raise CampaignError(
+        "certificate.identifier", [f'"{identifier}" {words}; each certificate needs its own']
+    )
+
+
+def _same(first: str, second: str) -> bool:
+    keys = ["".join(normalize("NFKC", text).split()).casefold() for text in (first, second)]
+    return keys[0] == keys[1]
 
 
 def with_changes(amended: AmendedCertificate, old: bytes, new: bytes) -> AmendedCertificate:
@@ -103,9 +130,15 @@ def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
     return [
         f"This certificate amends and replaces certificate {amended.identifier} "
         f"(SHA-256 of its XML: {amended.checksum}).",
-        f"Reason: {amended.reason}",
+        *amendment_reasons(amended),
         *(f"Changed: {change}" for change in amended.changes),
     ]
+
+
+def amendment_reasons(amended: AmendedCertificate) -> list[str]:
+    """Return why a certificate was replaced, and which certificates it had replaced."""
+    earlier = [f"{EARLIER}{identifier}" for identifier in amended.earlier]
+    return [f"Reason: {amended.reason}", *earlier]
 
 
 def check_amends(new: bytes, old: Path, source: str) -> str:
@@ -118,7 +151,13 @@ def check_amends(new: bytes, old: Path, source: str) -> str:
         raise RecordError(f"{source}: amends no certificate")
     if previous[0].text != hashlib.sha256(data).hexdigest():
         raise RecordError(f"{source}: does not amend {old}, or {old} has been changed since")
-    return read_certificate(data, str(old)).identifier
+    before, after = read_certificate(data, str(old)), read_certificate(new, source)
+    if any(_same(after.identifier, other) for other in (before.identifier, *before.replaced)):
+        raise RecordError(
+            f"{source}: has the identifier of {old} or of a certificate that {old} amends: the "
+            "amendments return to their beginning; do not rely on any of them"
+        )
+    return before.identifier
 
 
 def _numbers(before: CertificateNumbers, after: CertificateNumbers) -> Iterator[str]:

@@ -25,7 +25,7 @@ from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates import wording
-from counterspin.certificates.amendment import PROCEDURE
+from counterspin.certificates.amendment import PROCEDURE, amendment_reasons
 from counterspin.certificates.conversion import (
     certified_triad,
     covariance,
@@ -141,6 +141,7 @@ def _template() -> Template:
     made.globals |= {
         "wording": wording,
         "PROCEDURE": PROCEDURE,
+        "amendment_reasons": amendment_reasons,
         "COVERAGE": COVERAGE,
         "ITEM_STATES": ITEM_STATES,
         "SHARED_TERMS": SHARED_TERMS,

@@ -75,7 +75,8 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     for line in (wording.BASED_ON, *wording.deviation_lines(settings)):
         yield Paragraph(typeset(line))
     yield Heading("Results")
-    for line in (*wording.misfit_lines(result, names), *wording.seal_lines(result)):
+    seal = wording.seal_lines(result, issue.accepted_unsealed)
+    for line in (*wording.misfit_lines(result, names), *seal):
         yield Paragraph(typeset(line), "warning")
     yield from _results(lab, result, stated)
     yield Heading("Statements")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import UTC, date, datetime, time
 from pathlib import Path
@@ -16,6 +16,7 @@ from counterspin.certificates.amendment import (
     AmendedCertificate,
     Amendment,
     check_amends,
+    check_new_identifier,
     read_amended,
     with_changes,
 )
@@ -39,6 +40,7 @@ from counterspin.certificates.signers import KeyFile, Signer, certificates_in
 from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
+from counterspin.input import read_file
 from counterspin.output import reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
@@ -109,20 +111,73 @@ class Certificate:
             If there is such a file already, or it cannot be written; or the ledger cannot, was
             altered, or has this identifier with other content: then nothing is written.
         """
-        path, kept = Path(path), None if self.draft else ledger or self.ledger
+        path = Path(path)
         check_place(path)
         data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
+        self._write(path, data, ledger, self.entry)
+        return path
+
+    def write_both(self, path: Path | str, *, ledger: Path | None = None) -> list[Path]:
+        """Write XML and PDF with the same signature; return their paths.
+
+        The finished PDF lies hidden beside its place before the XML gets its name. So the same
+        call completes what an interrupted one began, on any day and without the same signature.
+
+        Parameters
+        ----------
+        path
+            One of the two files; the other differs in the ending of its name.
+        ledger
+            As of `write`.
+
+        Raises
+        ------
+        CampaignError
+            If the name ends otherwise.
+        CounterspinError
+            As of `write`; or if the XML stands and is not that of an interrupted call.
+        """
+        path = Path(path)
+        check_places(path)
+        xml, pdf = _xml_and_pdf(path)
+        if not xml.is_file():
+            data = self.pdf()
+            waiting = self._waiting_pdf(pdf, self.xml)
+            write_whole(waiting, lambda part: part.write_bytes(data), overwrite=True)
+            self.write(xml, ledger=ledger)
+        standing = read_document(xml)
+        waiting = self._waiting_pdf(pdf, standing)
+        if not (waiting.is_file() and read_document(waiting) == standing):
+            raise CounterspinError(
+                f"{xml} exists and its PDF was not begun by this command; a certificate never "
+                "replaces a file: choose another name"
+            )
+        data = read_file(waiting)
+        self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(standing)})
+        for part in waiting.parent.glob(self._waiting_pdf(pdf, None).name):
+            part.unlink(missing_ok=True)
+        return [path, other_kind(path)]
+
+    def _waiting_pdf(self, pdf: Path, xml: bytes | None) -> Path:
+        """Return where a finished PDF waits until its XML has its name; None: with any XML."""
+        own = checksum_of(self.identifier.encode("utf-8", "surrogatepass"))[:16]
+        return pdf.resolve().parent / f".{own}-{checksum_of(xml)[:16] if xml else '*'}.pdf"
+
+    def _write(
+        self, path: Path, data: bytes, ledger: Path | None, entry: Mapping[str, str]
+    ) -> None:
+        """Give bytes their name, after they were entered in the ledger if there is one."""
+        kept = None if self.draft else ledger or self.ledger
         if kept is None:
             write_whole(path, lambda part: part.write_bytes(data))
-            return path
+            return
         said = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
-        earlier = enter_certificate(kept, path, data, self.entry, said)
+        earlier = enter_certificate(kept, path, data, entry, said)
         if earlier is not None:
             self.notes.append(
                 f"An interrupted command had already entered certificate {self.identifier} on "
                 f"{earlier.when}: {path} is the certificate of that entry ({earlier.number})."
             )
-        return path
 
 
 def check_place(output: Path) -> None:
@@ -137,6 +192,22 @@ def check_place(output: Path) -> None:
     reserve(output)
 
 
+def check_places(output: Path) -> None:
+    """Refuse places of XML and PDF as `check_place`; an interrupted call may have left the XML."""
+    if output.suffix.lower() not in FORMATS:
+        check_place(output)
+    xml, pdf = _xml_and_pdf(output)
+    if not xml.is_file():
+        check_place(xml)
+    check_place(pdf)
+
+
+def _xml_and_pdf(output: Path) -> tuple[Path, Path]:
+    """Return the paths of a certificate's XML and PDF, one of which is given."""
+    places = output, other_kind(output)
+    return places if output.suffix.lower() == ".xml" else places[::-1]
+
+
 def other_kind(output: Path) -> Path:
     """Return the name of a certificate's PDF beside that of its XML, or the other way round."""
     return output.with_suffix(next(f for f in FORMATS if f != output.suffix.lower()))
@@ -149,6 +220,7 @@ def certificate(
     schema: Path | None = None,
     signer: Signer | Callable[[], Signer] | None = None,
     accept_misfit: str | None = None,
+    accept_unsealed: str | None = None,
     amends: Amendment | None = None,
 ) -> Certificate:
     """Make the certificate of a result; `Certificate.write` writes it.
@@ -168,6 +240,9 @@ def certificate(
     accept_misfit
         The reason for which a result that its records contradict is certified all the same; it
         stands in the certificate.
+    accept_unsealed
+        The reason for which a result is certified although its file has no seal; it stands in the
+        certificate.
     amends
         An issued certificate that this one replaces, and why; it says both, and what changed.
 
@@ -181,8 +256,9 @@ def certificate(
     CounterspinError
         If key or schema cannot be used.
     """
-    if accept_misfit is not None and not accept_misfit.strip():
-        raise CampaignError("certificate", ["`accept_misfit`: give the reason in words"])
+    for name, reason in (("accept_misfit", accept_misfit), ("accept_unsealed", accept_unsealed)):
+        if reason is not None and not reason.strip():
+            raise CampaignError("certificate", [f"`{name}`: give the reason in words"])
     original = result if isinstance(result, Result) else Result.read(result)
     data, specifications = read_lab(lab, original)
     names = data.certified(original)
@@ -200,10 +276,15 @@ def certificate(
         if isinstance(result, Result):
             raise
         raise RecordError(f"{result}: {error}") from error
+    if (problem := _seal_problem(original, accept_unsealed)) is not None:
+        source = "the result" if isinstance(result, Result) else str(result)
+        raise RecordError(f"{source}: {problem}")
     source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
     require_evidence(original.assumed, data.evidence, source)
     amended, old = (None, b"") if amends is None else read_amended(amends)
-    issue = _issue(data, original, amended, accept_misfit, signed=signer is not None)
+    accepted = tuple(reason for reason in (accept_misfit, accept_unsealed) if reason is not None)
+    issue = _issue(data, original, amended, accepted, signed=signer is not None)
+    issue = replace(issue, accepted_unsealed=accept_unsealed)
     if issue.draft and signer is not None:
         raise CampaignError(source, [_example_words(example_keys(data))])
     if callable(signer):
@@ -229,7 +310,7 @@ def certificate(
         entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
         | ({} if amended is None else {"amends": amended.identifier}),
         signed_by=data.persons[0].name,
-        reason=_reason(issue.amended, judged),
+        reason=_reason(issue, judged),
         result=None if isinstance(result, Result) else Path(result),
         draft=issue.draft,
         pages=lambda: _signed_pages(_pages(data, judged, issue, verdicts, attach=xml), signer),
@@ -251,11 +332,27 @@ def _ledger(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
     return folder / data.certificate.ledger
 
 
-def _reason(amended: AmendedCertificate | None, result: Result) -> str:
-    reason = "issued" if amended is None else amended.reason
-    if result.accepted_misfit is None:
-        return reason
-    return f"{reason}; the misfit was accepted: {result.accepted_misfit}"
+def _reason(issue: Issue, result: Result) -> str:
+    """Return why a certificate is issued, and the reasons for every exception."""
+    reason = "issued" if issue.amended is None else issue.amended.reason
+    if result.accepted_misfit is not None:
+        reason += f"; the misfit was accepted: {result.accepted_misfit}"
+    if issue.accepted_unsealed is not None:
+        reason += f"; the missing seal was accepted: {issue.accepted_unsealed}"
+    return reason
+
+
+def _seal_problem(result: Result, accept_unsealed: str | None) -> str | None:
+    """Return why the file of a result may not be certified; None if it may."""
+    if not result.sealed and accept_unsealed is None:
+        return (
+            "the file has no seal, so nobody can say whether it was changed after it was written; "
+            "give the original file, calibrate again, or state in `accept_unsealed` why it is "
+            "certified all the same"
+        )
+    if result.sealed and accept_unsealed is not None:
+        return "the file has a valid seal; leave `accept_unsealed` out"
+    return None
 
 
 def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
@@ -285,10 +382,10 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
         )
 
 
-def _identifier(lab: Lab, result: Result, accept_misfit: str | None) -> str:
+def _identifier(lab: Lab, result: Result, accepted: Sequence[str]) -> str:
     """Return an identifier that follows from the bytes of the result and the laboratory's data."""
     said = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
-    rests_on = (checksum_of(result.content), said, accept_misfit or "")
+    rests_on = (checksum_of(result.content), said, *(accepted or [""]))
     return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
 
 
@@ -296,20 +393,15 @@ def _issue(
     lab: Lab,
     result: Result,
     amended: AmendedCertificate | None,
-    accept_misfit: str | None,
+    accepted: Sequence[str],
     *,
     signed: bool,
 ) -> Issue:
     draft = bool(example_keys(lab))
-    unnamed = (
-        _identifier(lab, result, accept_misfit) if amended is None else amended.next_identifier()
-    )
+    unnamed = _identifier(lab, result, accepted) if amended is None else amended.next_identifier()
     identifier = lab.certificate.identifier or unnamed
-    if amended is not None and identifier == amended.identifier:
-        raise CampaignError(
-            "certificate.identifier",
-            [f'"{identifier}" is the identifier of the amended certificate; each needs its own'],
-        )
+    if amended is not None:
+        check_new_identifier(identifier, amended)
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
         # A day: so XML and PDF of a certificate that are made one after the other are the same one.

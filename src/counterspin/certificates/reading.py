@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
@@ -107,6 +107,11 @@ _GRAVITY: Final = (
 _REPLACED: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"
 )
+_REASON: Final = (
+    "dcc:administrativeData/dcc:coreData/dcc:previousReport/dcc:description/dcc:content"
+)
+#: How a line begins that names a certificate which an amended one replaced.
+EARLIER: Final = "Earlier certificate: "
 _QUANTITY: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
 _EXPANDED: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
 _REGION: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
@@ -161,6 +166,8 @@ class CertificateNumbers:
     accelerometers: dict[str, CertifiedAccelerometer]
     amends: str | None = None
     triad: CertifiedTriad | None = None
+    #: Identifiers of all certificates that this one and those before it replaced, newest first.
+    replaced: tuple[str, ...] = ()
 
 
 def read_certificate(document: bytes, source: str) -> CertificateNumbers:
@@ -180,11 +187,20 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
             },
             amends=next((_text(element) for element in _all(root, _REPLACED)), None),
             triad=next((_triad(part, gravity) for part in _all(root, _TRIAD)), None),
+            replaced=tuple(_replaced(root)),
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
             f"{source}: is not a calibration certificate written by counterspin ({error})"
         ) from error
+
+
+def _replaced(root: Element) -> Iterator[str]:
+    """Yield the identifiers of the certificates that a certificate and those before it replaced."""
+    yield from (_text(element) for element in _all(root, _REPLACED))
+    for element in _all(root, _REASON):
+        lines = _text(element).splitlines()
+        yield from (line.removeprefix(EARLIER) for line in lines if line.startswith(EARLIER))
 
 
 def _triad(part: Element, gravity: float) -> CertifiedTriad:

@@ -38,6 +38,8 @@ class Issue:
     #: Whether the laboratory's data are not its own yet, so that nothing is certified.
     draft: bool = False
     amended: AmendedCertificate | None = None  #: The certificate that this one replaces.
+    #: Why a result is certified although its file has no seal; None if it has one.
+    accepted_unsealed: str | None = None
 
     def file_name(self, ending: str) -> str:
         """Return a file name made of the identifier, in which a slash would name a folder."""
@@ -87,7 +89,7 @@ def _of_the_certificate(lab: Lab, stated: Result, issue: Issue) -> Iterator[Stat
     yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
     misfit = wording.misfit_lines(stated, lab.certified(stated))
     yield Statement("Misfit of the result", misfit)
-    yield Statement("File of the result", wording.seal_lines(stated))
+    yield Statement("File of the result", wording.seal_lines(stated, issue.accepted_unsealed))
     yield Statement(
         wording.TRACEABILITY, [settings.traceability], language=settings.language, traceable=True
     )

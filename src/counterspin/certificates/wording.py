@@ -239,13 +239,17 @@ def rest_lines(name: str, result: Result) -> list[str]:
     return said
 
 
-def seal_lines(result: Result) -> list[str]:
-    """Return what is to be said of a result whose file has no seal; nothing of another."""
+def seal_lines(result: Result, accepted: str | None) -> list[str]:
+    """Return the statement on a result whose file has no seal; nothing for a sealed result.
+
+    accepted: The reason for which it is certified all the same.
+    """
     if result.sealed:
         return []
     return [
-        "The result file was written by an earlier version of counterspin, without "
-        "a seal: later changes cannot be excluded. Its state was re-evaluated from its numbers."
+        "The result file has no seal: changes after it was written cannot be excluded. Its state "
+        "was re-evaluated from its numbers.",
+        *([] if accepted is None else [f"The missing seal was accepted: {accepted}"]),
     ]
 
 

@@ -90,6 +90,8 @@ class IssueOptions:
     ----------
     accept_misfit
         Certify a result that its records contradict, for this reason, which the certificate states.
+    accept_unsealed
+        Certify a result whose file has no seal, for this reason, which the certificate states.
     amends
         An issued certificate (XML or PDF) that the new one replaces; with --verify: check that the
         certificate replaces it.
@@ -100,6 +102,7 @@ class IssueOptions:
     """
 
     accept_misfit: str | None = None
+    accept_unsealed: str | None = None
     amends: Path | None = None
     reason: str | None = None
     ledger: Path | None = None
@@ -148,7 +151,7 @@ def certificate(
         certificate_blocks,
         check_certificate,
         check_place,
-        other_kind,
+        check_places,
     )
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, report_console
@@ -186,22 +189,22 @@ def certificate(
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (issue.amends is None) != (issue.reason is None):
         raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
-    check_place(output)
-    outputs = [output, *([other_kind(output)] if signing.both else [])]
-    for place in outputs[1:]:
-        check_place(place)
+    (check_places if signing.both else check_place)(output)
     done = make(
         result,
         lab,
         schema=signing.schema,
         signer=signing.who_signs(),
         accept_misfit=issue.accept_misfit,
+        accept_unsealed=issue.accept_unsealed,
         amends=None
         if issue.amends is None or issue.reason is None
         else Amendment(issue.amends, issue.reason),
     )
-    for place in outputs:
-        done.write(place, ledger=issue.ledger)
+    if signing.both:
+        outputs = done.write_both(output, ledger=issue.ledger)
+    else:
+        outputs = [done.write(output, ledger=issue.ledger)]
     files, names = " and ".join(map(str, outputs)), ", ".join(done.accelerometers)
     say(f"Wrote {files}: certificate {done.identifier} of {names}.")
     for note in done.notes:

@@ -35,6 +35,7 @@ from counterspin.calibration.pages.uncertainty import (
 from counterspin.calibration.pages.verdict import (
     conformity_blocks,
     misfit_blocks,
+    seal_blocks,
     verdict_blocks,
     verdict_tables,
 )
@@ -126,6 +127,7 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     """
     yield Heading(result.title or "Calibration", 1)
     yield from misfit_blocks(result)
+    yield from seal_blocks(result)
     for name, accelerometer in result.accelerometers.items():
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
             state = accelerometer.state
