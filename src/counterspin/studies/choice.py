@@ -1,6 +1,6 @@
-"""What competes in a study, and which engine each analysis gets.
+"""Competing analyses of a study, and the engine of each analysis.
 
-Where shortcuts hold: each reason against one is a sentence.
+Shortcuts apply under conditions: each reason against a shortcut is a sentence.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ _LARGEST_SHARE_OUTSIDE: Final = 0.5
 
 @frozen
 class Analysis:
-    """One competitor."""
+    """One of the competing analyses."""
 
     name: str  #: As the study calls it.
     owner: str  #: The accelerometer of a two-stage analysis; empty for the joint fit of all.
-    request: TwoStageRequest | JointRequest  #: What is asked of the method.
-    #: The joint fit of the same campaign, which finds the noise that nobody states.
+    request: TwoStageRequest | JointRequest  #: Options of the method.
+    #: The joint fit of the same campaign, which estimates noise that is not stated.
     joint: JointRequest
 
 
 def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
-    """Return what competes: a two-stage analysis is one for each accelerometer."""
+    """Return the competing analyses: a two-stage analysis counts once for each accelerometer."""
     analyses = []
     for described in study.analyses:
         name, options, campaign = described.name, described.two_stage, described.campaign
@@ -146,7 +146,7 @@ def _with_readings(
     analysis: Analysis,
     engine: EngineName,
 ) -> EnginePart:
-    """Return the engine of a campaign with readings, records beside them or not."""
+    """Return the engine of a campaign with readings, with or without records."""
     if engine in ("surrogate", "exact"):
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="{engine}"` is not valid here: there are readings; '
@@ -174,8 +174,8 @@ def _two_stage(
         if owner in ("", analysis.owner)
         for symbol in symbols
     )
-    asked = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
-    symbols = tuple(dict.fromkeys([*(symbol for _, symbol in true), *asked]))
+    terms = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
+    symbols = tuple(dict.fromkeys([*(symbol for _, symbol in true), *terms]))
     surrogates: tuple[Surrogate, ...] | None = None
     cost: Cost
     cost, words = "exact", "sufficient statistics, exact quadrature"
@@ -200,7 +200,7 @@ def _two_stage(
                 words += f", exact quadrature for the {100.0 * outside:.2g} % outside its box"
     inputs = changes_by_inputs(world, truth, analysis.owner, symbols)
     made = TwoStageEngine(request, analysis.owner, motions, symbols, true, surrogates, inputs)
-    rows, reported = _of_two_stage(world, truth, analysis, request)
+    rows, reported = _reported_unknowns(world, truth, analysis, request)
     return EnginePart(made, cost, _stream(world, analysis), words, rows, reported)
 
 
@@ -238,7 +238,7 @@ def _full(world: World, truth: StudyTruth, analysis: Analysis, words: str) -> En
     request = analysis.request
     if isinstance(request, JointRequest):
         return _full_joint(world, truth, analysis, request, words)
-    rows, reported = _of_two_stage(world, truth, analysis, request)
+    rows, reported = _reported_unknowns(world, truth, analysis, request)
     made = FullEngine(world, request, analysis.joint, analysis.owner)
     return EnginePart(made, "full", _stream(world, analysis), words, rows, reported)
 
@@ -267,10 +267,10 @@ def _full_joint(
     )
 
 
-def _of_two_stage(
+def _reported_unknowns(
     world: World, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
 ) -> tuple[tuple[int, ...], tuple[ReportedCoefficient, ...]]:
-    """Return which of a two-stage analysis' unknowns are reported: all but the printed ripple."""
+    """Return the reported unknowns of a two-stage analysis: all except the printed ripple."""
     symbols = list(request.unknowns)
     rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
     unknowns = [
@@ -303,7 +303,7 @@ _LARGEST_ERROR: Final = 0.1
 def against_strobes(
     world: World, truth: StudyTruth, request: TwoStageRequest, owner: str
 ) -> list[str]:
-    """Return why the two-stage method's sufficient statistics do not serve; empty if they do."""
+    """Return the reasons against the two-stage method's sufficient statistics; empty if valid."""
     reasons = _against(world, truth)
     if world.noise.random_walk > 0.0:
         reasons.append("the accelerometer's noise is not white in displacement")
@@ -314,23 +314,23 @@ def against_strobes(
     speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
     if request.timing * speed > _LARGEST_OTHER_NOISE * _white(truth):
         reasons.append("the noise of the recorded time that the analysis assumes is not negligible")
-    asked = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
+    terms = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
     symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
-    for symbol in sorted({*symbols, *asked}):
+    for symbol in sorted({*symbols, *terms}):
         if why := obstacle(symbol):
             reasons.append(f"{symbol} {why}")
     if request.sigma is None and not reasons:
-        left = _left_by_the_parabola(world, truth, owner)
-        if left > _LARGEST_ERROR * _white(truth):
+        residual = _largest_residual_rms(world, truth, owner)
+        if residual > _LARGEST_ERROR * _white(truth):
             reasons.append(
                 "sigma is taken from residuals in which errors that are no parabola reach "
-                f"{left:.1e} m"
+                f"{residual:.1e} m"
             )
     return reasons
 
 
 def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> list[str]:
-    """Return why the joint fit's sufficient statistics do not serve; empty if they do."""
+    """Return the reasons against the joint fit's sufficient statistics; empty if they are valid."""
     reasons = _against(world, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         reasons.append("the rotation varies, and with it the weights of every sample")
@@ -359,9 +359,9 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be estimated")
     other_levels = NOISE_LEVELS.keys() - {WHITE}
-    other = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
-    if other:
-        reasons.append(f"{', '.join(other)} varies, which only complete records simulate")
+    varying = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
+    if varying:
+        reasons.append(f"{', '.join(varying)} varies, which only complete records simulate")
     if world.noise.quantisation > 0.0:
         reasons.append("quantisation is not Gaussian")
     if white <= 0.0:
@@ -380,7 +380,7 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
 
 
 def _far_inputs(world: World, truth: StudyTruth) -> list[str]:
-    """Return which inputs are so far from what is stated that their squares count."""
+    """Return a reason for each input whose deviation is too large for first order."""
     fastest = max(abs(spindle.rate) for spindle in world.spindles)
     sizes = {"centrifuge.radius": world.radius, "site.gravity": world.site.gravity}
     sizes[TIMING] = 1.0 / fastest
@@ -406,7 +406,7 @@ def _white(truth: StudyTruth) -> float:
 
 
 def _second_order(world: World, truth: StudyTruth) -> float:
-    """Return what the square of the platform's attitude error adds to the displacement, m."""
+    """Return the displacement due to the square of the platform's attitude error, m."""
     worst = 0.0
     for run, duration in enumerate(world.durations):
         turned = 0.0
@@ -432,8 +432,8 @@ def _second_order(world: World, truth: StudyTruth) -> float:
     return worst
 
 
-def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
-    """Return the rms of what true errors leave in the strobes' residuals at most, m."""
+def _largest_residual_rms(world: World, truth: StudyTruth, owner: str) -> float:
+    """Return the largest rms of the true errors in the strobes' residuals, m."""
     draws = truth.draw(np.random.default_rng(2), 8)
     worst = 0.0
     for run in range(len(world.runs)):
@@ -452,7 +452,7 @@ def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
                 attitude=world.attitudes[run],
             )
             sizes = np.array([_size(single.values[key], key, run) for key in keys])
-            worst = max(worst, _rms_beside_parabola(times, columns @ sizes))
+            worst = max(worst, _rms_about_parabola(times, columns @ sizes))
     return worst
 
 
@@ -460,7 +460,7 @@ def _size(values: Array, key: tuple[str, str], run: int) -> float:
     return float(of_run(values, run)[0]) - nominal(*key)
 
 
-def _rms_beside_parabola(times: Array, error: Array) -> float:
+def _rms_about_parabola(times: Array, error: Array) -> float:
     scaled = np.vander(times / float(np.ptp(times)), 3)
-    left = error - scaled @ np.linalg.lstsq(scaled, error, rcond=None)[0]
-    return math.sqrt(float(np.mean(left**2)))
+    residual = error - scaled @ np.linalg.lstsq(scaled, error, rcond=None)[0]
+    return math.sqrt(float(np.mean(residual**2)))

@@ -1,6 +1,6 @@
 """[study]: what varies from trial to trial, and which analyses compete.
 
-It stands in ``campaign.toml`` beside [truth], or in a file of its own that names the campaign:
+It is a section of ``campaign.toml``, next to [truth], or of a file that names the campaign:
 
     schema = 1
     campaign = "three-rate"              # the campaign's folder or file, from here
@@ -165,7 +165,7 @@ StudiedDocument = create_model(
 
 @frozen
 class AnalysisDescription:
-    """One competitor."""
+    """One of the competing analyses."""
 
     name: str  #: As the study calls it.
     two_stage: TwoStageOptions | None  #: How the two-stage method is applied; None: the joint fit.
@@ -206,9 +206,9 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
 
 
 def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> StudyDescription:
-    """Read and check what a study's file says; raises as `read_study` does.
+    """Read and check the content of a study's file; raise the errors of `read_study`.
 
-    described: Where the campaign is described, of one that was read; None: `raw` may name another
+    described: Path of the description of a campaign already read; None: `raw` may name another
         one.
     """
     problems = Problems(raw)
@@ -261,26 +261,32 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
 
 
 def _known(campaign: Campaign, varying: Sequence[VariedQuantity]) -> Iterator[VariedQuantity]:
-    """Yield what acts beside what is asked for, each as it is known: stated, or of typical size.
+    """Yield the nuisance parameters with their stated or default priors.
 
-    What [truth] gives a value has that one.
+    Parameters that vary already or have a value in [truth] are left out.
     """
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
-    there = {(quantity.owner, quantity.symbol) for quantity in varying}
-    there |= {(name, symbol) for name, own in truth.coefficients.items() for symbol in own}
-    there |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
-    there |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
+    known = {(quantity.owner, quantity.symbol) for quantity in varying}
+    known |= {
+        (name, symbol)
+        for name, coefficients in truth.coefficients.items()
+        for symbol in coefficients
+    }
+    known |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
+    known |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
     stated = inputs_by_owner(campaign)
     model = model_of(campaign)
-    for other in (*model.unknowns, *model.considered):
-        owner = other.owner if other.symbol in {**OWN_TERMS, **INPUTS} else ""
-        if other.asked or other.prior[1] == 0.0 or (owner, other.symbol) in there:
+    for parameter in (*model.unknowns, *model.considered):
+        owner = parameter.owner if parameter.symbol in {**OWN_TERMS, **INPUTS} else ""
+        if parameter.asked or parameter.prior[1] == 0.0 or (owner, parameter.symbol) in known:
             continue
-        there.add((owner, other.symbol))
-        value, u = other.prior
-        middle = stated[owner, other.symbol].value if other.symbol in INPUTS else value
-        yield VariedQuantity(owner, other.symbol, "normal", middle, u, term(other.symbol).per_run)
+        known.add((owner, parameter.symbol))
+        value, u = parameter.prior
+        middle = stated[owner, parameter.symbol].value if parameter.symbol in INPUTS else value
+        yield VariedQuantity(
+            owner, parameter.symbol, "normal", middle, u, term(parameter.symbol).per_run
+        )
 
 
 def _document(
@@ -303,18 +309,18 @@ def _campaign(
     document: Mapping[str, Any], file: Path, problems: Problems, prefix: KeyPath
 ) -> Campaign | None:
     """Return the campaign of a document, or None with its mistakes noted."""
-    own = Problems(document)
-    campaign = resolve_campaign(document, file, own)
+    nested = Problems(document)
+    campaign = resolve_campaign(document, file, nested)
     start = f"{prefix[0]}: " if prefix else ""
-    problems.lines += [start + line for line in own.lines if line not in problems.lines]
+    problems.lines += [start + line for line in nested.lines if line not in problems.lines]
     return campaign
 
 
-def _same(one: VariedQuantity, other: VariedQuantity) -> bool:
+def _same(first: VariedQuantity, second: VariedQuantity) -> bool:
     ripples = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
-    if {one.symbol, other.symbol} == ripples:
+    if {first.symbol, second.symbol} == ripples:
         return True
-    return (one.owner, one.symbol) == (other.owner, other.symbol)
+    return (first.owner, first.symbol) == (second.owner, second.symbol)
 
 
 def _entries(
@@ -392,8 +398,8 @@ def _names(
         return _inputs(key, path, campaign, recorders, problems)
     if key in OTHERS and not campaign.runs:
         problems.add(path, "acts on records of a double turntable only, and there are none")
-    own = (key,) if key in SHARED_TERMS or key in OTHERS else ()
-    if symbols := own or expand(key, shown):
+    exact = (key,) if key in SHARED_TERMS or key in OTHERS else ()
+    if symbols := exact or expand(key, shown):
         return [("", symbol) for symbol in symbols]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
@@ -414,9 +420,9 @@ def _inputs(
     owner, _, last = key.partition(".")
     symbol = last if last == CLOCK else key
     named = [
-        (recorder, other)
-        for recorder, other in inputs_by_owner(campaign)
-        if other == symbol and (last != CLOCK or recorder == recorders.get(owner))
+        (recorder, input_symbol)
+        for recorder, input_symbol in inputs_by_owner(campaign)
+        if input_symbol == symbol and (last != CLOCK or recorder == recorders.get(owner))
     ]
     if not named:
         problems.add(path, "does not apply to any record or reading here")

@@ -1,9 +1,8 @@
-"""What is true in each trial of a study, fixed or drawn, and how noise is drawn.
+"""True values of each trial of a study, fixed or drawn, and draws of the noise.
 
 Trials are drawn in batches of a fixed size. Each batch has random streams of its own
 (`counterspin.studies.draws.stream`), derived from the study's seed and the batch's number alone,
-so that a trial is the same whoever computes it, in whatever order and however many others there
-are.
+so that a trial does not depend on the worker, the order or the number of other trials.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ class RecordNoise:
 
     @property
     def wanders(self) -> bool:
-        """Whether the bias wanders."""
+        """True if the bias has coloured noise."""
         return self.flicker > 0.0 or self.bias_walk > 0.0
 
     def stamps(self, generator: np.random.Generator, times: Array) -> Array:
@@ -97,7 +96,7 @@ class RecordNoise:
 def curvature_noise(
     generator: np.random.Generator, white: Array, sizes: Array, trials: int
 ) -> Array:
-    """Return what white noise adds to b2, m/s^2, shape (runs, trials).
+    """Return the error of b2 due to white noise, m/s^2, shape (runs, trials).
 
     white: Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
     sizes: sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
@@ -122,7 +121,7 @@ def residual_variances(
 def estimate_noise(
     generator: np.random.Generator, spread: Array, scale: Array | float, trials: int
 ) -> Array:
-    """Return what noise adds to the estimates of a joint fit, shape (c, trials).
+    """Return the errors of the estimates of a joint fit due to noise, shape (c, trials).
 
     spread: A square root of the estimates' covariance, shape (c, c).
     scale: True over assumed noise, shape (trials,) or one number.
@@ -137,7 +136,7 @@ RIPPLE_RATIO: Final = "spindle.ripple.ratio"  #: w_1/w0 of the first harmonic
 RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: or its w_1, rad/s
 RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
 
-#: What may vary beside the terms of accelerometers, platform and machine, with the unit.
+#: Quantities that may vary in addition to the terms of the model, with their units.
 OTHERS: Final[Mapping[str, str]] = {
     DRIFT: "1/s",
     RIPPLE_RATIO: "1",
@@ -164,7 +163,7 @@ class VariedQuantity:
     per_run: bool = False  #: Whether every run of a trial has a value of its own.
 
     def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
-        """Return values, shape (runs, trials), with 1 in place of what has them in common."""
+        """Return values, shape (runs, trials); an axis whose values are equal has length 1."""
         rows = runs if self.per_run else 1
         if self.distribution == "normal":
             drawn: Array = generator.standard_normal((rows, trials))
@@ -190,8 +189,8 @@ class VariedQuantity:
 class Draws:
     """The truth of a batch of n trials in r runs.
 
-    Where the runs or the trials have a value in common, their axis has length 1: what does not
-    vary costs nothing.
+    Where the runs or the trials have a value in common, their axis has length 1, so that constant
+    values cost nothing.
     """
 
     trials: int  #: How many there are.
@@ -203,7 +202,7 @@ class Draws:
     drift: Array
     ripple_cos: Array
     ripple_sin: Array
-    #: (recorder of a clock, else empty; symbol) -> input, SI, less what is stated of it, shape (n,)
+    #: (recorder of a clock, else empty; symbol) -> input, SI, minus its stated value, shape (n,)
     #: or (1,).
     inputs: Mapping[tuple[str, str], Array]
     white: Array  #: m, shape (n,) or (1,).
@@ -235,7 +234,7 @@ class Draws:
         return [of_run(part, run) for part in (self.drift, self.ripple_cos, self.ripple_sin)]
 
     def off(self, symbol: str, recorder: str = "") -> Array:
-        """Return by how much an input is not what is stated of it, shape (n,) or (1,)."""
+        """Return the deviation of an input from its stated value, shape (n,) or (1,)."""
         return self.inputs.get((recorder, symbol), np.zeros(1))
 
     def mean(self, owner: str, symbol: str) -> Array:
@@ -256,12 +255,12 @@ class Draws:
 
 @frozen
 class StudyTruth:
-    """What is true in a study."""
+    """The true values of a study."""
 
     #: (owner, symbol) -> value of each run, shape (r,) or (1,).
     fixed: Mapping[tuple[str, str], Array]
-    spindles: tuple[Spindle, ...]  #: Of each run, with what does not vary.
-    #: (recorder of a clock, else empty; symbol) -> what is stated of an input that acts, SI.
+    spindles: tuple[Spindle, ...]  #: Of each run, with the constant values.
+    #: (recorder of a clock, else empty; symbol) -> the stated value of an active input, SI.
     stated: Mapping[tuple[str, str], float]
     inputs: Mapping[tuple[str, str], float]  #: What is true of those that do not vary.
     white: float  #: m; where it does not vary.
@@ -269,7 +268,7 @@ class StudyTruth:
 
     @classmethod
     def of(cls, campaign: Campaign, varying: tuple[VariedQuantity, ...]) -> StudyTruth:
-        """Return what is true: a campaign's [truth], and what varies in its stead."""
+        """Return the true values: a campaign's [truth], and the quantities that vary instead."""
         assert campaign.simulation is not None
         fixed: dict[tuple[str, str], Array] = {
             ("", symbol): np.array([value])
@@ -329,11 +328,11 @@ class StudyTruth:
 
     @property
     def moving_inputs(self) -> list[tuple[str, str]]:
-        """Inputs that are not what is stated of them, in every trial or in some."""
+        """Inputs that deviate from their stated values in some or all trials."""
         return [key for key in self.stated if self.reach_of_input(key) > 0.0]
 
     def reach_of_input(self, key: tuple[str, str]) -> float:
-        """Return how far an input is from what is stated of it at most, SI."""
+        """Return the largest deviation of an input from its stated value, SI."""
         reach: list[float] = [self.inputs.get(key, self.stated[key])]
         for quantity in self.varying:
             if (quantity.owner, quantity.symbol) == key:
@@ -351,9 +350,9 @@ class StudyTruth:
         return np.array([self.bounds(DRIFT, run), cos, sin])
 
     def mean(self, owner: str, symbol: str) -> float:
-        """Return what is true of a coefficient on average; a run's own has the platform's truth.
+        """Return the mean true value of a coefficient; one of a run has the platform's truth.
 
-        Of an input it is that less what is stated of it.
+        For an input, return the mean true value minus the stated value.
         """
         owner = owner if symbol in OWN_TERMS or symbol in INPUTS else ""
         stated = self.stated.get((owner, symbol), 0.0)
@@ -375,7 +374,7 @@ class StudyTruth:
         return ratios, phases
 
     def varies(self, *symbols: str) -> bool:
-        """Return whether any of some quantities varies."""
+        """Check for variation in any of the given quantities."""
         return any(
             varying.symbol in symbols and varying.distribution != "fixed"
             for varying in self.varying
@@ -388,7 +387,7 @@ class StudyTruth:
         keys = [key for key in keys if key[1] not in OTHERS]
         owners = dict.fromkeys(owner for owner, _ in keys)
         return {
-            owner: tuple(dict.fromkeys(symbol for other, symbol in keys if other == owner))
+            owner: tuple(dict.fromkeys(symbol for key_owner, symbol in keys if key_owner == owner))
             for owner in owners
         }
 
@@ -417,5 +416,5 @@ def of_run(values: Array, run: int) -> Array:
 
 
 def nominal(owner: str, symbol: str) -> float:
-    """Return what a coefficient is in a perfect system."""
+    """Return the value of a coefficient in a perfect system."""
     return OWN_TERMS[symbol].nominal if owner else 0.0

@@ -1,4 +1,4 @@
-"""A study's folder: its result, its trials, and on the way what a resumption needs."""
+"""Folder of a study: its result, its trials, and the files that a resumption needs."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _LARGEST_SUM: Final = 1e100
 
 @frozen
 class StudyFolder:
-    """Where a study leaves its result, and what a resumption needs.
+    """The folder of a study's result and of the files that a resumption needs.
 
     Attributes
     ----------
     path
-        The folder; made where it is not there.
+        The folder; created if missing.
     keep_trials
-        Whether every trial is written to ``trials.parquet``.
+        True: write every trial to ``trials.parquet``.
     resume
-        Whether to go on with what was begun there.
+        True: continue the study that was begun in the folder.
     overwrite
-        Whether an earlier study's result is replaced, or one that was begun is given up.
+        True: replace an earlier study's result, or discard an unfinished study.
     """
 
     path: Path | str
@@ -96,7 +96,7 @@ class StudyFolder:
         result.write(self.place / _RESULT, overwrite=self.overwrite or self.resume)
         if not ledger.keep:
             return
-        names = [f"{one.analysis}.{one.name}" for one in ledger.reported]
+        names = [f"{coefficient.analysis}.{coefficient.name}" for coefficient in ledger.reported]
         write_whole(
             self.place / _TRIALS,
             lambda part: _parquet(part, names, ledger),
@@ -112,7 +112,7 @@ def _not_of_a_study(path: Path) -> CounterspinError:
 
 
 def _holds_trials(path: Path) -> bool:
-    """Return whether a file has the columns that `_parquet` writes."""
+    """Check that a file has the columns that `_parquet` writes."""
     try:
         first, *others = pl.read_parquet_schema(path)
     except (OSError, ValueError, pl.exceptions.PolarsError):
@@ -139,7 +139,7 @@ def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
 
 
 class StudyProgress:
-    """The copy on disk of what is done of a study."""
+    """The copy on disk of the finished batches of a study."""
 
     def __init__(self, folder: Path, ledger: Ledger, fingerprint: str) -> None:
         self.folder, self.ledger = folder, ledger
@@ -160,7 +160,7 @@ class StudyProgress:
             # Whatever comes to lie there from now on is known as a study's.
             self._save_done(np.zeros_like(ledger.done))
         for batch in set(ledger.values) - self._written:
-            # Trials first: what is called done is there.
+            # Trials first, so that batches marked as done are complete.
             self._part(batch).parent.mkdir(parents=True, exist_ok=True)
             self._save(self._part(batch), values=ledger.values[batch])
             self._written.add(batch)
@@ -175,7 +175,7 @@ class StudyProgress:
         write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays), overwrite=True)
 
     def resume(self) -> None:
-        """Take over what an earlier study has done; what is damaged is named, and done again."""
+        """Load the batches of an earlier study; report damaged batches, which run again."""
         if not self._file.exists():
             raise CounterspinError(
                 f"{self.folder}: contains no study to resume; leave out `resume`, or "
@@ -195,9 +195,9 @@ class StudyProgress:
         lost = 0
         ledger = self.ledger
         for batch, row in zip(batches, sums, strict=True):
-            # A last batch that was cut short elsewhere is done anew.
-            whole = min(ledger.size, before - batch * ledger.size)
-            if batch >= ledger.done.size or whole != ledger.trials_of(batch):
+            # A last batch that another study truncated runs again.
+            complete = min(ledger.size, before - batch * ledger.size)
+            if batch >= ledger.done.size or complete != ledger.trials_of(batch):
                 continue
             if ledger.keep:
                 values = self._values(batch)

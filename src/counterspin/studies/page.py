@@ -45,7 +45,7 @@ _COVERAGE = (
 
 
 def study_blocks(result: StudyResult) -> list[Block]:
-    """Return the study's verdict, its tables, and what varied."""
+    """Return the study's verdict, its tables, and the varied quantities."""
     state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
         Heading(f"{result.title}: {result.trials} trials{state}, seed {result.seed}"),

@@ -1,8 +1,8 @@
-"""The result of a study: what many trials amount to, a verdict, JSON.
+"""The result of a study: statistics of many trials, a verdict, JSON.
 
 Bias, spread, stated uncertainty and coverage of each coefficient. Trials are summed up batch by
 batch in arrays of fixed shape, which are put together in the order of the batches. So the result
-does not depend on who computed which batch.
+does not depend on the worker of a batch.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from counterspin.results import ResultPart, ShownResult, draw_pictures
 
 LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
 
-#: The histogram of z = error/u: bins of 0.2 from -6 to 6, and what is beyond at both ends.
+#: The histogram of z = error/u: bins of 0.2 from -6 to 6, and a bin beyond each end.
 Z_EDGE: Final = 6.0
 Z_BINS: Final = 60
 
@@ -49,7 +49,7 @@ class Driver:
 
 @frozen
 class Tally:
-    """What is counted of each coefficient."""
+    """The sums of each coefficient over its trials."""
 
     drivers: tuple[Driver, ...]  #: Quantities against which the bias is shown.
 
@@ -136,18 +136,18 @@ class BiasAgainst(ResultPart):
 
     value: list[float]  #: Centres of the bins.
     trials: list[float]  #: The number in each.
-    bias: list[float | None]  #: Of estimate less truth.
+    bias: list[float | None]  #: Of estimate minus truth.
     se_bias: list[float | None]  #: Its standard error.
 
 
 class CoefficientResult(ResultPart):
-    """What the trials of one coefficient of one analysis amount to."""
+    """Statistics of the trials of one coefficient of one analysis."""
 
     trials: int  #: How many.
-    truth: float  #: Mean of what was true.
-    bias: float  #: Mean of estimate less truth.
+    truth: float  #: Mean of the true values.
+    bias: float  #: Mean of estimate minus truth.
     se_bias: float  #: Its standard error.
-    sd: float  #: Standard deviation of estimate less truth.
+    sd: float  #: Standard deviation of estimate minus truth.
     mse: float  #: Its mean square.
     u: float  #: Mean of the standard uncertainty claimed.
     covered: tuple[float, ...]  #: Share of trials whose interval held the truth, for each level.
@@ -164,7 +164,7 @@ class CoefficientResult(ResultPart):
 
 
 class AnalysisResult(ResultPart):
-    """One competitor."""
+    """One of the competing analyses."""
 
     engine: str  #: The engine used, in words.
     trustworthy: bool | None  #: Whether all its coefficients are; None with too few trials.
@@ -201,8 +201,8 @@ def summarise(
     """Put the batches of one coefficient together.
 
     batches: Shape (batches, width), in the order of the batches.
-    name: What its finding calls it, such as "K_II of Qx".
-    bound: The Cramer-Rao bound of its standard uncertainty, where there is one.
+    name: Name of the coefficient in its finding, such as "K_II of Qx".
+    bound: The Cramer-Rao bound of its standard uncertainty, if it exists.
     """
     counts = batches[:, 0]
     n = float(counts.sum())
@@ -214,14 +214,16 @@ def summarise(
     against = {}
     for index, driver in enumerate(tally.drivers):
         start = _FIRST_DRIVER + 3 * DRIVER_BINS * index
-        each, sums, sums_of_squares = total[start : start + 3 * DRIVER_BINS].reshape(3, -1)
+        trials_in_bin, sums, sums_of_squares = total[start : start + 3 * DRIVER_BINS].reshape(3, -1)
         edges = np.linspace(driver.low, driver.high, DRIVER_BINS + 1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            bias = sums / each
-            spread = np.sqrt(np.maximum(sums_of_squares / each - bias**2, 0.0) / each)
+            bias = sums / trials_in_bin
+            spread = np.sqrt(
+                np.maximum(sums_of_squares / trials_in_bin - bias**2, 0.0) / trials_in_bin
+            )
         against[driver.symbol] = BiasAgainst(
             value=(0.5 * (edges[1:] + edges[:-1])).tolist(),
-            trials=each.tolist(),
+            trials=trials_in_bin.tolist(),
             bias=_numbers(bias),
             se_bias=_numbers(spread),
         )
@@ -265,7 +267,7 @@ def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
 
 
 def trust_in(name: str, summary: CoefficientResult) -> tuple[bool | None, str]:
-    """Return whether a coefficient's uncertainty holds, and why; None: too few trials."""
+    """Return the verdict on a coefficient's uncertainty with its reason; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
         abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _LARGEST_BIAS * summary.u
@@ -296,7 +298,7 @@ def trust_in(name: str, summary: CoefficientResult) -> tuple[bool | None, str]:
 def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Return a line for each analysis: the best first, then others without fault, the rest."""
     if any(analysis.trustworthy is None for analysis in analyses.values()):
-        return _unjudged(analyses)
+        return _summarise_few_trials(analyses)
     good = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
     if not good:
@@ -321,9 +323,9 @@ def _findings(coefficients: Iterable[CoefficientResult]) -> str:
     return "; ".join(c.finding for c in coefficients) + "."
 
 
-def _unjudged(analyses: Mapping[str, AnalysisResult]) -> list[str]:
-    """Return what too few trials gave."""
-    trials = min(c.trials for one in analyses.values() for c in one.coefficients.values())
+def _summarise_few_trials(analyses: Mapping[str, AnalysisResult]) -> list[str]:
+    """Return the findings of a study with too few trials for a verdict."""
+    trials = min(c.trials for analysis in analyses.values() for c in analysis.coefficients.values())
     return [
         f"{trials} trials are too few for a verdict: use at least {FEWEST_TRIALS}, preferably "
         f"1000.",

@@ -1,13 +1,13 @@
-"""Shortcuts: trials straight from the distribution of what an analysis needs of the records.
+"""Shortcuts: trials drawn from the distribution of an analysis' sufficient statistics.
 
 Joint fit. Given the rotation it is linear, so that with Gaussian noise of known size its estimate
-is normal about a linear function of what is true. Each series is whitened and reduced once, the
-columns of what is true carried along as considered terms; a trial then costs as many normals as
-there are unknowns. An input that is not what is stated of it counts by the column that the fit
-itself has of it, taken where the coefficients are what is true on average.
+is normal about a linear function of the true values. Each series is whitened and reduced once, with
+the columns of the true values as considered terms; a trial then costs as many normals as
+there are unknowns. An input that deviates from its stated value acts through the column
+of the fit, evaluated at the mean true coefficients.
 
 Two-stage method. With white Gaussian noise the first stage of a run is summed up by b2, which is
-normal about what the errors add to it (`counterspin.studies.strobed_effects`), and by the sum of
+normal about the effect of the errors (`counterspin.studies.strobed_effects`), and by the sum of
 squared residuals, a chi-square. Neither needs the strobes themselves. The second stage then is a
 small least-squares problem, solved for all trials of a batch at once. One reading is taken at each
 strobe, as the paper's plan has it.
@@ -68,7 +68,7 @@ class JointEngine:
     rows: tuple[int, ...]  #: Places in the model of the unknowns that are reported.
     #: Estimate, nominal value added, where all that is true is nominal, shape (c,).
     constant: Array
-    response: Mapping[Key, Array]  #: d(estimate)/d(value) of what is true, shape (c,).
+    response: Mapping[Key, Array]  #: d(estimate)/d(value) of the true values, shape (c,).
     spread: Array  #: What independent normals are multiplied with, shape (c, c).
     u: Array  #: Combined standard uncertainty, shape (c,).
     white: float  #: The white noise assumed, m.
@@ -108,7 +108,7 @@ class JointEngine:
         return engine, lost
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of n trials; see `Engine`."""
+        """Return the results of the analysis for n trials; see `Engine`."""
         n = draws.trials
         scale = draws.white / self.white if self.white > 0.0 else 1.0
         estimate = estimate_noise(generator, self.spread, scale, n)
@@ -126,7 +126,7 @@ class JointEngine:
 def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) -> dict[str, float]:
     """Return the K_I with which each accelerometer sees the platform's errors.
 
-    `calibrate` takes it from the estimate; here what is true on average stands for that.
+    `calibrate` takes it from the estimate; a study takes the mean true value.
     """
     factors = {}
     for name in dict.fromkeys(record.accelerometer for record in series):
@@ -136,7 +136,7 @@ def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) 
 
 
 def _truth_keys(series: Sequence[Series], truth: StudyTruth, runs: Sequence[str]) -> list[Key]:
-    """Return a key for each column of what is true, terms before inputs."""
+    """Return a key for each column of the true values, terms before inputs."""
     accelerometers = {record.accelerometer for record in series}
     keys: list[Key] = []
     for owner, symbols in truth.symbols.items():
@@ -162,14 +162,14 @@ def _block(
     runs: Sequence[str],
     truth: StudyTruth,
 ) -> Block:
-    """Whiten and reduce one series: unknowns, considered terms, columns of what is true."""
+    """Whiten and reduce one series: unknowns, considered terms, columns of the true values."""
     factors = scale_factors([series], model, truth)
     expected = np.array([truth.mean(u.owner, u.symbol) - u.nominal for u in model.unknowns])
     (prepared,) = prepare_columns([series], model, factors, expected)
     true = _columns_of_truth(series, keys, runs, truth)
     whiten = series.whitener(noise)
-    own = series.polynomials(whiten.polynomials)
-    rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, true]))
+    polynomials = series.polynomials(whiten.polynomials)
+    rows = whiten.apply(np.column_stack([polynomials, prepared.design, prepared.fixed, true]))
     m, p = whiten.polynomials, prepared.design.shape[1]
     block = reduce_block(rows[:, m : m + p], np.zeros(rows.shape[0]), rows[:, :m], rows[:, m + p :])
     factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
@@ -184,22 +184,22 @@ def _block(
 def _columns_of_truth(
     series: Series, keys: Sequence[Key], runs: Sequence[str], truth: StudyTruth
 ) -> Array:
-    """Return what a series shows of each that is true, shape (n, keys); of others' zero."""
+    """Return the columns of the true values in a series, shape (n, keys); zero for other series."""
     name = series.accelerometer
-    here = {
+    indices = {
         (owner, symbol): index
         for index, (owner, symbol, run) in enumerate(keys)
         if run in (None, runs.index(series.run))
         and (owner in ("", name) if symbol not in INPUTS else concerns(series, symbol, owner))
     }
-    terms = [key for key in here if key[1] not in INPUTS]
+    terms = [key for key in indices if key[1] not in INPUTS]
     k_i = truth.mean(name, "K_I")
     shown = series.columns([symbol for _, symbol in terms], k_i).T
     table = {symbol: column for (_, symbol), column in zip(terms, shown, strict=True)}
     mean = {symbol: truth.mean(owner, symbol) - nominal(owner, symbol) for owner, symbol in terms}
     now = expected_output(series, mean, table)
     true = np.zeros((series.time.size, len(keys)))
-    for (_, symbol), index in here.items():
+    for (_, symbol), index in indices.items():
         if symbol not in INPUTS:
             true[:, index] = table[symbol]
         else:
@@ -208,7 +208,7 @@ def _columns_of_truth(
 
 
 def _solve(blocks: Sequence[Block], model: Unknowns, true: int) -> Solution:
-    """Solve with the columns of what is true as considered terms without uncertainty."""
+    """Solve with the columns of the true values as considered terms without uncertainty."""
     return least_squares.solve(
         blocks,
         prior_mean=[u.prior_mean for u in model.unknowns],
@@ -224,12 +224,12 @@ def bounds(
 ) -> dict[str, float]:
     """Return the least standard uncertainty from all samples and readings, by unknown.
 
-    The bound is that of the true noise, of the unknowns of the analysis with what is known of them
-    beforehand (the posterior bound of van Trees), everything else being known. An unknown that the
-    data do not determine has none.
+    The bound holds for the true noise and for the unknowns of the analysis with their priors (the
+    posterior bound of van Trees); all other quantities are known. An unknown that the data do not
+    determine has no bound.
 
-    world: Of the records; None: there are none.
-    readings: With their true noise.
+    world: The set-up of the records; None: the campaign has no records.
+    readings: The readings, with their true noise.
     """
     model = Unknowns(model.unknowns)
     blocks = [] if world is None else _blocks_of_records(world, truth, model)
@@ -278,7 +278,7 @@ class TwoStageEngine:
     request: TwoStageRequest  #: What the analysis estimates and takes as known.
     owner: str  #: The accelerometer.
     motions: tuple[StrobedMotion, ...]  #: The runs.
-    #: The terms whose effects are computed: what is true, and what the analysis knows of.
+    #: The terms whose effects are computed: the true ones and those of the analysis.
     symbols: tuple[str, ...]
     true: tuple[tuple[str, str], ...]  #: Those that are true: (owner, symbol).
     surrogates: tuple[Surrogate, ...] | None  #: Of each run; None: quadrature for every trial.
@@ -287,7 +287,7 @@ class TwoStageEngine:
     inputs: Mapping[tuple[str, str], Array]
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says; see `Engine`."""
+        """Return the results of the analysis; see `Engine`."""
         n, runs = draws.trials, len(self.motions)
         seen = [self._effects(draws, run) for run in range(runs)]
         assumed = _stacked([part for part, _ in seen], 1)  # (q, runs, n or 1)
@@ -315,15 +315,15 @@ class TwoStageEngine:
         n = draws.trials
         everywhere = [np.broadcast_to(part, n) for part in small]
         outside = ~np.broadcast_to(inside, n)
-        found, size = (
+        b2, size = (
             np.array(np.broadcast_to(part, (*part.shape[:-1], n))) for part in surrogate(everywhere)
         )
         exact = effects(self.motions[run], self.symbols, *(part[outside] for part in everywhere))
-        found[:, outside], size[outside] = exact
-        return found, size
+        b2[:, outside], size[outside] = exact
+        return b2, size
 
     def _shift(self, draws: Draws, run: int, effect: Array) -> Array:
-        """Return what the true errors add to a run's b2, shape (n or 1,)."""
+        """Return the shift of a run's b2 by the true errors, shape (n or 1,)."""
         total = np.zeros(1)
         for key, changes in self.inputs.items():
             effect = effect + changes[:-1, run, None] * draws.inputs[key]
@@ -350,8 +350,8 @@ class TwoStageEngine:
         mean = np.array([m for m, _ in unknowns.values()])
         sd = np.array([s for _, s in unknowns.values()])
         limits = [request.limit_of(symbol) for symbol in unknowns]
-        held = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
-        inverse = _inverse(_information(design, weight, held))
+        prior_sd = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
+        inverse = _inverse(_information(design, weight, prior_sd))
         gain = sum(inverse[:, q, None] * design[q] for q in range(len(mean))) * weight
         explained = np.einsum("p,prn->rn", mean, design)
         for symbol, (value, _) in considered.items():
@@ -360,7 +360,7 @@ class TwoStageEngine:
         estimate += mean[:, None]
         parts = gain**2 * noise
         scatter = np.sum(parts, axis=1)
-        total = scatter + np.einsum("pqn,q->pn", inverse**2, 1.0 / held**2)
+        total = scatter + np.einsum("pqn,q->pn", inverse**2, 1.0 / prior_sd**2)
         for symbol, (_, spread) in considered.items():
             if spread == 0.0:
                 continue
@@ -404,9 +404,9 @@ class TwoStageEngine:
 def changes_by_inputs(
     world: World, truth: StudyTruth, owner: str, symbols: Sequence[str]
 ) -> dict[tuple[str, str], Array]:
-    """Return what each input that is not as stated changes; see `TwoStageEngine.inputs`.
+    """Return the changes by each input that deviates from its stated value.
 
-    To first order, and as it is where the rotation is that which does not vary.
+    The changes, as `TwoStageEngine.inputs`, are of first order, at the rotation without variation.
     """
     changes = {key: np.zeros((len(symbols) + 1, len(world.runs))) for key in truth.moving_inputs}
     for run, spindle in enumerate(world.spindles):
@@ -428,19 +428,19 @@ def _stacked(parts: Sequence[Array], axis: int) -> Array:
     return np.stack([np.broadcast_to(part, (*part.shape[:-1], n)) for part in parts], axis=axis)
 
 
-def _over_runs(each: Array, values: Array) -> Array:
+def _over_runs(factors: Array, values: Array) -> Array:
     """Return the sums over the runs of each (p, r, n or 1) times values (r, n or 1), (p, n)."""
-    if each.shape[-1] == 1:
-        return np.asarray(each[:, :, 0] @ values)
-    return np.asarray(np.einsum("prn,rn->pn", each, values))
+    if factors.shape[-1] == 1:
+        return np.asarray(factors[:, :, 0] @ values)
+    return np.asarray(np.einsum("prn,rn->pn", factors, values))
 
 
-def _information(design: Array, weight: Array, held: Array) -> Array:
+def _information(design: Array, weight: Array, prior_sd: Array) -> Array:
     """Return the information on the unknowns, (p, p, n): weighted products and priors."""
     p, runs, _ = design.shape
     products = (design[:, None] * design).reshape(p * p, runs, -1)
     information = _over_runs(products, np.broadcast_to(weight, (runs, weight.shape[-1])))
-    information[:: p + 1] += 1.0 / held[:, None] ** 2
+    information[:: p + 1] += 1.0 / prior_sd[:, None] ** 2
     return information.reshape(p, p, -1)
 
 

@@ -54,7 +54,7 @@ _X, _W = _between()
 
 @frozen
 class StrobedMotion:
-    """One run as the strobes see it."""
+    """The strobed motion of one run."""
 
     #: Rate, start angle and the harmonics beyond the first; drift and first harmonic vary.
     spindle: Spindle
@@ -93,7 +93,7 @@ _HIGHEST_POWER: Final = 4
 
 
 def obstacle(symbol: str) -> str | None:
-    """Return why this quadrature cannot take a term, in words after its symbol; None if it can."""
+    """Return the obstacle to a term in this quadrature, in words after its symbol, or None."""
     match term(symbol).effect:
         case Product(has_kink=kink, power=power) if kink or power > _HIGHEST_POWER:
             return "has a kink" if kink else "has harmonics above the fourth"
@@ -116,7 +116,7 @@ def effects(
     ripple_cos: Array,
     ripple_sin: Array,
 ) -> tuple[Array, Array]:
-    """Return b2 per unit coefficient, and what the noise of a strobe is divided by in b2.
+    """Return b2 per unit coefficient, and the divisor of a strobe's noise in b2.
 
     symbols: Terms, q of them, none with an `obstacle`. The platform's are seen with a scale factor
         of 1.
@@ -164,7 +164,7 @@ class _Rotation:
         return angle, w0 * rate, w0 * w0 * alpha
 
     def time_at(self, angles: Array) -> Array:
-        """Return when the angles (m,) are passed, s, shape (m, n)."""
+        """Return the times at which the angles (m,) are passed, s, shape (m, n)."""
         target = angles[:, None]
         if np.any(np.hypot(self.cos, self.sin) >= 1.0):
             raise ConvergenceError("the ripple stops the spindle; its ratio must be below 1")
@@ -211,7 +211,7 @@ def curvature_gain(strobes: Array) -> tuple[Array, Array]:
 
 
 class _Force:
-    """The specific force at the nodes, east, north and up, and what is made of it."""
+    """The specific force at the nodes, east, north and up, and its derived quantities."""
 
     def __init__(self, motion: StrobedMotion, rotation: _Rotation, times: Array) -> None:
         self.times, self.site, self.radius = times, motion.site, motion.radius
@@ -322,19 +322,19 @@ _CHECK_POINTS: Final = 60
 
 @frozen
 class Box:
-    """Where a surrogate holds: centre and half width of drift and ripple parts, (3,)."""
+    """The range of a surrogate: centre and half width of drift and ripple parts, (3,)."""
 
     centre: Array
     half: Array
 
     @property
     def varies(self) -> npt.NDArray[np.intp]:
-        """Which of the three quantities vary."""
+        """Indices of the quantities, of three, that vary."""
         return np.flatnonzero(self.half > 0.0)
 
 
 def box_of(motion: StrobedMotion, bounds: Array) -> Box:
-    """Return the box that holds what a study draws, or as much of it as a surrogate may hold.
+    """Return the box of the draws of a study, cut to the largest box of a surrogate.
 
     bounds: Least and greatest drift and ripple's cosine and sine parts, shape (3, 2).
     """
@@ -377,7 +377,7 @@ class Surrogate:
         exact, check = (_exact(motion, symbols, box, points) for points in (scaled, checked))
         size = np.maximum(np.abs(exact).max(axis=1), 1e-30)[:, None]
         basis, basis_check = _monomials(scaled, powers), _monomials(checked, powers)
-        coefficients = _fitted(basis, exact / size) * size
+        coefficients = _fit_monomials(basis, exact / size) * size
         # A term that acts very little is compared with the effect of others at credible sizes.
         limits = np.array([term(symbol).limit for symbol in symbols])[:, None]
         floor = _SMALLEST_EFFECT * np.max(size[:-1] * limits) / limits
@@ -400,8 +400,8 @@ class Surrogate:
     def __call__(self, small: Sequence[Array]) -> tuple[Array, Array]:
         """Return the effects, shape (q, n), and sigma/u(b2), (n,); n is 1 where nothing varies."""
         scaled = [(small[i] - self.box.centre[i]) / self.box.half[i] for i in self.box.varies]
-        found = self.coefficients @ _monomials(scaled, self.powers)
-        return found[:-1], found[-1]
+        fitted = self.coefficients @ _monomials(scaled, self.powers)
+        return fitted[:-1], fitted[-1]
 
 
 def _powers(count: int) -> list[tuple[int, ...]]:
@@ -421,7 +421,7 @@ def _monomials(scaled: Sequence[Array] | Array, powers: Sequence[tuple[int, ...]
 
 @lru_cache(maxsize=16)
 def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int], ...]:
-    """Return for each monomial beside the first its place, an earlier one's, and the factor."""
+    """Return for each monomial except the first its place, an earlier one's, and the factor."""
     place = {power: index for index, power in enumerate(powers)}
     products = []
     for power in sorted(powers, key=sum)[1:]:
@@ -434,9 +434,9 @@ def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int]
 def _exact(motion: StrobedMotion, symbols: Sequence[str], box: Box, scaled: Array) -> Array:
     values = np.repeat(box.centre[:, None], scaled.shape[1], axis=1)
     values[box.varies] += box.half[box.varies, None] * scaled
-    found, size = effects(motion, symbols, *values)
-    return np.vstack([found, size])
+    b2, size = effects(motion, symbols, *values)
+    return np.vstack([b2, size])
 
 
-def _fitted(basis: Array, values: Array) -> Array:
+def _fit_monomials(basis: Array, values: Array) -> Array:
     return np.asarray(np.linalg.lstsq(basis.T, values.T, rcond=None)[0].T)

@@ -35,7 +35,7 @@ _LONG_HOURS: Final = 0.5
 #: More trials than this would take days, and their ledger much of the memory.
 _MOST_TRIALS: Final = 10**9
 
-#: Most bytes for what is kept of each batch of trials.
+#: Most bytes for the stored values of each batch of trials.
 _LARGEST_LEDGER: Final = 5 * 10**8
 
 
@@ -80,14 +80,14 @@ def study(
     CampaignError
         If the description is wrong.
     NotIdentifiableError
-        If the engine asked for is not valid, or nothing can be determined.
+        If the requested engine is not valid, or nothing can be determined.
     CounterspinError
         If the workers fail, or a file cannot be written or would be lost.
 
     Warns
     -----
     CounterspinWarning
-        If it will take long, or what was kept of an earlier part is damaged.
+        If it will take long, or if stored values of an earlier part are damaged.
     """
     description = where if isinstance(where, StudyDescription) else read_study(where)
     trials = description.trials if trials is None else trials
@@ -129,7 +129,7 @@ def study(
 
 
 def _refuse_full_ledger(engine: StudyEngine, trials: int) -> None:
-    """Raise CounterspinError if what is kept of so many trials would fill the memory."""
+    """Raise CounterspinError if the stored values of all trials would fill the memory."""
     of_a_batch = 8 * engine.tally.width * len(engine.reported)
     most = _LARGEST_LEDGER // of_a_batch * engine.batch_size
     if trials > most:
@@ -155,7 +155,7 @@ def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
 
 
 def _fingerprint(engine: StudyEngine) -> str:
-    """Return a checksum of everything that decides what a batch gives."""
+    """Return a checksum of everything that affects the result of a batch."""
     with np.printoptions(threshold=1_000_000, precision=17):
         return hashlib.sha256(repr((__version__, engine)).encode()).hexdigest()
 
@@ -187,15 +187,15 @@ def _result(
     analyses = {
         name: AnalysisResult(
             engine=words[name],
-            trustworthy=_all_of([c.trustworthy for c in own.values()]),
-            coefficients=own,
+            trustworthy=_all_of([c.trustworthy for c in results.values()]),
+            coefficients=results,
             undetermined=undetermined[name],
         )
-        for name, own in coefficients.items()
+        for name, results in coefficients.items()
     }
     return StudyResult(
         title=description.campaign.title,
-        trials=next(c.trials for own in coefficients.values() for c in own.values()),
+        trials=next(c.trials for results in coefficients.values() for c in results.values()),
         trials_asked=ledger.trials,
         complete=complete,
         seed=engine.seed,

@@ -49,7 +49,7 @@ from counterspin.studies.world import World, noise_of_mean
 
 @frozen
 class TrialRecords:
-    """What is recorded of all runs in one trial."""
+    """The records of all runs in one trial."""
 
     world: World  #: With this trial's noise.
     draws: Draws  #: What is true in it.
@@ -82,7 +82,7 @@ class TrialRecords:
         return series
 
     def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
-        """Return a run of which one reading is taken at each strobe."""
+        """Return a run with one reading at each strobe."""
         world = self.world
         spindle = self.draws.spindle(world.spindles[run], run)
         strobed = world.strobed(run, name)
@@ -102,7 +102,7 @@ class TrialRecords:
         return StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run])
 
     def _clock(self, run: int) -> float:
-        """Return what the recorder of a run shows of a time, in parts of it."""
+        """Return the indicated time of a run's recorder over the true time."""
         return 1.0 + float(self.draws.off(CLOCK, self.world.recorders[run])[0])
 
     def _identified(self, run: int, true: Spindle, stamped: Array, times: Array) -> Spindle:
@@ -136,11 +136,11 @@ class TrialRecords:
         return world.noise.displacements(self.generator, times, signal, start)
 
     def _values(self, owner: str, run: int) -> dict[str, float]:
-        """Return what is true of an accelerometer in a run, or of what all share."""
+        """Return the true values of an accelerometer in a run, or of the shared terms."""
         return {
             symbol: float(of_run(values, run)[0])
-            for (one, symbol), values in self.draws.values.items()
-            if one == owner
+            for (key_owner, symbol), values in self.draws.values.items()
+            if key_owner == owner
         }
 
 
@@ -148,7 +148,7 @@ class TrialRecords:
 class DrawnPoses:
     """Poses of a triad whose attitudes the analysis does not know."""
 
-    group: TriadPoses  #: As the fit takes them, with what is indicated without noise.
+    group: TriadPoses  #: As the fit takes them, with the noise-free indications.
     along: Array  #: True directions of the specific force, shape (n, 3).
     noise: Array  #: True standard deviation of each indication, g, shape (n, 3).
 
@@ -158,33 +158,37 @@ _NO_NOISE: Final = "the readings have no noise, so that results do not scatter"
 
 @frozen
 class TrialReadings:
-    """What is read of a campaign in each trial."""
+    """The readings of a campaign in each trial."""
 
     readings: tuple[Reading, ...]  #: Of the campaign, m of them, in its order.
     #: The same as the fit takes them, with the places of each.
     grouped: tuple[tuple[Readings, tuple[int, ...]], ...]
     noise: Array  #: True standard deviation of the mean of each reading's repeats, g, shape (m,).
-    #: Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
+    #: Degrees of freedom of an uncertainty that each trial estimates again, as that of a record
     #: is; infinite where it is stated; shape (m,).
     scattered: Array
-    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes beside them.
+    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes, in addition.
     rates: Array  #: True rate of each reading, rad/s, shape (m,).
 
     @classmethod
     def of(cls, campaign: Campaign) -> TrialReadings:
-        """Return what is read of a campaign; raise ValueError if it has no noise."""
+        """Return the readings of a campaign; raise ValueError if they have no noise."""
         assert campaign.simulation is not None
         known, rates = campaign.simulation.truth.reading_noise, true_rates(campaign)
         readings, noise, scattered = [], [], []
         for reading, rate in zip(campaign.readings, rates.tolist(), strict=True):
-            own = known.get(reading.accelerometer)
-            true = (reading.u or 0.0) if own is None else own / math.sqrt(reading.repeats)
+            stated_noise = known.get(reading.accelerometer)
+            true = (
+                (reading.u or 0.0)
+                if stated_noise is None
+                else stated_noise / math.sqrt(reading.repeats)
+            )
             dof = math.inf
             if reading.record is not None:
-                true, dof = _of_record(campaign, reading)
+                true, dof = _record_noise(campaign, reading)
             if true <= 0.0 and reading.u is None:
                 raise ValueError(f"{_NO_NOISE}: {reading.name}")
-            # What is drawn is not rounded.
+            # Drawn values are not rounded.
             own_u = true if math.isfinite(dof) else reading.u
             # An angle shows the true rate; of its noise, u of the rate is negligible.
             measured = MeasuredRate(rate, 0.0) if reading.by_clock else None
@@ -204,8 +208,8 @@ class TrialReadings:
     def groups(
         self, draws: Draws, generator: np.random.Generator, model: Unknowns
     ) -> list[Readings | TriadPoses]:
-        """Return what one trial reads, as the fit takes it."""
-        return [*self._read(draws, generator, model), *self._posed(draws, generator)]
+        """Return the readings of one trial, as the fit takes them."""
+        return [*self._read(draws, generator, model), *self._draw_poses(draws, generator)]
 
     @property
     def with_true_noise(self) -> list[Readings | TriadPoses]:
@@ -214,25 +218,25 @@ class TrialReadings:
             replace(group, u=np.maximum(self.noise[list(places)], 1e-15))
             for group, places in self.grouped
         ]
-        poses = [replace(own.group, u=np.maximum(own.noise, 1e-15)) for own in self.poses]
+        poses = [replace(drawn.group, u=np.maximum(drawn.noise, 1e-15)) for drawn in self.poses]
         return [*readings, *poses]
 
-    def _posed(self, draws: Draws, generator: np.random.Generator) -> Iterator[TriadPoses]:
+    def _draw_poses(self, draws: Draws, generator: np.random.Generator) -> Iterator[TriadPoses]:
         """Yield the poses of one trial."""
         true = {key: float(value.mean()) for key, value in draws.values.items()}
-        for own in self.poses:
-            group = own.group
+        for drawn in self.poses:
+            group = drawn.group
             coefficients = [
                 {symbol: value for (owner, symbol), value in true.items() if owner == name}
                 for name in group.accelerometers
             ]
-            value = indications_along(group, coefficients, own.along)
+            value = indications_along(group, coefficients, drawn.along)
             gravity = float(draws.off("site.gravity")[0])
             value = value * (1.0 + group.in_si * gravity / group.gravity)
-            value = value + own.noise * generator.standard_normal(value.shape)
+            value = value + drawn.noise * generator.standard_normal(value.shape)
             repeats = group.repeats[:, None]
             again = 2.0 * generator.standard_gamma(np.tile(0.5 * (repeats - 1.0), 3))
-            scatter = np.sum(again * own.noise**2 * repeats, axis=1)
+            scatter = np.sum(again * drawn.noise**2 * repeats, axis=1)
             yield replace(group, value=value, scatter=scatter)
 
     def _read(
@@ -252,12 +256,14 @@ class TrialReadings:
         off = {symbol: float(draws.off(symbol)[0]) for symbol in INPUT_STEPS}
         # A radius with its default prior is a deviation from that of the centrifuge.
         everything = (*model.unknowns, *model.considered)
-        known = {*machine, *(other.symbol for other in everything)}
-        known -= {other.symbol for other in everything if other.unstated}
+        known = {*machine, *(parameter.symbol for parameter in everything)}
+        known -= {parameter.symbol for parameter in everything if parameter.unstated}
         for group, places in self.grouped:
             at = list(places)
-            own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
-            # The analysis assumes what is stated of the inputs, whatever is true.
+            coefficients = {
+                s: value for (owner, s), value in true.items() if owner == group.accelerometer
+            }
+            # The analysis assumes the stated values of the inputs, not the true ones.
             actual = with_rates(group, self.rates[at])
             for symbol, by in off.items():
                 actual = with_input(actual, symbol, by, known)
@@ -266,20 +272,22 @@ class TrialReadings:
                 fast = draws.off(symbol, name.removesuffix(symbol).removesuffix("."))[0]
                 actual = with_input(actual, name, float(fast), known)
             actual = actual.with_rate_errors(of_rates[at] * group.u_rate)
-            value = indications(actual, own, machine, errors[at])
+            value = indications(actual, coefficients, machine, errors[at])
             value = value * (1.0 + group.in_si * off["site.gravity"] / group.site.gravity)
             value = value + noise[at]
-            one = replace(group, value=value)
+            result = replace(group, value=value)
             if group.u is None:
                 repeats = group.repeats - 1.0
                 scatter = 2.0 * generator.standard_gamma(0.5 * repeats)
                 variances = self.noise[at] ** 2 * group.repeats
-                one = replace(one, scatter=scatter * variances)
+                result = replace(result, scatter=scatter * variances)
             elif np.isfinite(self.scattered[at]).any():
                 dof = np.where(np.isfinite(self.scattered[at]), self.scattered[at], 1.0)
                 sigma = self.noise[at] * np.sqrt(2.0 * generator.standard_gamma(0.5 * dof) / dof)
-                one = replace(one, u=np.where(np.isfinite(self.scattered[at]), sigma, group.u))
-            yield one
+                result = replace(
+                    result, u=np.where(np.isfinite(self.scattered[at]), sigma, group.u)
+                )
+            yield result
 
 
 def _drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
@@ -291,30 +299,30 @@ def _drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
         places = [
             place
             for place, pose in enumerate(poses)
-            if all(one.u is not None for one in pose) is kind
+            if all(reading.u is not None for reading in pose) is kind
         ]
         if not places:
             continue
         noise = np.array(
             [
                 [
-                    known[one.accelerometer] / math.sqrt(one.repeats)
-                    if one.accelerometer in known
-                    else one.u or 0.0
-                    for one in poses[place]
+                    known[reading.accelerometer] / math.sqrt(reading.repeats)
+                    if reading.accelerometer in known
+                    else reading.u or 0.0
+                    for reading in poses[place]
                 ]
                 for place in places
             ]
         )
         if not kind and not noise.all():
             raise ValueError(f"{_NO_NOISE}: {poses[places[0]][0].name}")
-        # What is drawn is not rounded.
+        # Drawn values are not rounded.
         group = replace(one_group(campaign, [poses[place] for place in places]), resolution=0.0)
         yield DrawnPoses(group, along[places], noise)
 
 
-def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
-    """Return the standard deviation of a record's mean, g, and the freedom of what it shows."""
+def _record_noise(campaign: Campaign, reading: Reading) -> tuple[float, float]:
+    """Return the standard deviation of a record's mean, g, and its degrees of freedom."""
     assert campaign.simulation is not None
     duration = reading.duration or 0.0
     rate = campaign.simulation.sampling_rate
@@ -330,14 +338,14 @@ class FullEngine:
     """Trials of any analysis, one by one."""
 
     world: World | None  #: What is simulated of records; None: there are none.
-    request: TwoStageRequest | JointRequest  #: What is asked of the analysis.
-    joint: JointRequest  #: The joint fit that finds the noise that nobody states.
+    request: TwoStageRequest | JointRequest  #: Options of the analysis.
+    joint: JointRequest  #: The joint fit that estimates noise that is not stated.
     owner: str = ""  #: The accelerometer of a two-stage analysis.
     rows: tuple[int, ...] = ()  #: Places of the joint model's unknowns that are reported.
     readings: TrialReadings | None = None  #: Of a joint analysis; None: there are none.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of n trials; see `Engine`."""
+        """Return the results of the analysis for n trials; see `Engine`."""
         made = [self._trial(draws.take(place), generator) for place in range(draws.trials)]
         return Trials(*(np.array(part).T for part in zip(*made, strict=True)))
 
@@ -368,8 +376,8 @@ class FullEngine:
             estimated = estimate(series, self.joint.model, self.joint.noise)
             components = estimated.components[self.owner]
             request = request.with_noise(components.noise)
-            own = [record for record in series if record.accelerometer == self.owner]
-            runs = [_strobed(record, request) for record in own]
+            selected = [record for record in series if record.accelerometer == self.owner]
+            runs = [_strobed(record, request) for record in selected]
         else:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(world.runs))]
         second = second_stage(runs, world.mountings[self.owner], request, ignored=())

@@ -32,7 +32,7 @@ from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
 #: second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
 Cost = Literal["constant", "sampled", "surrogate", "exact", "readings", "full"]
 
-#: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
+#: Trials of a batch: they fit a cache, and take a fraction of a second with slow engines.
 _BATCH: Final[dict[Cost, int]] = {
     "constant": 16384,
     "sampled": 8192,
@@ -45,7 +45,7 @@ _BATCH: Final[dict[Cost, int]] = {
 
 @frozen
 class Trials:
-    """What an analysis says in n trials."""
+    """The results of an analysis in n trials."""
 
     #: Of each coefficient, shape (c, n); u is the combined standard uncertainty.
     estimate: Array
@@ -57,13 +57,13 @@ class Engine(Protocol):
     """Makes the trials of one analysis."""
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says of each draw of what is true, with noise of its own."""
+        """Return the results of the analysis for each draw of the true values, with new noise."""
         ...
 
 
 @frozen
 class JointRequest:
-    """What is asked of the joint fit."""
+    """Options of the joint fit."""
 
     model: Unknowns  #: Unknowns, considered terms, uncertain inputs.
     noise: Mapping[str, Noise]  #: Accelerometer -> its noise, given or to be estimated.
@@ -102,7 +102,7 @@ class ReportedCoefficient:
 
 @frozen
 class EnginePart:
-    """An engine and what it reports, in the order of its rows."""
+    """An engine and its reported coefficients, in the order of its rows."""
 
     engine: Engine  #: The engine.
     cost: Cost  #: What a trial of it costs.
@@ -146,13 +146,13 @@ class StudyEngine:
         sums, values = [], []
         for part in self.parts:
             noise = stream(self.seed, number, NOISE_STREAM + part.noise)
-            # What is simulated without shortcut is slow: no more trials of it than count.
+            # Simulation without shortcut is slow: run only the trials that count.
             few = draws.part(0, trials) if part.cost in ("full", "readings") else draws
-            said = part.engine.trials(few, noise)
+            answer = part.engine.trials(few, noise)
             for row, coefficient in zip(part.rows, part.reported, strict=True):
                 truth = draws.mean(coefficient.owner, coefficient.symbol)[:trials]
-                estimate = said.estimate[row, :trials]
-                u, dof = said.u[row, :trials], said.dof[row, :trials]
+                estimate = answer.estimate[row, :trials]
+                u, dof = answer.u[row, :trials], answer.dof[row, :trials]
                 sums.append(self.tally.count(estimate, truth, u, dof, driven))
                 if keep:
                     values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
@@ -176,7 +176,7 @@ _SAVE_INTERVAL: Final = 10.0
 #: How often all workers may die in a row with nothing done between.
 _MOST_LOSSES: Final = 5
 
-#: Work of whole records, roughly, below which nobody needs to know how long it takes, s.
+#: Approximate work of whole records below which the duration is not reported, s.
 _SHORT_SECONDS: Final = 60.0
 
 #: What a trial takes, roughly, s.
@@ -191,9 +191,9 @@ _TRIAL_DURATIONS: Final[dict[Cost, float]] = {
 
 
 class Ledger:
-    """Which batches of a study are done, and what they gave.
+    """The finished batches of a study and their results.
 
-    keep: Whether each trial is kept.
+    keep: True: keep each trial.
     """
 
     def __init__(self, engine: StudyEngine, trials: int, *, keep: bool = False) -> None:
@@ -205,16 +205,16 @@ class Ledger:
         self.values: dict[int, Array] = {}
 
     def trials_of(self, batch: int) -> int:
-        """Return how many trials of a batch count."""
+        """Return the number of trials of a batch that count."""
         return min(self.size, self.trials - batch * self.size)
 
     @property
     def trials_done(self) -> int:
-        """How many trials are done."""
+        """Number of finished trials."""
         return sum(self.trials_of(int(batch)) for batch in np.flatnonzero(self.done))
 
     def enter(self, first: int, sums: Array, values: list[Array]) -> None:
-        """Enter what a task gave, from its first batch on; a second time changes nothing."""
+        """Enter the results of a task from its first batch on; repeating this changes nothing."""
         for place, row in enumerate(sums):
             batch = first + place
             if self.done[batch]:
@@ -226,9 +226,9 @@ class Ledger:
 
 
 def expected_duration(engine: StudyEngine, trials: int) -> float:
-    """Return how long some trials will take a single worker, roughly, s.
+    """Return the approximate duration of trials on a single worker, s.
 
-    Trials by whole records differ widely: where they matter, one is made to see.
+    Trials by whole records differ widely: if they matter, one trial is timed.
     """
     seconds = 0.0
     for part in engine.parts:
@@ -295,14 +295,16 @@ def run_batches(
 
 def _tasks(ledger: Ledger, size: int) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Yield the first batch and the trials of each task that is left, batches in rows."""
-    left = np.flatnonzero(np.logical_not(ledger.done))
+    remaining = np.flatnonzero(np.logical_not(ledger.done))
     start = 0
-    while start < left.size:
+    while start < remaining.size:
         stop = start + 1
-        while stop < min(left.size, start + size) and left[stop] == left[stop - 1] + 1:
+        while (
+            stop < min(remaining.size, start + size) and remaining[stop] == remaining[stop - 1] + 1
+        ):
             stop += 1
-        row = tuple(ledger.trials_of(int(batch)) for batch in left[start:stop])
-        yield int(left[start]), row
+        row = tuple(ledger.trials_of(int(batch)) for batch in remaining[start:stop])
+        yield int(remaining[start]), row
         start = stop
 
 
@@ -313,7 +315,7 @@ def _alone(packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
 
 
 class _Notes:
-    """Tells how far the work is, and keeps the copy on disk young."""
+    """The progress reports of the work, and the updates of the copy on disk."""
 
     def __init__(
         self,
@@ -362,7 +364,7 @@ def _together(
 
 
 def _hand_out(pool: WorkerPool, packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
-    # A snapshot: what is entered meanwhile must not change what is left to hand out.
+    # A snapshot: entries made meanwhile must not change the remaining tasks.
     waiting = iter(list(_tasks(ledger, size)))
     pending: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
     try:

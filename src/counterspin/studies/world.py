@@ -1,4 +1,4 @@
-"""What a study simulates: runs, accelerometers, site, noise.
+"""Simulated set-up of a study: runs, accelerometers, site, noise.
 
 Each pose of a triad's records is a reading there, with the noise of its mean, drawn as often.
 """
@@ -39,7 +39,7 @@ class World:
     """A campaign as it is simulated."""
 
     runs: tuple[str, ...]  #: Names.
-    #: Of each run; the spindles with what does not vary.
+    #: Of each run; the spindles have the constant values.
     spindles: tuple[Spindle, ...]
     attitudes: tuple[Array, ...]
     durations: tuple[float, ...]
@@ -120,7 +120,7 @@ class World:
 
 
 def world_of(campaign: Campaign) -> World:
-    """Return what is simulated."""
+    """Return the simulated set-up of a campaign."""
     others = [a.name for a in campaign.accelerometers.values() if a.observable != "displacement"]
     if others:
         raise CampaignError(
@@ -172,7 +172,11 @@ def with_poses_read(document: Mapping[str, Any], campaign: Campaign) -> dict[str
 
     campaign: As it describes it, with [simulation].
     """
-    records = {one.name: one for one in campaign.triad.records} if campaign.triad else {}
+    records = (
+        {pose_record.name: pose_record for pose_record in campaign.triad.records}
+        if campaign.triad
+        else {}
+    )
     runs: list[Any] = []
     for run in document.get("runs", ()):
         record = records.get(run.get("name")) if is_pose(run) else None
@@ -185,7 +189,7 @@ def _poses(record: PoseRecord, campaign: Campaign) -> Iterator[dict[str, Any]]:
     assert campaign.simulation is not None
     assert campaign.triad is not None
     count = campaign.simulation.poses
-    every = record_seconds(record, 2) - record_seconds(record, 1)
+    interval = record_seconds(record, 2) - record_seconds(record, 1)
     reading = {}
     for name in campaign.triad.accelerometers:
         output = campaign.accelerometers[name].output
@@ -199,7 +203,7 @@ def _poses(record: PoseRecord, campaign: Campaign) -> Iterator[dict[str, Any]]:
             "motion": "static",
             "attitude": "unknown",
             "reading": reading,
-            "time": f"{(record.time or 0.0) + place * every!r} s",
+            "time": f"{(record.time or 0.0) + place * interval!r} s",
         }
         if record.temperature is not None:
             knots = np.linspace(0.0, 1.0, len(record.temperature))
@@ -212,7 +216,7 @@ def with_noise_of_poses(campaign: Campaign, records: tuple[PoseRecord, ...]) -> 
     assert campaign.simulation is not None
     assert campaign.triad is not None
     truth = campaign.simulation.truth
-    # A record's rest is twice what is asked for, beside what the search for it takes.
+    # A record's rest is twice the requested length, plus the length that its search takes.
     size = noise_of_mean(campaign, 2.0 * min(record.rest for record in records))
     noise = dict.fromkeys(campaign.triad.accelerometers, size) | dict(truth.reading_noise)
     known = replace(truth, reading_noise=noise)
