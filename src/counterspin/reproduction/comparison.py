@@ -1,4 +1,4 @@
-"""Equations 20 to 34, the two stages' uncertainties, and all figures of the paper beside ours."""
+"""Equations 20 to 34, the two stages' uncertainties, and all figures of the paper and ours."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ KNOWN_BIAS: Final = (TABLE_1["K_F"], 0.0)
 
 
 def first_stage_spread() -> tuple[Row, ...]:
-    """Give sigma(b2) of the stated plan beside the printed ones."""
+    """Return sigma(b2) of the stated plan and the printed values."""
     return tuple(
         Row(
             f"sigma_b2.{number}",
@@ -162,7 +162,7 @@ def recovery() -> tuple[Row, ...]:
 
 
 def second_unknown() -> tuple[Row, ...]:
-    """Show what separating the ripple does, and what its column takes up instead."""
+    """Return the effect of separating the ripple, and the effects that its column absorbs."""
     truth = TABLE_1["K_II"]
     columns = as_printed.second_stage_columns(np.array(RATES), RADIUS, GRAVITY, TABLE_1["K_I"])
     exact = np.array([parabola("K_II", QX, rate, RADIUS, GRAVITY) for rate in RATES])

@@ -1,4 +1,4 @@
-"""Equations 5 to 19: printed coefficients beside those that the simulation of Eq. 7 shows."""
+"""Equations 5 to 19: printed coefficients and those of the simulation of Eq. 7."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _integrals() -> tuple[Row, ...]:
 
 
 def _strobes() -> tuple[Row, ...]:
-    """Eq. 15 and 19: what ripple and drift change, against the nominal angle, and b2 itself."""
+    """Compare Eq. 15 and 19: effects of ripple and drift, with the nominal angle, and b2 itself."""
     steady, rippled, drifting = (
         _spindle_effect(ripple, drift)
         for ripple, drift in ((0.0, 0.0), (RIPPLE, 0.0), (0.0, DRIFT_RATE))

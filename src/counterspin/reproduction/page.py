@@ -1,4 +1,4 @@
-"""The paper's figures beside ours, and the demonstration, as a person reads them."""
+"""Printed report of the paper's figures, ours, and the demonstration."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ FIGURE: Final = "a figure of the demonstration"
 
 
 def render_demonstration(shown: Demonstration) -> Report:
-    """Return the demonstration's table and what it means."""
+    """Return the demonstration's table and its explanation."""
     campaign = shown.campaign
     methods = (shown.joint, shown.two_stage.result, shown.as_printed.result)
     table = Table(
@@ -114,7 +114,7 @@ def _cell(method: AccelerometerResult, symbol: str, considered: bool) -> str:
 
 
 def demonstration_plots(shown: Demonstration) -> list[Plot]:
-    """Return what the two-stage method sees: K_II's parabola of each run, and the residuals.
+    """Return the plots of the two-stage method: K_II's parabola of each run, and the residuals.
 
     The parabola of K_F, which is the same at every rate and much larger, is subtracted from the
     displacement error, and so are the initial offset and velocity.
@@ -135,10 +135,12 @@ def demonstration_plots(shown: Demonstration) -> list[Plot]:
         upper.append(PlotSeries("", _tuple(fine), _tuple((b2 - half) * fine**2), colour=index))
         # Every strobe would hide the curve; the residuals below show them all.
         some = slice(None, None, max(1, time.size // 25))
-        left = (error - b0 - b1 * time - half * time**2)[some]
+        deviation = (error - b0 - b1 * time - half * time**2)[some]
         words = f"{run.name}, {run.trajectory.spindle.rate:.4f} rad/s"
         upper.append(
-            PlotSeries(words, _tuple(time[some]), _tuple(left), None, None, "points", colour=index)
+            PlotSeries(
+                words, _tuple(time[some]), _tuple(deviation), None, None, "points", colour=index
+            )
         )
         lower.append(_residuals(run, index, (0.0, end), reach))
     return [

@@ -1,4 +1,4 @@
-"""What the paper states: its plan, simulated from first principles, and its figures beside ours."""
+"""The paper's plan, simulated from first principles, and its figures compared with ours."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def _key(name: str) -> str:
     frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True, alias_generator=_key)
 )
 class Row:
-    """One figure of the paper and ours."""
+    """A figure of the paper and ours."""
 
     key: str  #: A short name that stays the same.
     quantity: str  #: What it is.
-    #: The paper's figure, or what its printed equation gives; None where it has none.
+    #: The paper's figure, or the value of its printed equation; None if it states neither.
     printed: float | None
     #: The figure computed here; ``counterspin`` in the JSON.
     ours: float
@@ -43,7 +43,7 @@ class Row:
 
     @property
     def printed_text(self) -> str:
-        """The paper's figure as text, a dash where there is none."""
+        """The paper's figure as text, or a dash."""
         return "-" if self.printed is None else format(self.printed, self.form)
 
     @property
@@ -66,7 +66,7 @@ class Reproduction(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.reproduction.page:reproduction_blocks"
     KIND: ClassVar[str] = "reproduction"
 
-    inputs: dict[str, Any]  #: What the paper states and what it leaves open, with units.
+    inputs: dict[str, Any]  #: Data that the paper states, and data that it leaves open, with units.
     sections: tuple[PaperSection, ...]  #: The rows, grouped in the order of the paper.
 
     @property
@@ -75,7 +75,7 @@ class Reproduction(ShownResult):
         return tuple(row for section in self.sections for row in section.rows)
 
     def __getitem__(self, key: str) -> Row:
-        """Return the row with this key; KeyError if there is none."""
+        """Return the row with this key; raise KeyError if no row has it."""
         return {row.key: row for row in self.rows}[key]
 
 
@@ -129,7 +129,7 @@ def simulate_strobes(
 ) -> tuple[Array, Array]:
     """Simulate the strobed displacement error of one run, without noise (Eq. 10-12).
 
-    The indicated specific force of Eq. 7 along the exact trajectory, less the harmful
+    The indicated specific force of Eq. 7 along the exact trajectory, minus the compensated
     acceleration, is integrated twice and compared with the true place. No expansion in small
     quantities and no linearity in the coefficients is used. As in the paper the Earth stands
     still.
@@ -164,7 +164,7 @@ def first_stage_of(time: Array, error: Array) -> Parabola:
 
 
 def simulate_runs(*, drift: float = 0.0, nominal_reference: bool = False) -> list[StrobedRun]:
-    """Simulate the plan's three runs with Tables 1 and 2; the ripple is left out beside drift."""
+    """Simulate the plan's three runs with Tables 1 and 2; the ripple is left out with drift."""
     ratio = RIPPLE_RATIO if drift == 0.0 else 0.0
     return [
         StrobedRun(
