@@ -1,10 +1,9 @@
-"""Results beside each other: other models, other methods, other campaigns.
+"""Comparison of results of different models, methods and campaigns.
 
 - `compare`: values, differences with their uncertainty, whether they agree, what changed
-- `estimates`: what each of two results says of an accelerometer, what both share, and how their
-  difference varies
-- `rerun`: a result's calibration made again, and what is not the same in several results
+- `estimates`: the estimates of an accelerometer in two results, their shared sources, and the
+  covariance of their difference
+- `rerun`: a result's calibration made again, and the differences between several results
 - `result`: the comparison and its JSON
-- `page`: a comparison, and a calibration made again, as pages: what agrees, the differences, what
-  changed
+- `page`: the printed reports of a comparison and of a calibration made again
 """

@@ -1,4 +1,4 @@
-"""`counterspin compare`: results of other models, methods or campaigns beside each other."""
+"""`counterspin compare`: comparison of results of different models, methods or campaigns."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NO_VARIANCE: Final = 1e-9
 
 
 def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> ResultComparison:
-    """Put results beside each other: values, differences and their uncertainty, what changed.
+    """Compare results: values, differences and their uncertainty, changes.
 
     Each is compared with the first that has the accelerometer. What two have in common is
     counted: the records, radius, gravity, and what is known beforehand, where it is stated alike.
@@ -45,7 +45,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
     results
         Two or more results or their files.
     names
-        What each is called; None: by its file or title.
+        Name of each result; None: its file or title.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
     CampaignError
         If there are fewer than two results, not as many names, or no accelerometer in common.
     RecordError
-        If a file is no result.
+        If a file is not a result.
     """
     if len(results) < 2:
         raise CampaignError("compare", ["give two or more results, or their files"])
@@ -67,8 +67,8 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         )
     read = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
     called = list(names) if names is not None else _names(results, read)
-    every = dict.fromkeys(name for result in read for name in result.accelerometers)
-    shared = [name for name in every if sum(name in r.accelerometers for r in read) > 1]
+    names_in_results = dict.fromkeys(name for result in read for name in result.accelerometers)
+    shared = [name for name in names_in_results if sum(name in r.accelerometers for r in read) > 1]
     if not shared:
         known = "; ".join(
             f"{n}: {', '.join(r.accelerometers)}" for n, r in zip(called, read, strict=True)
@@ -76,9 +76,9 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         raise CampaignError("compare", [f"the results have no accelerometer in common ({known})"])
     coefficients, agreements = [], []
     for name in shared:
-        table, own = _accelerometer(name, read, called)
+        table, agreements_of_name = _accelerometer(name, read, called)
         coefficients += table
-        agreements += own
+        agreements += agreements_of_name
     return ResultComparison(
         gravity=read[0].inputs.gravity,
         results=[
@@ -90,7 +90,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
                 state=result.state,
                 version=result.provenance.version,
                 date=result.details.get("date"),
-                gravity=_converted(read, place),
+                gravity=_conversion_gravity(read, place),
                 accelerometers=list(result.accelerometers),
             )
             for place, (label, result) in enumerate(zip(called, read, strict=True))
@@ -133,16 +133,18 @@ def _accelerometer(
             units[symbol] = c.unit
             if _determined(c):
                 gravity = results[0].inputs.gravity
-                own = estimates_of(results[place], name, [symbol], _units(results, place, gravity))
+                estimates = estimates_of(
+                    results[place], name, [symbol], _units(results, place, gravity)
+                )
                 row[place] = ComparedEstimate(
-                    value=float(own.value[0]),
-                    u=float(own.covariance[0, 0] ** 0.5),
+                    value=float(estimates.value[0]),
+                    u=float(estimates.covariance[0, 0] ** 0.5),
                     dof=c.dof,
                 )
     agreements = []
     for place in later:
-        other = results[place].accelerometers[name].coefficients
-        terms = [s for s in first if _determined(first[s]) and _determined(other.get(s))]
+        coefficients = results[place].accelerometers[name].coefficients
+        terms = [s for s in first if _determined(first[s]) and _determined(coefficients.get(s))]
         agreement, differences = _pair(name, results, (start, place), terms, called)
         agreements.append(agreement)
         for symbol, (difference, u, z) in differences.items():
@@ -158,15 +160,17 @@ def _accelerometer(
 def _units(results: Sequence[Result], place: int, gravity: float) -> float | None:
     """Return the gravity to convert to; None where the same records were given another gravity.
 
-    Then the gravity is what was changed, and what that does is to be seen.
+    In that case the changed gravity is the subject of the comparison.
     """
     return None if records_of(results[place]) & records_of(results[0]) else gravity
 
 
-def _converted(results: Sequence[Result], place: int) -> float | None:
+def _conversion_gravity(results: Sequence[Result], place: int) -> float | None:
     """Return the gravity of a result whose numbers are converted; None where they stay."""
-    own, gravity = results[place].inputs.gravity, results[0].inputs.gravity
-    return None if own == gravity or _units(results, place, gravity) is None else own
+    own_gravity, gravity = results[place].inputs.gravity, results[0].inputs.gravity
+    return (
+        None if own_gravity == gravity or _units(results, place, gravity) is None else own_gravity
+    )
 
 
 def _pair(
@@ -177,16 +181,18 @@ def _pair(
     called: Sequence[str],
 ) -> tuple[AgreementOfTwo, dict[str, tuple[float, float, float | None]]]:
     gravity = results[0].inputs.gravity
-    one, two = (
+    first_estimates, second_estimates = (
         estimates_of(results[place], name, terms, _units(results, place, gravity))
         for place in places
     )
     first, second = (results[place] for place in places)
-    relation, assumed = relation_of(name, (first, second), (one, two))
-    covariance, shared = covariance_of_difference(one, two, relation)
-    covariance = by_the_joint_check(name, (first, second), (one, two), covariance)
-    difference = two.value - one.value
-    scale = np.sqrt(np.diag(one.covariance) + np.diag(two.covariance))
+    relation, assumed = relation_of(name, (first, second), (first_estimates, second_estimates))
+    covariance, shared = covariance_of_difference(first_estimates, second_estimates, relation)
+    covariance = by_the_joint_check(
+        name, (first, second), (first_estimates, second_estimates), covariance
+    )
+    difference = second_estimates.value - first_estimates.value
+    scale = np.sqrt(np.diag(first_estimates.covariance) + np.diag(second_estimates.covariance))
     chi2, dof, p = chi_square(difference, covariance, scale)
     differences = {}
     for i, symbol in enumerate(terms):

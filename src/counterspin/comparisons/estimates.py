@@ -1,12 +1,12 @@
-"""What two results say of an accelerometer, what both share, and how their difference varies.
+"""Estimates of an accelerometer in two results, shared sources, and covariance of the difference.
 
 Two estimates of the same records have most of their error in common. Where one of them is the best
-linear unbiased estimate of what both rest on (the smaller of two nested models, or all of the
-records beside some of them), the covariance of the two is its own variance, so that variances
-subtract (J. A. Hausman, Econometrica 46 (1978) 1251, lemma 2.1). What is held moves each estimate
-by its own sensitivity. Results of other records have in common what is stated alike: the
-radius, gravity, what is known beforehand. What nobody states is the same for an instrument and its
-machine in all their results, and so is shared by those that take it at the same typical size.
+linear unbiased estimate from the common data (the smaller of two nested models, or the result from
+all records if the other uses some of them), the covariance of the two is its own variance, so that
+variances subtract (J. A. Hausman, Econometrica 46 (1978) 1251, lemma 2.1). Considered terms
+move each estimate by its own sensitivity. Results of other records share the sources with equal
+statements: the radius, gravity, priors. A term that is not stated is the same for an instrument and
+its machine in all their results, so results with the same default standard uncertainty share it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SAID: Final = 1e-3
 
 @frozen
 class Relation:
-    """What two results have in common."""
+    """The relation of two results: common records, better estimate, noise ratio."""
 
     #: Whether their records are the ``same``, some are (``part``), or they are ``independent``.
     records: Literal["same", "part", "independent"]
@@ -53,72 +53,76 @@ class Relation:
 def covariance_of_difference(
     first: Estimates, second: Estimates, relation: Relation
 ) -> tuple[Array, list[str]]:
-    """Return the covariance of second less first, and the names of the sources that both share."""
-    apart = relation.records == "part" and relation.better is None
-    if relation.records == "independent" or apart:
-        return _of_independent(first, second)
-    return _of_common_records(first, second, relation)
+    """Return the covariance of second minus first, and the names of the shared sources."""
+    partial_overlap = relation.records == "part" and relation.better is None
+    if relation.records == "independent" or partial_overlap:
+        return _independent_covariance(first, second)
+    return _common_record_covariance(first, second, relation)
 
 
-def _of_independent(first: Estimates, second: Estimates) -> tuple[Array, list[str]]:
+def _independent_covariance(first: Estimates, second: Estimates) -> tuple[Array, list[str]]:
     covariance = first.covariance + second.covariance
     shared = []
     for name, source in first.sources.items():
-        other = second.sources.get(name)
-        if other is not None and not source.of_run and source.is_as(other):
-            cross = np.outer(source.moves, other.moves)
+        counterpart = second.sources.get(name)
+        if counterpart is not None and not source.of_run and source.is_as(counterpart):
+            cross = np.outer(source.moves, counterpart.moves)
             covariance = covariance - cross - cross.T
             if np.any(np.abs(np.diag(cross)) > _SAID * np.diag(first.covariance)):
                 shared.append(name)
     return covariance, shared
 
 
-def _of_common_records(
+def _common_record_covariance(
     first: Estimates, second: Estimates, relation: Relation
 ) -> tuple[Array, list[str]]:
-    better, other = (first, second) if relation.better != 1 else (second, first)
+    better, worse = (first, second) if relation.better != 1 else (second, first)
     size = len(first.symbols)
     if not (first.complete and second.complete):
-        # Nothing says what moves which: all that is held is taken to move both alike.
+        # The sensitivities are unknown: all considered terms are assumed to move both alike.
         rest = [np.diag(e.covariance) - e.held**2 for e in (first, second)]
         if relation.alike:
             rest = [np.zeros(size), np.zeros(size)]
         difference = np.abs(rest[0] - rest[1]) + (first.held - second.held) ** 2
         return np.diag(difference), []
-    in_both, apart = list[tuple[SharedSource, SharedSource]](), list[Array]()
+    in_both, unshared = list[tuple[SharedSource, SharedSource]](), list[Array]()
     anew = list[tuple[Array, Array]]()
     shared = []
     for name, source in better.sources.items():
-        its = other.sources.get(name)
+        its = worse.sources.get(name)
         if source.estimated:
-            # Measured anew, it is no part of what both rest on.
+            # A new measurement does not belong to the common data.
             if its is not None and its.estimated and source.is_another(its):
                 anew.append((source.moves, its.moves))
         elif its is not None and source.is_as(its):
             in_both.append((source, its))
             shared.append(name)
         else:
-            apart.append(source.moves)
+            unshared.append(source.moves)
     # Stated otherwise, or left out by the better one: by itself in the other.
     alone = [
         source.moves
-        for name, source in other.sources.items()
+        for name, source in worse.sources.items()
         if not (source.estimated or name in shared or _estimated(better, name))
     ]
     own_anew, their_anew = (squares([moves[i] for moves in anew], size) for i in (0, 1))
-    theirs = other.covariance - their_anew
-    theirs = theirs - squares([*(its.moves for _, its in in_both), *alone], size)
-    own = better.covariance - own_anew - better.part(estimated=False)
+    worse_covariance = worse.covariance - their_anew
+    worse_covariance = worse_covariance - squares(
+        [*(its.moves for _, its in in_both), *alone], size
+    )
+    better_covariance = better.covariance - own_anew - better.part(estimated=False)
     if relation.noise_ratio != 1.0:
         ratio = relation.noise_ratio if better is second else 1.0 / relation.noise_ratio
         priors = better.part(estimated=True) - own_anew
-        own = priors + ratio**2 * (own - priors)
+        better_covariance = priors + ratio**2 * (better_covariance - priors)
     scale = np.sqrt(np.diag(first.covariance) + np.diag(second.covariance))
     excess = np.zeros((size, size))
     if not relation.alike:
-        excess = _size_of((theirs - own) / np.outer(scale, scale)) * np.outer(scale, scale)
+        excess = _size_of(
+            (worse_covariance - better_covariance) / np.outer(scale, scale)
+        ) * np.outer(scale, scale)
     moved = squares([its.moves - source.moves for source, its in in_both], size)
-    return excess + moved + squares([*apart, *alone], size) + own_anew + their_anew, shared
+    return excess + moved + squares([*unshared, *alone], size) + own_anew + their_anew, shared
 
 
 def _estimated(estimates: Estimates, name: str) -> bool:
@@ -143,37 +147,37 @@ def chi_square(
 
     difference: Shape (p,).
     covariance: Of it, shape (p, p); as many degrees of freedom as directions in which it is not
-        nothing.
-    scale: Standard uncertainties that say what is nothing, shape (p,).
+        negligible.
+    scale: Standard uncertainties, relative to which a variance is negligible, shape (p,).
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    there = values > 2.0 * NEGLIGIBLE
+    significant = values > 2.0 * NEGLIGIBLE
     along = vectors.T @ (difference / scale)
-    chi2 = float(np.sum(along[there] ** 2 / values[there]))
-    dof = int(np.count_nonzero(there))
+    chi2 = float(np.sum(along[significant] ** 2 / values[significant]))
+    dof = int(np.count_nonzero(significant))
     return chi2, dof, chi_square_tail(dof, chi2) if dof and math.isfinite(chi2) else None
 
 
 @frozen(eq=False)
 class SharedSource:
-    """One thing that is known with an uncertainty and moves estimates."""
+    """A source of uncertainty that moves estimates."""
 
     estimated: bool  #: Whether it was weighed with the data; else it was held.
     #: Its value, where the result says it, and its standard uncertainty.
     stated: tuple[float | None, float]
-    moves: Array  #: Signed: what its standard uncertainty moves each estimate by, shape (p,).
+    moves: Array  #: Signed shift of each estimate by its standard uncertainty, shape (p,).
     of_run: bool  #: Whether it belongs to one run or mounting, as a tilt or a misalignment does.
 
     def is_as(self, other: SharedSource) -> bool:
-        """Return whether another is stated alike, as far as the results say it."""
+        """Check that another source has an equal statement, as far as the results state it."""
         return self.is_as_sure_as(other) and not self.is_another(other)
 
     def is_as_sure_as(self, other: SharedSource) -> bool:
-        """Return whether another has the same standard uncertainty."""
+        """Check that another source has the same standard uncertainty."""
         return bool(np.isclose(self.stated[1], other.stated[1], rtol=1e-9, atol=0.0))
 
     def is_another(self, other: SharedSource) -> bool:
-        """Return whether another is stated with another value, and so was measured anew."""
+        """Check that another source has a different value, which means a new measurement."""
         return None not in (self.stated[0], other.stated[0]) and self.stated[0] != other.stated[0]
 
 
@@ -184,7 +188,7 @@ class Estimates:
     symbols: tuple[str, ...]  #: Of the terms.
     value: Array  #: Shape (p,).
     covariance: Array  #: All of it, shape (p, p).
-    #: By name: what is stated, what is not, what is held, and recorded rotations.
+    #: By name: stated and default priors, considered terms, and recorded rotations.
     sources: dict[str, SharedSource]
     #: Whether the sources and correlations are known; else what is held is only known as a sum, in
     #: `held`, and the covariance may be without its correlations.
@@ -192,7 +196,7 @@ class Estimates:
     held: Array  #: Root of the sum of squares of all that is held, shape (p,).
 
     def part(self, *, estimated: bool) -> Array:
-        """Return what was weighed with the data, or all that is held, contributes."""
+        """Return the covariance due to the estimated sources, or due to the considered ones."""
         if not self.complete and not estimated:
             return np.diag(self.held**2)
         moves = [s.moves for s in self.sources.values() if s.estimated is estimated]
@@ -200,7 +204,7 @@ class Estimates:
 
 
 def squares(moves: Sequence[Array], size: int) -> Array:
-    """Return the covariance of independent sources from what each moves, shape (size, size)."""
+    """Return the covariance of independent sources from the shifts by each, shape (size, size)."""
     if not moves:
         return np.zeros((size, size))
     stacked = np.stack(moves)
@@ -219,43 +223,43 @@ def g_units_ratio(symbol: str, own: float, other: float) -> float:
 def estimates_of(
     result: Result, name: str, symbols: Sequence[str], gravity: float | None = None
 ) -> Estimates:
-    """Return what a result says of some of an accelerometer's terms.
+    """Return the estimates of some of an accelerometer's terms from a result.
 
-    gravity: Whose g-units to have the numbers in, m/s^2; None: the result's own.
+    gravity: Gravity of the g-units of the numbers, m/s^2; None: the result's own.
     """
     accelerometer = result.accelerometers[name]
-    own = [accelerometer.coefficients[symbol] for symbol in symbols]
+    coefficients = [accelerometer.coefficients[symbol] for symbol in symbols]
     own_gravity = result.inputs.gravity
     given = own_gravity if gravity is None else gravity
     factor = np.array([g_units_ratio(s, own_gravity, given) for s in symbols])
-    u = np.array([c.u or 0.0 for c in own])
-    correlation = np.eye(len(own))
+    u = np.array([c.u or 0.0 for c in coefficients])
+    correlation = np.eye(len(coefficients))
     stated = accelerometer.correlation
     known = stated is not None and set(symbols) <= set(stated.terms)
     if stated is not None and known:
         correlation = stated[list(symbols)]
     sources = {
-        source: _scaled(shared, factor)
+        source: _scale_source(shared, factor)
         for source, shared in _sources(result, name, symbols).items()
     }
     return Estimates(
         symbols=tuple(symbols),
-        value=factor * np.array([c.value or 0.0 for c in own]),
+        value=factor * np.array([c.value or 0.0 for c in coefficients]),
         covariance=np.outer(factor * u, factor * u) * correlation,
         sources=sources,
         complete=known and all(accelerometer.budget.get(symbol) for symbol in symbols),
-        held=factor * np.array([_held(result, c) for c in own]),
+        held=factor * np.array([_considered_u(result, c) for c in coefficients]),
     )
 
 
-def _held(result: Result, coefficient: Coefficient) -> float:
-    """Return what may have been held: in two stages all that is known, else nothing."""
+def _considered_u(result: Result, coefficient: Coefficient) -> float:
+    """Return u of the possibly considered terms: in two stages of all priors, else zero."""
     if result.method != "two-stage":
         return 0.0
     return math.hypot(coefficient.u_stated or 0.0, coefficient.u_unstated or 0.0)
 
 
-def _scaled(source: SharedSource, factor: Array) -> SharedSource:
+def _scale_source(source: SharedSource, factor: Array) -> SharedSource:
     return SharedSource(source.estimated, source.stated, source.moves * factor, source.of_run)
 
 
@@ -281,7 +285,7 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sha
 
 
 def _value(result: Result, name: str, source: str) -> float | None:
-    """Return the value of an input or of what is known beforehand, where the result says it."""
+    """Return the value of an input or of a prior, if the result states it."""
     inputs, accelerometer = result.inputs, result.accelerometers[name]
     stated = {
         "centrifuge.radius": inputs.radius,
@@ -300,7 +304,7 @@ def _value(result: Result, name: str, source: str) -> float | None:
 
 
 def records_of(result: Result) -> frozenset[str]:
-    """Return the checksums of the files that a result rests on, but for its description."""
+    """Return the checksums of the input files of a result, except its description."""
     return frozenset(
         checksum
         for file, checksum in result.provenance.inputs.items()
@@ -311,7 +315,7 @@ def records_of(result: Result) -> frozenset[str]:
 def relation_of(
     name: str, results: tuple[Result, Result], estimates: tuple[Estimates, Estimates]
 ) -> tuple[Relation, list[str]]:
-    """Return how two results of an accelerometer are related, and in words what is assumed."""
+    """Return the relation of two results of an accelerometer, and the assumptions in words."""
     first, second = results
     records = records_of(first), records_of(second)
     assumed = []
@@ -365,17 +369,20 @@ def _better(
     records: tuple[frozenset[str], frozenset[str]],
     estimates: tuple[Estimates, Estimates],
 ) -> Literal[0, 1] | None:
-    """Return which result is the best linear unbiased estimate of what both rest on, if either is.
+    """Return the index of the best linear unbiased estimate from the common data, or None.
 
-    It has all records of the other, no term that the other lacks, and the same is known beforehand.
+    It has all records of the other, no term that the other lacks, and the same priors.
     """
     first, second = results
     if first.model != second.model:
         return None
     if first.method != second.method:
         return (0 if first.method == "joint" else 1) if records[0] == records[1] else None
-    one, two = (e.sources for e in estimates)
-    if any(s.estimated and n in two and not _same_prior(n, one, two) for n, s in one.items()):
+    first_sources, second_sources = (e.sources for e in estimates)
+    if any(
+        s.estimated and n in second_sources and not _same_prior(n, first_sources, second_sources)
+        for n, s in first_sources.items()
+    ):
         return None
     of_runs = set(first.runs) ^ set(second.runs)
     terms = [{term for term in terms_of(r) if term.split(".")[0] not in of_runs} for r in results]
@@ -387,31 +394,34 @@ def _better(
 
 
 def _same_prior(
-    name: str, one: Mapping[str, SharedSource], two: Mapping[str, SharedSource]
+    name: str, first: Mapping[str, SharedSource], second: Mapping[str, SharedSource]
 ) -> bool:
-    its = two[name]
-    return not its.estimated or one[name].is_as(its) or one[name].is_another(its)
+    its = second[name]
+    return not its.estimated or first[name].is_as(its) or first[name].is_another(its)
 
 
 def _alike(
     name: str, results: tuple[Result, Result], estimates: tuple[Estimates, Estimates]
 ) -> bool:
     first, second = results
-    one, two = (e.sources for e in estimates)
-    estimated = [{n for n, s in sources.items() if s.estimated} for sources in (one, two)]
+    first_sources, second_sources = (e.sources for e in estimates)
+    estimated = [
+        {n for n, s in sources.items() if s.estimated}
+        for sources in (first_sources, second_sources)
+    ]
     return (
         first.method == second.method
         and first.model == second.model
         and first.provenance.options == second.provenance.options
         and terms_of(first) == terms_of(second)
         and estimated[0] == estimated[1]
-        and all(one[n].is_as_sure_as(two[n]) for n in estimated[0])
+        and all(first_sources[n].is_as_sure_as(second_sources[n]) for n in estimated[0])
         and _noise(name, first) == _noise(name, second)
     )
 
 
 def _noise(name: str, result: Result) -> dict[str, float | None]:
-    """Return what decides the weights: the sizes, but of white noise alone none."""
+    """Return the noise sizes that affect the weights: none for white noise alone."""
     lines = result.accelerometers[name].noise
     if len(lines) == 1:
         return dict.fromkeys(lines)
@@ -419,11 +429,11 @@ def _noise(name: str, result: Result) -> dict[str, float | None]:
 
 
 def _noise_ratio(name: str, first: Result, second: Result) -> float:
-    one, two = (result.accelerometers[name].noise for result in (first, second))
-    if len(one) != 1 or set(one) != set(two):
+    first_noise, second_noise = (result.accelerometers[name].noise for result in (first, second))
+    if len(first_noise) != 1 or set(first_noise) != set(second_noise):
         return 1.0
-    ((part, line),) = one.items()
-    return line.value / two[part].value if line.value and two[part].value else 1.0
+    ((part, line),) = first_noise.items()
+    return line.value / second_noise[part].value if line.value and second_noise[part].value else 1.0
 
 
 def by_the_joint_check(
@@ -433,13 +443,21 @@ def by_the_joint_check(
     covariance: Array,
 ) -> Array:
     """Return a covariance with the u that a joint result itself states of the two methods."""
-    for joint, other in (results, results[::-1]):
+    for joint, two_stage in (results, results[::-1]):
         check = joint.accelerometers[name].two_stage
-        theirs = other.accelerometers[name].coefficients.get("K_II")
-        if joint.method != "joint" or other.method != "two-stage" or not check or not theirs:
+        coefficient = two_stage.accelerometers[name].coefficients.get("K_II")
+        if (
+            joint.method != "joint"
+            or two_stage.method != "two-stage"
+            or not check
+            or not coefficient
+        ):
             continue
-        # The same estimate, but for the rounding of sums that each result forms by itself.
-        same = theirs.value is not None and abs(theirs.value - check.value) <= _ROUNDING * check.u
+        # The same estimate, except for the rounding of sums in each result.
+        same = (
+            coefficient.value is not None
+            and abs(coefficient.value - check.value) <= _ROUNDING * check.u
+        )
         if same and "K_II" in estimates[0].symbols:
             place = estimates[0].symbols.index("K_II")
             covariance = covariance.copy()

@@ -1,4 +1,4 @@
-"""A comparison, and a calibration made again, as pages: what agrees, differs and has changed."""
+"""Printed reports of a comparison and of a calibration made again."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _RECORDS: Final = {
 
 
 def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
-    """Yield whether the results agree, their values and differences, and what changed."""
+    """Yield the verdict on agreement, the values and differences, and the changes."""
     yield Heading(_TITLE, 1)
     for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
         yield Paragraph(in_words(compared, agreement), _style(agreement))
@@ -49,9 +49,11 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
             yield Paragraph(_conversion(compared, result, result.gravity))
     for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
         yield Heading(name)
-        own = [c for c in compared.coefficients if c.accelerometer == name]
-        yield _table(compared, own)
-        yield from _pictures(own, short_names([result.name for result in compared.results]))
+        coefficients = [c for c in compared.coefficients if c.accelerometer == name]
+        yield _table(compared, coefficients)
+        yield from _pictures(
+            coefficients, short_names([result.name for result in compared.results])
+        )
     yield Paragraph(
         f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
         "their uncertainties account for what both results share. z: difference over its standard "
@@ -81,14 +83,16 @@ def _references(compared: ResultComparison) -> str:
         by_result.setdefault(compared.reference(name).name, []).append(name)
     if len(by_result) == 1:
         return next(iter(by_result))
-    return " and ".join(f"{result} ({', '.join(own)})" for result, own in by_result.items())
+    return " and ".join(
+        f"{result} ({', '.join(names_of_result)})" for result, names_of_result in by_result.items()
+    )
 
 
 def _conversion(compared: ResultComparison, result: ComparedResult, gravity: float) -> str:
-    """Return that a result's numbers were converted to the first result's g, and by how much."""
+    """Return the note on the conversion of a result's numbers to the first result's g."""
     moved = dict[float, list[str]]()
-    own = (c.term for c in compared.coefficients if result.has(c.accelerometer))
-    for symbol in dict.fromkeys(own):
+    terms = (c.term for c in compared.coefficients if result.has(c.accelerometer))
+    for symbol in dict.fromkeys(terms):
         percent = 100.0 * (g_units_ratio(symbol, gravity, compared.gravity) - 1.0)
         moved.setdefault(percent, []).append(symbol)
     amounts = (
@@ -103,7 +107,7 @@ def _conversion(compared: ResultComparison, result: ComparedResult, gravity: flo
 
 
 def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
-    """Return whether two results agree, in a sentence."""
+    """Return a sentence on the agreement of two results."""
     first = compared.reference(agreement.accelerometer).name
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
@@ -123,18 +127,19 @@ def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
 
 
 def _are_equal(compared: ResultComparison, agreement: AgreementOfTwo) -> bool:
-    """Return whether no coefficient that both determine differs."""
+    """Check that all coefficients determined by both results are equal."""
     place = [result.name for result in compared.results].index(agreement.result)
     return not any(
-        one.estimates[place].difference
-        for one in compared.coefficients
-        if one.accelerometer == agreement.accelerometer and one.term in agreement.terms
+        coefficient.estimates[place].difference
+        for coefficient in compared.coefficients
+        if coefficient.accelerometer == agreement.accelerometer
+        and coefficient.term in agreement.terms
     )
 
 
-def _table(compared: ResultComparison, own: Sequence[ComparedCoefficient]) -> Table:
+def _table(compared: ResultComparison, coefficients: Sequence[ComparedCoefficient]) -> Table:
     rows, quiet = list[tuple[str, ...]](), set[int]()
-    for coefficient in own:
+    for coefficient in coefficients:
         unit, factor = field_unit(coefficient.unit)
         label = f"{coefficient.term}, {unit}"
         for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
@@ -173,16 +178,16 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
     parts = [name.split("/") for name in names]
     if len({*names}) < len(names):
         return tuple(names)  # nothing would be left
-    while all(len(own) > 1 for own in parts) and len({own[0] for own in parts}) == 1:
-        parts = [own[1:] for own in parts]
-    while all(len(own) > 1 for own in parts) and len({own[-1] for own in parts}) == 1:
-        parts = [own[:-1] for own in parts]
-    return tuple("/".join(own) for own in parts)
+    while all(len(path) > 1 for path in parts) and len({path[0] for path in parts}) == 1:
+        parts = [path[1:] for path in parts]
+    while all(len(path) > 1 for path in parts) and len({path[-1] for path in parts}) == 1:
+        parts = [path[:-1] for path in parts]
+    return tuple("/".join(path) for path in parts)
 
 
-def _pictures(own: list[ComparedCoefficient], names: tuple[str, ...]) -> Iterator[Block]:
+def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -> Iterator[Block]:
     """Yield K_II through the results, with its standard uncertainties."""
-    for coefficient in own:
+    for coefficient in coefficients:
         if coefficient.term != "K_II":
             continue
         unit, factor = field_unit(coefficient.unit)
@@ -222,14 +227,16 @@ def _what_is_common(compared: ResultComparison) -> Iterator[Block]:
 
 
 def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
-    """Return whether the result still holds, and what changed."""
+    """Return the verdict on a repeated result, and the changes."""
     blocks: list[Block] = [
         Heading("A result calibrated again", 1),
         Paragraph(repetition_in_words(repeated), "answer" if repeated.same else "warning"),
     ]
     if repeated.moved:
-        found = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
-        blocks.append(Paragraph(f"These inputs were found under other names: {found}.", "quiet"))
+        locations = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
+        blocks.append(
+            Paragraph(f"These inputs were found under other names: {locations}.", "quiet")
+        )
     differing = [c for c in repeated.coefficients if c.relative is None or c.relative > 0.0]
     if not repeated.same and differing:
         blocks.append(_differing(differing))
@@ -245,7 +252,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
 
 
 def repetition_in_words(repeated: RepeatedCalibration) -> str:
-    """Return whether the result still holds, in a sentence."""
+    """Return a sentence on the validity of a repeated result."""
     limit = format_number(repeated.limit)
     if repeated.same:
         size = repeated.largest or 0.0

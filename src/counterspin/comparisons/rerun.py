@@ -1,4 +1,4 @@
-"""`counterspin rerun`: a result's calibration made again, and what differs in results."""
+"""`counterspin rerun`: a result's calibration made again, and differences between results."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ _NOTHING: Final = "-"
 
 
 def changes(results: Sequence[Result]) -> list[Change]:
-    """Return what differs between results: method and options, terms, noise, inputs, files."""
+    """Return the differences between results: method and options, terms, noise, inputs, files."""
     rows = [dict(_description(result)) for result in results]
     subjects = dict.fromkeys(subject for row in rows for subject in row)
-    found = []
+    differences = []
     for subject in subjects:
         values = [row.get(subject, _NOTHING) for row in rows]
         if len(set(values)) > 1:
-            found.append(Change(subject=subject, values=values))
-    return found
+            differences.append(Change(subject=subject, values=values))
+    return differences
 
 
 def terms_of(result: Result) -> set[str]:
@@ -78,35 +78,35 @@ def _model(result: Result) -> Iterator[tuple[str, str]]:
         yield f"terms of {name}", ", ".join(accelerometer.coefficients)
         for symbol, known in accelerometer.known.items():
             yield f"{name}.{symbol}, known", _quantity(known.value, known.u, known.unit)
-        held, priors = _known(result, name)
-        yield f"held of {name}", ", ".join(held) or _NOTHING
+        considered, priors = _prior_information(result, name)
+        yield f"held of {name}", ", ".join(considered) or _NOTHING
         for source, text in priors.items():
             yield f"{name}: {source}", text
         for part, line in accelerometer.noise.items():
             size = _quantity(line.value, 0.0, line.unit)
             yield f"noise of {name}, {part}", "estimated" if line.estimated else size
     yield "assumed", ", ".join(result.assumed) or _NOTHING
-    yield "not stated", ", ".join(_unstated(result)) or _NOTHING
+    yield "not stated", ", ".join(_default_priors(result)) or _NOTHING
     yield "terms of the platform", ", ".join(result.platform) or _NOTHING
-    own = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
-    yield "terms of runs", ", ".join(own) or _NOTHING
+    run_terms = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
+    yield "terms of runs", ", ".join(run_terms) or _NOTHING
     yield "runs", ", ".join(result.runs)
 
 
-def _known(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
-    """Return what is held, and the size of what is stated of the unknowns."""
-    held, priors = dict[str, None](), dict[str, str]()
+def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
+    """Return the considered terms, and the stated priors of the unknowns in words."""
+    considered, priors = dict[str, None](), dict[str, str]()
     for lines in result.accelerometers[name].budget.values():
         for line in lines:
             if line.kind == "held":
-                held[line.source] = None
+                considered[line.source] = None
             elif line.kind == "stated" and line.u is not None:
                 priors[f"u of the prior of {line.source}"] = _quantity(line.u, 0.0, line.unit)
-    return sorted(held), priors
+    return sorted(considered), priors
 
 
-def _unstated(result: Result) -> list[str]:
-    """Return what nobody states with its typical size, of all runs and accelerometers once."""
+def _default_priors(result: Result) -> list[str]:
+    """Return the terms with default priors and their sizes, once for all runs."""
     sizes = (
         f"{symbol_of(known.name)} ± {_quantity(known.u, 0.0, known.unit)}"
         for known in result.rests_on
@@ -124,7 +124,7 @@ def _quantity(value: float | None, u: float | None, unit: str) -> str:
     return format_estimate(value * factor, u * factor, shown)
 
 
-#: Two numbers that differ by less, relatively, are the same: rounding adds up to less.
+#: Largest relative difference of equal numbers: rounding stays below it.
 LIMIT: Final = 1e-12
 
 
@@ -134,7 +134,7 @@ def rerun(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> RepeatedCalibration:
-    """Calibrate again what a result rests on, and say whether it still holds.
+    """Calibrate the inputs of a result again, and compare the numbers.
 
     An input is looked for under its name, then among all files of the folder by its checksum. One
     that is there under its name with another content is used, and named as changed.
@@ -144,19 +144,19 @@ def rerun(
     result
         The result or its file, of this version or an earlier one.
     folder
-        Where its campaign is; None: the folder of the result's file.
+        Folder of its campaign; None: the folder of the result's file.
     progress
         Called with (runs read, runs in all).
 
     Returns
     -------
     RepeatedCalibration
-        Each number before and now, and what else is not the same.
+        Each number before and now, and the other differences.
 
     Raises
     ------
     RecordError
-        If the file is no result, was made of arrays in memory, or an input is not found.
+        If the file is not a result, was made of arrays in memory, or an input is not found.
     CampaignError
         If the campaign can no longer be calibrated, or an option is of another version.
     """
@@ -172,26 +172,26 @@ def rerun(
         )
     method, options, without = asked_by(before.provenance.options)
     with ExitStack() as stack:
-        found, moved = _find(before.provenance.inputs, place, called)
+        paths, moved = _find(before.provenance.inputs, place, called)
         if moved:
             staged = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            for name, file in found.items():
+            for name, file in paths.items():
                 (staged / name).parent.mkdir(parents=True, exist_ok=True)
                 _stage(file, staged / name)
             place = staged
         again = calibrate(
-            _described(before, place / next(iter(found))),
+            _calibration_input(before, place / next(iter(paths))),
             method=method,
             options=options,
             accept_misfit=before.accepted_misfit,
             without=without,
             progress=progress,
         )
-    return _repeated(called, before, again, moved)
+    return _compare_coefficients(called, before, again, moved)
 
 
-def _described(before: Result, path: Path) -> Path | Campaign:
-    """Return what is to be calibrated; for a result of schema 1 as descriptions were read then."""
+def _calibration_input(before: Result, path: Path) -> Path | Campaign:
+    """Return the input of the calibration; for a result of schema 1, interpreted as in schema 1."""
     if not before.assumes_all:
         return path
     campaign = read_campaign(path)
@@ -202,29 +202,29 @@ def _described(before: Result, path: Path) -> Path | Campaign:
 def _find(
     inputs: dict[str, str], folder: Path, called: str
 ) -> tuple[dict[str, Path], dict[str, str]]:
-    """Return where each input is, and those that are not under their names."""
-    found, moved = dict[str, Path](), dict[str, str]()
+    """Return the path of each input, and the new paths of renamed inputs."""
+    paths, moved = dict[str, Path](), dict[str, str]()
     with Checksums() as checksums:
         stated = {name: folder / name for name in inputs}
-        theirs = dict(zip(stated, checksums.of(stated.values()), strict=True))
-        lost = {name for name in inputs if theirs[name] != inputs[name]}
+        actual = dict(zip(stated, checksums.of(stated.values()), strict=True))
+        lost = {name for name in inputs if actual[name] != inputs[name]}
         others = _by_checksum(folder, {Path(name).suffix for name in lost}, checksums)
     for name, checksum in inputs.items():
         # A name that leaves the folder cannot be given to another file.
         elsewhere = others.get(checksum) if _is_inside(name) else None
         if name in lost and elsewhere is not None:
-            found[name] = elsewhere
+            paths[name] = elsewhere
             moved[name] = str(elsewhere)
-        elif name in lost and theirs[name] == "unreadable":
+        elif name in lost and actual[name] == "unreadable":
             raise RecordError(
                 f"{called}: its input {name} ({checksum}) is not in {folder}, under this name or "
                 "another; name the folder of its campaign"
             )
         else:
-            found[name] = stated[name]
+            paths[name] = stated[name]
     if any(not _is_inside(name) for name in inputs):
         moved = {} if not moved else _cannot_move(called, moved)
-    return found, moved
+    return paths, moved
 
 
 def _by_checksum(folder: Path, suffixes: set[str], checksums: Checksums) -> dict[str, Path]:
@@ -253,7 +253,7 @@ def _stage(file: Path, target: Path) -> None:
         shutil.copyfile(file, target)
 
 
-def _repeated(
+def _compare_coefficients(
     called: str, before: Result, again: Result, moved: dict[str, str]
 ) -> RepeatedCalibration:
     old, new = dict(_coefficients(before)), dict(_coefficients(again))
@@ -294,7 +294,7 @@ def _row(name: str, old: Coefficient | None, new: Coefficient | None) -> Repeate
     now, u_now = (new.value, new.u) if new else (None, None)
     of_value = _relative(before, now, u_before or 0.0)
     of_u = _relative(u_before, u_now, 0.0)
-    there = (old is None) == (new is None)
+    in_both = (old is None) == (new is None)
     in_u = None
     if before is not None and now is not None and u_before:
         in_u = (now - before) / u_before
@@ -305,7 +305,7 @@ def _row(name: str, old: Coefficient | None, new: Coefficient | None) -> Repeate
         u_before=u_before,
         now=now,
         u_now=u_now,
-        relative=None if not there or of_value is None or of_u is None else max(of_value, of_u),
+        relative=None if not in_both or of_value is None or of_u is None else max(of_value, of_u),
         in_u=in_u,
     )
 

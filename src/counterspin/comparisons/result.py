@@ -13,7 +13,7 @@ from counterspin.results import ResultPart, ShownResult
 
 
 class ComparedResult(ResultPart):
-    """One of the results: what it is called here, and how it was made."""
+    """One of the results: its name in the comparison, and its method."""
 
     name: str  #: What it is called here.
     title: str  #: Of its campaign.
@@ -28,7 +28,7 @@ class ComparedResult(ResultPart):
     accelerometers: list[str] | None = None
 
     def has(self, accelerometer: str) -> bool:
-        """Return whether an accelerometer is in this result."""
+        """Check for an accelerometer in this result."""
         return self.accelerometers is None or accelerometer in self.accelerometers
 
 
@@ -56,7 +56,7 @@ class ComparedCoefficient(ResultPart):
 
 
 class AgreementOfTwo(ResultPart):
-    """Whether an accelerometer's coefficients agree with those of the first result that has it."""
+    """The agreement of an accelerometer's coefficients with the first result that has them."""
 
     result: str  #: Which result.
     accelerometer: str  #: Which accelerometer.
@@ -67,17 +67,17 @@ class AgreementOfTwo(ResultPart):
     chi2: float  #: Of their differences together.
     dof: int  #: Directions in which these can differ.
     p: float | None  #: Probability of more by chance; None without a degree of freedom.
-    shared: list[str]  #: What moves both alike, beside the records.
+    shared: list[str]  #: Sources that move both results alike, in addition to the records.
     assumed: list[str]  #: What had to be assumed of their correlation, in sentences.
 
     @property
     def agrees(self) -> bool:
-        """Whether their differences are such as chance makes."""
+        """True if the differences are consistent with chance."""
         return self.p is None or self.p >= SIGNIFICANCE
 
 
 class Change(ResultPart):
-    """Something that is not the same in all results: its words in each, in their order."""
+    """A difference between results: its words in each result, in their order."""
 
     subject: str  #: What: a file, ``terms of Qx``, ``radius``, ``method`` and so on.
     values: list[str]  #: In each result; a file by the first digits of its SHA-256, ``-`` for none.
@@ -90,7 +90,7 @@ _COLUMNS: Final = (
 
 
 class ResultComparison(ShownResult):
-    """Results beside each other; what one is compared with is `reference`."""
+    """A comparison of results; `reference` is the result that the others are compared with."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     KIND: ClassVar[str] = "comparison"
@@ -123,19 +123,19 @@ class ResultComparison(ShownResult):
         Raises
         ------
         ValueError
-            If there is no such library.
+            If the library is unknown.
         """
         from counterspin.calibration.notebook.exports import frame_of
 
         columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for coefficient in self.coefficients:
             unit, factor = field_unit(coefficient.unit)
-            for result, found in zip(self.results, coefficient.estimates, strict=True):
-                numbers = (found.value, found.u, found.difference, found.u_difference)
+            for result, estimate in zip(self.results, coefficient.estimates, strict=True):
+                numbers = (estimate.value, estimate.u, estimate.difference, estimate.u_difference)
                 row = (
                     *(coefficient.accelerometer, coefficient.term, result.name),
                     *(None if number is None else number * factor for number in numbers),
-                    *(found.z, unit),
+                    *(estimate.z, unit),
                 )
                 for column, cell in zip(columns.values(), row, strict=True):
                     column.append(cell)
@@ -143,7 +143,7 @@ class ResultComparison(ShownResult):
 
     @property
     def identifier(self) -> str:
-        """The names of what is compared."""
+        """The names of the compared results."""
         return " / ".join(result.name for result in self.results)
 
 
