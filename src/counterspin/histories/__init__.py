@@ -1,9 +1,9 @@
-"""Results of an instrument over time: whether they agree, and whether it drifts.
+"""History of an instrument: consistency of its results over time, and drift.
 
 - `history`: from result files to a coefficient's history
-- `files`: which files are results, whose they are and when, and what is followed in each
-- `consistency`: whether an instrument's results agree, drift and repeat, with what they have in
-  common; control limits, and when it is due again
+- `files`: the result files, their instruments and dates, and the followed value of each
+- `consistency`: agreement, drift and repeatability of an instrument's results, with their shared
+  inputs; control limits, and the date when the next calibration is due
 - `result`: the history and its JSON
-- `page`: a history as a person reads it, with its control chart
+- `page`: the printed report of a history, with its control chart
 """

@@ -1,4 +1,4 @@
-"""Whether an instrument's results agree, drift and repeat; control limits; when it is due again.
+"""Agreement, drift and repeatability of an instrument's results; control limits; due date.
 
 The measurements have the standard uncertainties that they state, which are not scaled, and are
 independent unless their covariance is given.
@@ -32,7 +32,7 @@ class Mean:
     value: float
     u: float
     scatter: Scatter  #: Of the measurements with it.
-    difference: Array  #: Measurements less mean, shape (n,).
+    difference: Array  #: Measurements minus mean, shape (n,).
     #: `difference` over its own standard uncertainty, which is the root of u_i^2 - u^2, for the
     #: measurement is part of the mean; shape (n,), NaN for one measurement alone.
     z: Array
@@ -76,7 +76,7 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | N
         u=float(constant.u[0]),
         scatter=_scatter(constant),
         difference=constant.residuals,
-        z=_against_the_others(measured, sigma),
+        z=_leave_one_out_scores(measured, sigma),
     )
 
 
@@ -100,7 +100,7 @@ def drift(
         middle = float(np.average(when, weights=sigma**-2.0))
         line = fit(np.stack([np.ones(when.size), when - middle], axis=1), measured, sigma)
     else:
-        whitened = _whitened(np.stack([np.ones(when.size), when, measured], axis=1), covariance)
+        whitened = _whiten(np.stack([np.ones(when.size), when, measured], axis=1), covariance)
         ones, times, observed = whitened.T
         middle = float(ones @ times / (ones @ ones))
         line = fit(np.stack([ones, times - middle * ones], axis=1), observed, 1.0)
@@ -126,26 +126,28 @@ def en_score(
     first, second: Value, standard uncertainty and degrees of freedom (None is infinite) of each;
         the expanded uncertainties are those of 95 % coverage.
     """
-    one, other = (expanded_uncertainty(u, dof) for _, u, dof in (first, second))
-    common = 2.0 * covariance * (one / first[1]) * (other / second[1])
-    return (second[0] - first[0]) / math.sqrt(one**2 + other**2 - common)
+    first_expanded, second_expanded = (
+        expanded_uncertainty(u, dof) for _, u, dof in (first, second)
+    )
+    common = 2.0 * covariance * (first_expanded / first[1]) * (second_expanded / second[1])
+    return (second[0] - first[0]) / math.sqrt(first_expanded**2 + second_expanded**2 - common)
 
 
 def _correlated_mean(values: Array, covariance: Array) -> Mean:
-    whitened = _whitened(np.stack([np.ones(values.size), values], axis=1), covariance)
+    whitened = _whiten(np.stack([np.ones(values.size), values], axis=1), covariance)
     constant = fit(whitened[:, :1], whitened[:, 1], 1.0)
     mean, u = float(constant.estimate[0]), float(constant.u[0])
     difference = values - mean
     z = np.full(values.size, np.nan)
     # Of generalised least squares too, the covariance of a measurement with the mean is u^2.
-    left = np.diag(covariance) - u**2
-    apart = left > 1e-12 * np.diag(covariance)
+    variance = np.diag(covariance) - u**2
+    distinct = variance > 1e-12 * np.diag(covariance)
     if values.size > 1:
-        z[apart] = difference[apart] / np.sqrt(left[apart])
+        z[distinct] = difference[distinct] / np.sqrt(variance[distinct])
     return Mean(mean, u, _scatter(constant), difference, z)
 
 
-def _whitened(columns: Array, covariance: Array) -> Array:
+def _whiten(columns: Array, covariance: Array) -> Array:
     """Return columns in units in which the measurements are independent, of variance one."""
     from scipy.linalg import cholesky, solve_triangular
 
@@ -153,14 +155,16 @@ def _whitened(columns: Array, covariance: Array) -> Array:
     return whitened
 
 
-def _against_the_others(values: Array, u: Array) -> Array:
+def _leave_one_out_scores(values: Array, u: Array) -> Array:
     # The same number as difference over the root of u_i^2 - u^2, without its cancellation where
     # one measurement has nearly all the weight.
     weight = u**-2.0
     z = np.full(values.size, np.nan)
     for i in range(values.size if values.size > 1 else 0):
-        others, left = np.delete(values, i), np.delete(weight, i)
-        z[i] = (values[i] - np.average(others, weights=left)) / math.hypot(u[i], left.sum() ** -0.5)
+        others, other_weights = np.delete(values, i), np.delete(weight, i)
+        z[i] = (values[i] - np.average(others, weights=other_weights)) / math.hypot(
+            u[i], other_weights.sum() ** -0.5
+        )
     return z
 
 
@@ -222,7 +226,7 @@ def probability_inside(line: Drift, time: float, low: float | None, high: float 
 
     The line's uncertainty is enlarged by its Birge ratio where that is above 1.
 
-    low, high: The limits; None where there is none.
+    low, high: The limits; None: no limit.
     """
     value, u = (float(part) for part in line.at(time))
     u *= max(1.0, line.scatter.birge or 1.0)
@@ -267,17 +271,17 @@ def next_due(
     return start + inside * YEAR
 
 
-#: Fewest results, beyond what is estimated beside, that tell a variance.
+#: Fewest results, beyond the other estimated parameters, that determine a variance.
 _FEWEST: Final = 2
 
 
 def repeatability(
     records: Sequence[DatedResult], covariance: Array | None, *, drifts: bool
 ) -> Repeatability | None:
-    """Return what results vary by beyond their u; None for too few.
+    """Return the variation of results in excess of their u; None for too few.
 
     covariance: Of the results, shape (n, n); None: they are independent.
-    drifts: Whether they are taken about a line over time, not about their mean.
+    drifts: True: deviations are from a line over time; False: from the mean.
     """
     start = records[0].date
     years = np.array([(record.date - start) / YEAR for record in records])
@@ -289,30 +293,30 @@ def repeatability(
         return None
     known = np.diag([record.u**2 for record in records]) if covariance is None else covariance
     values = np.array([record.value for record in records])
-    found = variance_components(values, known, groups, np.stack(columns, axis=1))
+    fitted = variance_components(values, known, groups, np.stack(columns, axis=1))
     components = {
         name: RepeatComponent(
-            value=own.value,
-            low=own.low,
-            high=own.high if math.isfinite(own.high) else None,
-            groups=own.groups,
-            freedom=own.freedom,
-            same_as=[other for other, place in found.same_as.items() if place == name],
+            value=component.value,
+            low=component.low,
+            high=component.high if math.isfinite(component.high) else None,
+            groups=component.groups,
+            freedom=component.freedom,
+            same_as=[same_name for same_name, place in fitted.same_as.items() if place == name],
         )
-        for name, own in found.components.items()
+        for name, component in fitted.components.items()
     }
     return Repeatability(
         components=components,
-        total=math.sqrt(sum(own.value**2 for own in components.values())),
+        total=math.sqrt(sum(component.value**2 for component in components.values())),
         about="line" if drifts else "mean",
-        value=found.value,
-        u=found.u,
+        value=fitted.value,
+        u=fitted.u,
         not_told=not_told,
     )
 
 
 def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[str, str]]:
-    """Return the groups of each result by what was repeated, and why others cannot be told."""
+    """Return the groups of each result by repeated condition, and reasons for missing groups."""
     labels: dict[str, list[str | None]] = {
         "day": [record.date.date().isoformat() for record in records],
         "mounting": [record.mounting for record in records],
@@ -320,11 +324,11 @@ def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[
     }
     groups: dict[str, list[str]] = {}
     not_told: dict[str, str] = {}
-    for name, own in labels.items():
-        named = [label for label in own if label is not None]
-        if len(named) < len(own):
-            lacking = len(own) - len(named)
-            not_told[name] = f"{lacking} of {len(own)} results do not state it"
+    for name, values in labels.items():
+        named = [label for label in values if label is not None]
+        if len(named) < len(values):
+            lacking = len(values) - len(named)
+            not_told[name] = f"{lacking} of {len(values)} results do not state it"
         elif len(set(named)) < 2:
             not_told[name] = "all results have the same one"
         else:
@@ -341,7 +345,7 @@ _LEAST_OWN_PART: Final = 1e-3
 
 @frozen
 class SharedInputs:
-    """What results share."""
+    """The shared inputs of results."""
 
     names: tuple[str, ...]  #: What it is, such as ``centrifuge.radius``.
     largest: float  #: The largest correlation of two results.
@@ -351,7 +355,7 @@ class SharedInputs:
 def in_common(
     u: Sequence[float], shared: Sequence[Mapping[tuple[str, str], float]]
 ) -> SharedInputs | None:
-    """Return what results have in common; None where it is negligible."""
+    """Return the shared inputs of results; None where they are negligible."""
     count: dict[tuple[str, str], int] = {}
     for sources in shared:
         for key in sources:
@@ -359,9 +363,9 @@ def in_common(
     keys = [key for key, n in count.items() if n > 1]
     moved = np.array([[sources.get(key, 0.0) for key in keys] for sources in shared])
     total = np.asarray(u, dtype=np.float64)
-    own = total**2 - (moved**2).sum(axis=1)
+    unshared = total**2 - (moved**2).sum(axis=1)
     covariance = moved @ moved.T
-    covariance[np.diag_indices(total.size)] += np.maximum(own, (_LEAST_OWN_PART * total) ** 2)
+    covariance[np.diag_indices(total.size)] += np.maximum(unshared, (_LEAST_OWN_PART * total) ** 2)
     size = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(size, size) - np.eye(total.size))
     if not keys or (largest := float(correlation.max())) < _NEGLIGIBLE_CORRELATION:

@@ -1,4 +1,4 @@
-"""Which files are results, whose they are and when, and what is followed in each."""
+"""Result files, their instruments and dates, and the followed value of each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from counterspin.input import read_file
 from counterspin.physics.effects import Product
 from counterspin.physics.terms import TERMS, Term, is_term, term
 
-#: How a budget names what is common: an input of the campaign -> where the result has its value.
+#: Common sources in a budget: an input of the campaign -> the key of its value in the result.
 _INPUTS: Final = {
     "site.gravity": "gravity",
     "site.latitude": "latitude",
@@ -33,7 +33,7 @@ _INPUTS: Final = {
 #: Scopes of terms that differ between the runs, readings or fixtures of one machine.
 _RANDOM: Final = ("run", "reading", "mounting", "position")
 
-#: The parts of a budget are no more than u^2, but for rounding.
+#: The parts of a budget do not exceed u^2, except for rounding.
 _MAX_BUDGET_SUM: Final = 1.01
 
 #: Kind of a triad's parameter -> a term of its unit, and of as many specific forces.
@@ -42,7 +42,7 @@ KINDS: Final = {"offset": "K_F", "sensitivity": "K_I", "angle": "delta_O"}
 
 @frozen
 class FollowedValue:
-    """What one result says of what is followed."""
+    """The followed value in a result."""
 
     accelerometers: tuple[str, ...]  #: Whose it is: an angle is that of two.
     coefficient: Coefficient | None  #: None where the result has none.
@@ -56,14 +56,17 @@ def term_like(followed: str) -> Term[Product]:
 
 
 def followed_in(result: Result, followed: str) -> Iterator[FollowedValue]:
-    """Yield what a result says of a term of each accelerometer, or of a parameter of its triad.
+    """Yield a term of each accelerometer of a result, or a parameter of its triad.
 
-    Of angles it is what they are more than 90 deg.
+    Angles are given minus 90 deg.
     """
     if followed not in KINDS:
-        for name, own in result.accelerometers.items():
-            coefficient = own.coefficients.get(followed)
-            lines, judged = own.budget.get(followed, ()), own.conformity.get(followed)
+        for name, accelerometer in result.accelerometers.items():
+            coefficient = accelerometer.coefficients.get(followed)
+            lines, judged = (
+                accelerometer.budget.get(followed, ()),
+                accelerometer.conformity.get(followed),
+            )
             yield FollowedValue((name,), coefficient, lines, judged)
         return
     triad = result.triad
@@ -92,7 +95,7 @@ _SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for 
 
 @frozen
 class DatedResult:
-    """What one result says of one accelerometer."""
+    """The followed value of one accelerometer in a result, with its date."""
 
     #: As in `counterspin.histories.result.InstrumentHistory`.
     serial_number: str
@@ -121,7 +124,7 @@ class DatedResult:
 
 @dataclass
 class CollectedResults:
-    """What the files hold; the parts as in `counterspin.histories.result.History`."""
+    """The contents of the files; the parts as in `counterspin.histories.result.History`."""
 
     records: list[DatedResult] = field(default_factory=list)
     left_out: list[UnusedResult] = field(default_factory=list)
@@ -147,7 +150,7 @@ def collect(given: Sequence[Path | Result], term: str) -> CollectedResults:
                 UnusedResult(file=str(file), reason=f"cannot be read ({error.strerror})")
             )
             continue
-        if not named and (reason := _is_other(content)):
+        if not named and (reason := _reason_not_a_result(content)):
             if reason == _SUMMARY_REASON:
                 collected.left_out.append(UnusedResult(file=str(file), reason=reason))
             else:
@@ -186,8 +189,8 @@ def _results_inside(folder: Path) -> Iterator[Path]:
             yield file
 
 
-def _is_other(content: bytes) -> str | None:
-    """Return what a readable document is if it is not a result; a damaged one may be a result."""
+def _reason_not_a_result(content: bytes) -> str | None:
+    """Return the reason against a readable document as a result; a damaged one may be one."""
     try:
         document: Any = json.loads(content)
     except (ValueError, RecursionError):
@@ -211,38 +214,38 @@ def _enter(file: Path, term: str, collected: CollectedResults) -> None:
 
 def _enter_result(result: Result, file: str, term: str, collected: CollectedResults) -> None:
     date = _date(result.details.get("date"))
-    for one in followed_in(result, term):
-        outcome = _record(result, one, term, file, date)
+    for value in followed_in(result, term):
+        outcome = _record(result, value, term, file, date)
         if isinstance(outcome, str):
-            names = ", ".join(one.accelerometers)
+            names = ", ".join(value.accelerometers)
             collected.left_out.append(UnusedResult(file=file, accelerometer=names, reason=outcome))
         else:
             collected.records.append(outcome)
 
 
 def _record(
-    result: Result, one: FollowedValue, term: str, file: str, date: datetime | str
+    result: Result, followed: FollowedValue, term: str, file: str, date: datetime | str
 ) -> DatedResult | str:
-    """Return a record, or why there is none."""
-    names, coefficient = one.accelerometers, one.coefficient
-    whole = result.details.get("serial_number")
-    own = [result.accelerometers[name].serial_number for name in names]
-    by_campaign = None in own
+    """Return a record, or the reason for its absence."""
+    names, coefficient = followed.accelerometers, followed.coefficient
+    campaign_serial = result.details.get("serial_number")
+    serial_numbers = [result.accelerometers[name].serial_number for name in names]
+    by_campaign = None in serial_numbers
     if coefficient is None:
         return f"has no {term}"
     if not coefficient.estimated or coefficient.value is None or not coefficient.u:
         return f"does not determine {term}"
-    if (wrong := _wrong(result, names)) is not None:
+    if (wrong := _reason_unusable(result, names)) is not None:
         return wrong
-    if by_campaign and whole is None:
+    if by_campaign and campaign_serial is None:
         return "has no serial number; state it in [accelerometers] or [campaign]"
     if isinstance(date, str):
         return date
-    stated = [whole, *names] if by_campaign else own
+    stated = [campaign_serial, *names] if by_campaign else serial_numbers
     return DatedResult(
         serial_number=" ".join(map(str, stated)),
         stated_by="campaign" if by_campaign else "accelerometer",
-        campaign_serial_number=whole,
+        campaign_serial_number=campaign_serial,
         date=date,
         file=file,
         accelerometer=", ".join(names),
@@ -256,8 +259,8 @@ def _record(
             for input_file, checksum in result.provenance.inputs.items()
             if not input_file.endswith(".toml") and checksum.startswith("sha256:")
         ),
-        shared=shared_sources(result, coefficient.u, one.budget),
-        limits=_limits(one.conformity),
+        shared=shared_sources(result, coefficient.u, followed.budget),
+        limits=_limits(followed.conformity),
         laboratory=result.details.get("laboratory"),
         mounting=result.details.get("mounting"),
         turn_on=result.details.get("turn_on"),
@@ -268,8 +271,8 @@ def _limits(stated: Conformity | None) -> tuple[float | None, float | None, str]
     return None if stated is None else (stated.low, stated.high, stated.specification)
 
 
-def _wrong(result: Result, names: Sequence[str]) -> str | None:
-    """Return why a result is not to be used at all, if it is not."""
+def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
+    """Return the reason against any use of a result, or None."""
     if result.model == "as-printed":
         return "comes from the equations as printed, which return half the true K_II"
     for name in names:
@@ -279,7 +282,7 @@ def _wrong(result: Result, names: Sequence[str]) -> str | None:
 
 
 def _date(text: str | None) -> datetime | str:
-    """Return a campaign's date, or why there is none."""
+    """Return a campaign's date, or the reason for its absence."""
     if text is None:
         return "has no date; state it in [campaign]"
     try:
@@ -292,7 +295,7 @@ def _date(text: str | None) -> datetime | str:
 def shared_sources(
     result: Result, u: float, lines: Sequence[BudgetLine]
 ) -> dict[tuple[str, str], float]:
-    """Return what each source does that another result may have in common.
+    """Return the shift of the coefficient by each source that another result may share.
 
     Two results share an input if both have the same value and uncertainty of it, and a term of the
     accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
@@ -301,9 +304,9 @@ def shared_sources(
 
     u, lines: Of the coefficient, and its budget.
     """
-    found: dict[tuple[str, str], float] = {}
+    shifts: dict[tuple[str, str], float] = {}
     if sum(line.contribution**2 for line in lines) > _MAX_BUDGET_SUM * u**2:
-        return found  # a budget of another uncertainty
+        return shifts  # a budget of another uncertainty
     for line in lines:
         source = line.source
         if line.kind == "noise" or line.u is None or line.sensitivity is None:
@@ -318,5 +321,5 @@ def shared_sources(
             identity = f"{line.u!r} of {whose or result.details.get('serial_number')}"
         else:
             continue
-        found[source, identity] = line.sensitivity * line.u
-    return found
+        shifts[source, identity] = line.sensitivity * line.u
+    return shifts

@@ -136,7 +136,7 @@ def _leave_out_repeated(collected: CollectedResults) -> None:
     """
     kept: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
     for record in sorted(collected.records, key=lambda record: record.method != "joint"):
-        # Without checksums nothing is known of what it rests on.
+        # Without checksums the input files of the result are unknown.
         key = (record.serial_number, record.accelerometer, record.records or {record.file})
         first = kept.setdefault((*key[:2], frozenset(key[2])), record)
         if first is not record:
@@ -232,7 +232,7 @@ def _instrument(records: Sequence[DatedResult], reliability: float) -> Instrumen
 
 
 def _specification(records: Sequence[DatedResult]) -> SpecificationLimits | None:
-    """Return that of the latest result that has one."""
+    """Return the specification of the latest result that has one."""
     for record in reversed(records):
         if record.limits is not None:
             low, high, words = record.limits
@@ -262,29 +262,35 @@ def _due(
 def _laboratories(records: Sequence[DatedResult], covariance: Array | None) -> list[LaboratoryPair]:
     """Compare the weighted means of laboratories, each with each."""
     u = np.array([record.u for record in records])
-    whole = np.diag(u**2) if covariance is None else covariance
+    full_covariance = np.diag(u**2) if covariance is None else covariance
     values = np.array([record.value for record in records])
-    found: dict[str, tuple[Array, float | None]] = {}
+    weights_by_name: dict[str, tuple[Array, float | None]] = {}
     for name in dict.fromkeys(record.laboratory for record in records):
         if name is None:
             continue
-        own = [i for i, record in enumerate(records) if record.laboratory == name]
+        indices = [i for i, record in enumerate(records) if record.laboratory == name]
         weights = np.zeros(len(records))
-        weights[own] = np.linalg.solve(whole[np.ix_(own, own)], np.ones(len(own)))
-        dofs = [dof for i in own if (dof := records[i].dof) is not None]
-        found[name] = weights / weights.sum(), min(dofs, default=None)
+        weights[indices] = np.linalg.solve(
+            full_covariance[np.ix_(indices, indices)], np.ones(len(indices))
+        )
+        dofs = [dof for i in indices if (dof := records[i].dof) is not None]
+        weights_by_name[name] = weights / weights.sum(), min(dofs, default=None)
     pairs = []
-    for (first, (one, dof)), (second, (other, other_dof)) in combinations(found.items(), 2):
+    for (first, (first_weights, dof)), (second, (second_weights, other_dof)) in combinations(
+        weights_by_name.items(), 2
+    ):
         means = [
-            (float(w @ values), float(np.sqrt(w @ whole @ w)), d)
-            for w, d in ((one, dof), (other, other_dof))
+            (float(w @ values), float(np.sqrt(w @ full_covariance @ w)), d)
+            for w, d in ((first_weights, dof), (second_weights, other_dof))
         ]
         pairs.append(
             LaboratoryPair(
                 first=first,
                 second=second,
                 difference=means[1][0] - means[0][0],
-                e_n=en_score(means[0], means[1], float(one @ whole @ other)),
+                e_n=en_score(
+                    means[0], means[1], float(first_weights @ full_covariance @ second_weights)
+                ),
             )
         )
     return pairs

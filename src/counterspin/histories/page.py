@@ -65,7 +65,7 @@ def history_blocks(history: History) -> Iterator[Block]:
 
 
 def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
-    """Return whether an instrument's results agree, in one or two sentences."""
+    """Return the verdict on the agreement of an instrument's results, in one or two sentences."""
     name, unit, factor = _words(history), *field_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
@@ -103,7 +103,7 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
 
 
 def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]:
-    """Yield what follows from limits, from what is shared, and between laboratories."""
+    """Yield the verdicts on limits, shared inputs, and pairs of laboratories."""
     unit, factor = field_unit(history.unit)
 
     def shown(low: float, high: float) -> str:
@@ -143,7 +143,7 @@ def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]
         )
 
 
-#: Component -> what changes from one to another; and what several of them are called.
+#: Component -> the condition that changes, and its plural.
 _REPEATED: Final = {
     "day": ("day", "days"),
     "mounting": ("mounting", "mountings"),
@@ -155,20 +155,20 @@ _FEW: Final = 5
 
 
 def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
-    """Yield what results vary by beyond their u."""
+    """Yield the table of the variation of results in excess of their u."""
     unit, factor = field_unit(history.unit)
 
     def shown(value: float) -> str:
         return format_number(value * factor, 2)
 
-    def row(name: str, own: RepeatComponent) -> tuple[str, ...]:
-        what = " or ".join(_REPEATED[one][0] for one in (name, *own.same_as))
-        upper = "any" if own.high is None else shown(own.high)
-        interval = f"{shown(own.low) if own.low else 0} to {upper}"
-        counted = f"{own.groups} {_REPEATED[name][1]}"
-        return f"another {what}", shown(own.value), interval, counted, str(own.freedom)
+    def row(name: str, component: RepeatComponent) -> tuple[str, ...]:
+        what = " or ".join(_REPEATED[alias][0] for alias in (name, *component.same_as))
+        upper = "any" if component.high is None else shown(component.high)
+        interval = f"{shown(component.low) if component.low else 0} to {upper}"
+        counted = f"{component.groups} {_REPEATED[name][1]}"
+        return f"another {what}", shown(component.value), interval, counted, str(component.freedom)
 
-    rows = [row(name, own) for name, own in repeats.components.items()]
+    rows = [row(name, component) for name, component in repeats.components.items()]
     if len(rows) > 1:
         rows.append(("all of them", shown(repeats.total), "", "", ""))
     yield Table(
@@ -182,7 +182,9 @@ def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
         rows=tuple(rows),
     )
     about = "a line" if repeats.about == "line" else "their mean"
-    few = [_REPEATED[n][1] for n, own in repeats.components.items() if own.freedom < _FEW]
+    few = [
+        _REPEATED[n][1] for n, component in repeats.components.items() if component.freedom < _FEW
+    ]
     why = [
         f"{_REPEATED[name][0]}: {words}"
         for name, words in repeats.not_told.items()
@@ -242,7 +244,7 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     ]
     series += _limit_lines(instrument, ends, factor)
     if len(x) > 1 and instrument.control is None:
-        # The standard uncertainty of a result less the mean, of which it is a part.
+        # The standard uncertainty of a result minus the mean, which includes the result.
         away = [
             _ACTION_Z * math.sqrt(max(point.u**2 - instrument.u_mean**2, 0.0)) * factor
             for point in instrument.points

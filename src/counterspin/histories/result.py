@@ -15,7 +15,7 @@ Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
 
 
 class Point(ResultPart):
-    """One result."""
+    """A result in the history."""
 
     date: str  #: Of the campaign, as ISO 8601; UTC where it states a zone.
     file: str  #: The result's file.
@@ -33,7 +33,7 @@ class Point(ResultPart):
 
 
 class Scatter(ResultPart):
-    """How results scatter about a mean or a line; p and Birge ratio need a degree of freedom."""
+    """The scatter of results about a mean or a line; p and Birge ratio need a degree of freedom."""
 
     chi2: float  #: Sum of squared differences over u.
     dof: int  #: Its degrees of freedom.
@@ -77,30 +77,30 @@ class SpecificationLimits(ResultPart):
 
 
 class Due(ResultPart):
-    """When the instrument is due again."""
+    """The date when the next calibration of the instrument is due."""
 
     #: Last day on which it is in specification with `reliability`, by the line; None: see reason.
     date: str | None
     reliability: float  #: Probability.
-    reason: str | None = None  #: Why there is no date.
+    reason: str | None = None  #: The reason for a missing date.
 
 
 class LaboratoryPair(ResultPart):
-    """Two laboratories: the second's weighted mean less the first's, and its E_n (ISO 13528)."""
+    """Two laboratories: the second's weighted mean minus the first's, and its E_n (ISO 13528)."""
 
     first: str  #: A laboratory.
     second: str  #: Another one.
-    difference: float  #: Its weighted mean less the first's.
+    difference: float  #: Its weighted mean minus the first's.
     e_n: float  #: Their E_n.
 
     @property
     def agrees(self) -> bool:
-        """Whether the two agree within their expanded uncertainties."""
+        """True if the two agree within their expanded uncertainties."""
         return abs(self.e_n) <= 1.0
 
 
 class RepeatComponent(ResultPart):
-    """What results vary by from one turn-on, mounting or day to another."""
+    """The variation of results from one turn-on, mounting or day to another."""
 
     value: float  #: Standard deviation beyond the u of the results; 0: nothing is seen.
     low: float  #: Lower end of its 95 % interval; 0: there may be nothing.
@@ -111,7 +111,7 @@ class RepeatComponent(ResultPart):
 
 
 class Repeatability(ResultPart):
-    """How well results repeat, by restricted likelihood: turn-on, remount and day."""
+    """The repeatability of results, by restricted likelihood: turn-on, remount and day."""
 
     #: By ``day``, ``mounting`` and ``turn_on``, as far as the results tell.
     components: dict[str, RepeatComponent]
@@ -163,7 +163,7 @@ class History(ShownResult):
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     KIND: ClassVar[str] = "history"
 
-    #: The coefficient; or ``offset``, ``sensitivity`` or ``angle`` of triads, an angle less 90 deg.
+    #: The coefficient, or ``offset``, ``sensitivity`` or ``angle`` (minus 90 deg) of triads.
     term: str
     unit: str  #: Of every value; of a drift, per year.
     gravity: float  #: Of the g-units, m/s^2: that of the latest result.
