@@ -1,9 +1,9 @@
-"""From a table of readings on the arm of a centrifuge to a campaign's description.
+"""Draft a campaign's description from a table of readings on the arm of a centrifuge.
 
-A row is a reading at a rate, given as such, as the time of a revolution or as the acceleration, and
-in a mounting; at the rate 0 the arm rests. How the input axis points in a mounting follows from its
-word, or else from the readings: what points inward feels the acceleration, what points outward its
-negative.
+A row is a reading at a rate and in a mounting. The rate is given as such, as the time of a
+revolution or as the acceleration; the arm rests at the rate 0. The direction of the input axis in a
+mounting follows from the mounting's name, or else from the readings: an axis that points inward
+feels the acceleration, one that points outward its negative.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ _MOST_ROWS: Final = 500
 
 @frozen
 class ArmDraft(ReadingsDraft):
-    """What a table of readings on an arm shows, and what a person has answered."""
+    """The contents of a table of readings on an arm, and a person's answers."""
 
     def document(self, folder: Path) -> dict[str, Any]:
-        """Return the description that guesses and answers make; CampaignError if one is missing.
+        """Return the description made from guesses and answers; CampaignError if one is missing.
 
         folder: The campaign's.
         """
@@ -125,8 +125,8 @@ class ArmDraft(ReadingsDraft):
 def _axes(axis: str, pendulous: str) -> dict[str, str]:
     """Return the axes of a mounting.
 
-    pendulous: Where the pendulous axis points with the input axis inward; an instrument that is
-        turned about up takes it along.
+    pendulous: Direction of the pendulous axis with the input axis inward; it turns with an
+        instrument that is mounted the other way round.
     """
     if axis not in HORIZONTAL:
         along = "outward"
@@ -139,7 +139,7 @@ def _axes(axis: str, pendulous: str) -> dict[str, str]:
 
 
 def _radius_and_model(table: ArmTable, said: Mapping[str, str]) -> tuple[str, dict[str, Any]]:
-    """Return the centrifuge's radius, and that radii are estimated where there are several."""
+    """Return the centrifuge's radius, and request estimates of the radii if there are several."""
     radii = {word: said[f"{word} radius"] for word in table.mountings if f"{word} radius" in said}
     for word, values in table.radii().items():
         if len(values) > 1:
@@ -159,9 +159,9 @@ def _radius_and_model(table: ArmTable, said: Mapping[str, str]) -> tuple[str, di
 
 
 def arm_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> ArmDraft:
-    """Return what a table of readings on an arm shows, and what has to be asked.
+    """Return a draft from a table of readings on an arm, and the open questions.
 
-    answers: By the keys of questions; they stand above what is guessed.
+    answers: By the keys of questions; they take precedence over guesses.
     """
     if len(looks) != 1:
         raise CampaignError("init", ["readings on an arm are one table: name one file"])
@@ -177,7 +177,7 @@ def arm_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -
 
 
 def shows_arm(looks: Sequence[Look]) -> bool:
-    """Return whether files are one table of outputs beside rates, or beside words for mountings."""
+    """Return whether files are one table of outputs with rates or with names of mountings."""
     if len(looks) != 1 or max(len(c.values) for c in looks[0].columns) > _MOST_ROWS:
         return False
     (look,) = looks
@@ -197,7 +197,7 @@ def shows_arm(looks: Sequence[Look]) -> bool:
 
 
 def _follows_accelerations(table: ArmTable) -> bool:
-    """Return whether readings alone stand beside accelerations beyond gravity, in one line."""
+    """Return whether readings of one table are linear in accelerations that exceed gravity."""
     if not set(table.roles.values()) <= {"rate", "reading", "uncertainty", "temperature", "radius"}:
         return False  # such as positions of a tumble, whose readings are accelerations
     (first, *_), felt = of_role(table.look, table.roles, "reading"), table.acceleration(1.0)
@@ -224,14 +224,14 @@ def _followed(table: ArmTable, word: str) -> str | None:
 
 
 def _pointing(table: ArmTable, word: str) -> str | None:
-    """Return how the input axis points in a mounting, by its name or else by its readings."""
+    """Return the direction of the input axis in a mounting, from its name or else its readings."""
     meant = direction_of(word)
     # What lies across does not read the acceleration: "forward" is then the way of mounting.
     return meant if meant in ("inward", "outward") else _followed(table, word) or meant
 
 
 def _resting(table: ArmTable, sensed: OutputEstimate, word: str) -> str | None:
-    """Return how the input axis points where nothing but the readings at rest tells it."""
+    """Return the direction of the input axis where only the readings at rest show it."""
     readings = of_role(table.look, table.roles, "reading")
     rows = table.rests & np.array([own == word for own in table.words])
     felt = (table.values(readings[0])[rows] - sensed.zero) / sensed.per_g
@@ -303,7 +303,7 @@ def _questions(
 
 
 def _shows_noise(table: ArmTable) -> bool:
-    """Return whether readings show their noise beside what is unknown, at rest and at rates."""
+    """Return whether readings show their noise besides the unknowns, at rest and at rates."""
     at_rest = [word for rests, word in zip(table.rests, table.words, strict=True) if rests]
     turning = sum(int(table.turns_in(word).sum()) for word in table.turning)
     # Each of these brings a slope with it, which is unknown too.
@@ -330,9 +330,9 @@ def _radius_questions(table: ArmTable) -> Iterator[ExportQuestion]:
 def _sensed(
     table: ArmTable, column: FileColumn, axes: Mapping[str, str | None], told: Mapping[str, str]
 ) -> OutputEstimate:
-    """Return what rates and readings show of an output.
+    """Return an estimate of an output from rates and readings.
 
-    axes: Mounting -> how the input axis points there, None: not known yet.
+    axes: Mounting -> direction of the input axis, None: not known yet.
     """
     stated = [told[key] for key in ("radius", *(f"{word} radius" for word in axes)) if key in told]
     radii = [own[0] for own in table.radii().values()]

@@ -1,4 +1,4 @@
-"""A table of readings on the arm of a centrifuge: what its columns show of rates and mountings."""
+"""The rates and mountings that a table of readings on a centrifuge arm shows."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ Rows = npt.NDArray[np.bool_]
 
 @frozen(eq=False)
 class ArmTable:
-    """The columns of a table of readings, with what is answered of their units."""
+    """The columns of a table of readings, with the answers about their units."""
 
     look: Look
     roles: Mapping[str, str]
@@ -106,7 +106,7 @@ class ArmTable:
         return cls(look, roles, rate, unit, position, words, gaps)
 
     def values(self, column: FileColumn | None) -> Array:
-        """Return a column, NaN in rows that it does not have."""
+        """Return a column, NaN in rows without a value."""
         values = np.full(len(self.words), np.nan)
         if column is not None:
             values[: len(column.values)] = column.values
@@ -114,7 +114,7 @@ class ArmTable:
 
     @property
     def rests(self) -> Rows:
-        """Whether the arm rests, row by row."""
+        """Flag the rows in which the arm rests."""
         return np.asarray(self.values(self.rate) == 0.0)
 
     @property
@@ -125,11 +125,11 @@ class ArmTable:
 
     @property
     def mountings(self) -> tuple[str, ...]:
-        """The words for mountings, at rest too."""
+        """The names of the mountings, at rest too."""
         return tuple(word for word in dict.fromkeys(self.words) if word)
 
     def radii(self) -> dict[str, list[float]]:
-        """Return the radii of each mounting by the column, m; empty without one."""
+        """Return the radii of each mounting from the column, m; empty without one."""
         columns = of_role(self.look, self.roles, "radius")
         if not columns:
             return {}
@@ -155,9 +155,10 @@ class ArmTable:
         return np.asarray(np.where(self.rests, 0.0, felt))
 
     def lines(self, column: FileColumn, radius: float) -> tuple[dict[str, float], float]:
-        """Return how readings change with the acceleration, mounting by mounting, and their zero.
+        """Return the slope of readings by the acceleration, for each mounting, and their zero.
 
-        Per g, and where none is felt, in the column's unit; empty and NaN where nothing is known.
+        Slopes are per g, the zero is the output without acceleration, both in the column's unit;
+        empty and NaN where unknown.
         """
         felt, read = self.acceleration(radius) / STANDARD_GRAVITY, self.values(column)
         rows = np.nan_to_num(felt * read) != 0.0
@@ -171,7 +172,7 @@ class ArmTable:
         return dict(zip(words, slopes, strict=True)), zero
 
     def rate_step(self) -> float:
-        """Return by what part the last written digit of a rate changes the force, at most."""
+        """Return the largest relative change of the force by the last written digit of a rate."""
         rates = self.values(self.rate)
         sizes = np.abs(rates[np.nan_to_num(rates) != 0.0])
         if not len(sizes) or self.unit is None:
@@ -182,12 +183,12 @@ class ArmTable:
         return float(power * 10.0**last / sizes.min())
 
     def turns_in(self, word: str) -> Rows:
-        """Return which rows turn in a mounting."""
+        """Flag the rows in which the arm turns in a mounting."""
         return np.array([own == word for own in self.words]) & np.logical_not(self.rests)
 
 
 def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
-    """Return what each column is."""
+    """Return the role of each column."""
     rates = [column for column in look.columns if _kind(column) is not None]
     rates.sort(key=_preference)
     # The time of a revolution, whatever it is called, does not go on from row to row.
@@ -210,7 +211,7 @@ def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
 
 
 def _preference(column: FileColumn) -> tuple[int, bool, bool]:
-    """Return how far behind others a column stands of which one has the rate."""
+    """Return the rank of a column among the candidates for the rate; the smallest is preferred."""
     kind = _KINDS.index(_kind(column) or _KINDS[-1])
     return kind, not _MEASURED.match(column.name), _rate_unit(column) is None
 
@@ -222,7 +223,7 @@ def _falls(column: FileColumn) -> bool:
 
 
 def _without_numbers(columns: Sequence[FileColumn | None], rows: int) -> Rows:
-    """Return which rows have a number in none of the columns: remarks below a table."""
+    """Return the rows that have no number in any of the columns: remarks below a table."""
     empty = np.ones(rows, dtype=bool)
     for column in columns:
         if column is not None:
@@ -231,7 +232,7 @@ def _without_numbers(columns: Sequence[FileColumn | None], rows: int) -> Rows:
 
 
 def _gaps(rate: FileColumn | None, words: Sequence[str]) -> str | None:
-    """Return what rows have that name no mounting: in a spreadsheet cells may be merged."""
+    """Return rows that name no mounting: in a spreadsheet cells may be merged."""
     if not any(words) or all(words):
         return None
     rates = [] if rate is None else rate.values.tolist()
@@ -240,13 +241,13 @@ def _gaps(rate: FileColumn | None, words: Sequence[str]) -> str | None:
 
 
 def _are_senses(cells: Sequence[str]) -> bool:
-    """Return whether cells say in which sense the arm turns, row by row."""
+    """Return whether cells state the sense of the arm's rotation, row by row."""
     written = {cell.lower() for cell in cells if cell}
     return bool(written) and written <= set(SENSE_WORDS)
 
 
 def _repeat(cells: Sequence[str]) -> bool:
-    """Return whether words stand in several rows, as those of mountings do and names do not."""
+    """Return whether words repeat in several rows: names of mountings do, names of rows do not."""
     return len(set(cells)) < len(cells)
 
 
@@ -262,7 +263,7 @@ def _role(column: FileColumn) -> str:
 
 
 def _kind(column: FileColumn) -> str | None:
-    """Return as what a column has the rate, of `_KINDS`; None if it does not."""
+    """Return the form in which a column gives the rate, of `_KINDS`; None if it gives none."""
     unit = _REVOLUTIONS.get(column.unit, column.unit)
     if converts(unit, "rad/s") or (not unit and _RATE.match(column.name)):
         return "rad/s"
@@ -273,7 +274,7 @@ def _kind(column: FileColumn) -> str | None:
 
 
 def _rate_unit(column: FileColumn) -> str | None:
-    """Return in what a rate is by the file, or by the end of its name."""
+    """Return the unit of a rate, from the file or from the end of its name."""
     if column.unit:
         return column.unit
     name = column.name.lower()
@@ -289,7 +290,7 @@ def _radius_unit(column: FileColumn) -> str:
 
 
 def kind_of_arm_columns(table: ArmTable) -> str:
-    """Return what several columns of readings are: mountings, if they are each other's negative."""
+    """Return the role of several columns of readings: mountings, if they have opposite signs."""
     columns = of_role(table.look, table.roles, "reading")
     if table.position is None and len(columns) > 1 and table.rate is not None:
         felt = table.acceleration(1.0)
@@ -300,7 +301,7 @@ def kind_of_arm_columns(table: ArmTable) -> str:
 
 
 def _slope(felt: Array, read: Array) -> float:
-    """Return how readings change with the acceleration; at one rate alone, with which sign."""
+    """Return the slope of readings by the acceleration; only its sign at a single rate."""
     rows = np.isfinite(felt * read)
     line = np.column_stack([np.ones(rows.sum()), felt[rows]])
     return float(np.linalg.lstsq(line, read[rows], rcond=None)[0][1])
@@ -309,7 +310,7 @@ def _slope(felt: Array, read: Array) -> float:
 def below_each_other(
     look: Look, roles: Mapping[str, str], told: Mapping[str, str]
 ) -> tuple[Look, Mapping[str, str]]:
-    """Return a table with its columns of readings below each other if they are mountings'."""
+    """Return a table in long format if its columns of readings are those of mountings."""
     table, columns = ArmTable.of(look, roles, told), of_role(look, roles, "reading")
     kind = told.get(SEVERAL) or kind_of_arm_columns(table)
     if kind != MOUNTINGS or table.position is not None or not columns:
@@ -328,19 +329,19 @@ def below_each_other(
 
 
 def mountings_beside(columns: Sequence[FileColumn]) -> list[str]:
-    """Return the names of mountings that stand side by side: their columns', without the unit."""
+    """Return the names of mountings in adjacent columns: the columns' names without the unit."""
     names = [column.name for column in columns]
     bare = [re.sub(r"\s*[\[(][^\[\]()]*[\])]$", "", name) for name in names]
     return [mounting_of(name) for name in (bare if len({*bare, ""}) > len(bare) else names)]
 
 
 def as_acceleration(column: FileColumn) -> bool:
-    """Return whether a column has accelerations in the place of rates, by its name and unit."""
+    """Return whether a column has accelerations instead of rates, by its name and unit."""
     return _kind(column) == "m/s^2"
 
 
 def direction_of(word: str) -> str | None:
-    """Return the direction that a word means, perhaps with a number behind or a word before."""
+    """Return the direction that a word means; a number may follow it, and a word may precede it."""
     for text in (word, _BEHIND.sub("", word)):
         if found := _direction(text):
             return found

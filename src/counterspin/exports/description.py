@@ -1,4 +1,4 @@
-"""From guesses and answers to a campaign's description."""
+"""Make a campaign's description from guesses and answers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _ROUND_RATE_PART: Final = 2e-4
 
 @frozen
 class Draft(AnsweredExport):
-    """What records show, and what a person has answered."""
+    """The contents of records, and a person's answers."""
 
     guesses: tuple[FileGuess, ...]  #: Of each file, or sheet.
     common: FileGuess  #: What they have in common.
@@ -63,11 +63,11 @@ class Draft(AnsweredExport):
 
     @property
     def look(self) -> Look:
-        """What is in the file that speaks for all."""
+        """The contents of the first file, which stands for all."""
         return self.common.look
 
     def document(self, folder: Path) -> dict[str, Any]:
-        """Return the description that guesses and answers make; CampaignError if some are missing.
+        """Return the description made from guesses and answers; CampaignError if some are missing.
 
         folder: The campaign's.
         """
@@ -85,9 +85,9 @@ class Draft(AnsweredExport):
 
 
 def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Draft:
-    """Return what a recorder's files show, one for each run, and what has to be asked.
+    """Return a draft from a recorder's files, one for each run, and the open questions.
 
-    answers: By the keys of questions; they stand above what is guessed.
+    answers: By the keys of questions; they take precedence over guesses.
     """
     if not looks:
         raise CampaignError("init", ["name the files of the runs"])
@@ -111,7 +111,7 @@ def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Dr
 
 
 def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
-    """Yield what is wrong with the answered sense, against that which the waves show."""
+    """Yield errors of the answered sense, which the waves contradict."""
     if sense is not None and shown is not None and sense != shown:
         yield (
             f"sense: by the waves along two axes the angle increases {shown}; if it does not, one "
@@ -120,7 +120,7 @@ def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
 
 
 def _unfit(look: Look) -> str:
-    """Return why a file is no record of a run, as it is written; empty text if it may be one."""
+    """Return why a file cannot be a run's record as it is written; empty text if it can."""
     rows = max(len(column.values) for column in look.columns)
     if rows < _FEWEST_ROWS:
         return (
@@ -143,7 +143,7 @@ AnyDraft = Draft | TumbleDraft | ArmDraft | PosesDraft
 
 
 def guessed_test(looks: Sequence[Look]) -> Test:
-    """Return of which kind of test files are, as they show it."""
+    """Return the kind of test that files show."""
     # A sensor with three axes may have rates beside them.
     if shows_poses(looks):
         return "poses"
@@ -153,7 +153,7 @@ def guessed_test(looks: Sequence[Look]) -> Test:
 
 
 def drafted(looks: Sequence[Look], answers: Mapping[str, str], test: Test) -> AnyDraft:
-    """Return what the files of a test show."""
+    """Return a draft from the files of a test."""
     makers: dict[Test, Callable[..., AnyDraft]] = {
         "double-turntable": draft,
         "tumble": tumble_draft,
@@ -164,7 +164,7 @@ def drafted(looks: Sequence[Look], answers: Mapping[str, str], test: Test) -> An
 
 
 def write_description(draft: AnyDraft, folder: Path) -> Path:
-    """Write the description into the campaign's folder, with what was guessed as comments."""
+    """Write the description into the campaign's folder, with the guesses as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; edit it, or choose another folder")
@@ -195,7 +195,7 @@ def further_runs(
 ) -> list[dict[str, Any]]:
     """Return runs of a description for further files, each at the rate that its file shows.
 
-    document: The description; the files are read as it reads those that it has.
+    document: The description; the files are read in the same way as those that it has.
     """
     records, runs = document.get("records", {}), document.get("runs", [])
     time, angle = records.get("time") or {}, records.get("angle") or {}
@@ -229,7 +229,7 @@ def _runs(
     place: Path,
     names: list[str],
 ) -> Iterator[dict[str, Any]]:
-    """Yield the run of each file, under a name that is not among `names`, and add it there."""
+    """Yield the run of each file under a name that is not among `names`, and add the name."""
     for guess in guesses:
         stem, sheet = guess.look.path.stem, guess.look.sheet
         name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
@@ -294,7 +294,7 @@ def _statements(
 
 
 def _nothing_shown(common: FileGuess) -> Iterator[str]:
-    """Yield what is said of files that show no kind of test."""
+    """Yield the messages for files that show no kind of test."""
     if not common.signals and common.rate is None:
         yield (
             "no column swings as on a double turntable, and no three columns rest as a sensor in "
@@ -337,7 +337,7 @@ def _records(common: FileGuess, answers: Mapping[str, str], sense: str) -> dict[
 
 
 def _zero(common: FileGuess, sense: str) -> str | None:
-    """Return where the arm points at the encoder's zero, by the wave along a horizontal axis."""
+    """Return the arm's direction at the encoder's zero, from the wave along a horizontal axis."""
     turned = 1.0 if sense == SENSES[0] else -1.0
     forward = turned if common.rising else -turned
     for signal in common.signals:
@@ -371,7 +371,7 @@ def _accelerometers(common: FileGuess) -> dict[str, Any]:
 
 
 def _rate(guess: FileGuess, answers: Mapping[str, str], sense: str) -> str:
-    """Return the rate of a run, a round number where it is nearly one."""
+    """Return the rate of a run, rounded if it is close to a round number."""
     if guess.rate is None:
         return answers["rate"]
     along = sense == SENSES[0]

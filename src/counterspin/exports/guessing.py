@@ -1,8 +1,8 @@
-"""Which column of a recorder's file is what.
+"""Guess the role of each column of a recorder's file.
 
-Names and units tell most. Where they do not, the numbers do: time rises in even steps; an angle
-rises with it, perhaps wrapped; a signal swings once a revolution. What a person answers stands
-above both.
+Names and units are the first evidence. Without them, the numbers decide: time rises in even steps;
+an angle rises with time, perhaps wrapped; a signal has a wave of one revolution. A person's answers
+take precedence over both.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ STANDARD_GRAVITY: Final = 9.80665
 
 @frozen
 class TimeGuess:
-    """The time."""
+    """The time column."""
 
     column: str  #: In the file.
     unit: str | None  #: ``iso`` for time stamps; None: unknown.
@@ -86,7 +86,7 @@ class TimeGuess:
 
 @frozen
 class AngleGuess:
-    """The angle."""
+    """The angle column."""
 
     #: The column, and its unit; of pulses a unit of time. None: unknown.
     column: str
@@ -101,8 +101,8 @@ class AngleGuess:
 class SignalGuess:
     """A signal: its column, observable and unit (None: unknown), axis and wave by the angle.
 
-    The wave is the signal's amplitude, in the column's unit, and its phase against the angle as
-    the encoder counts it, rad; None without an angle.
+    The wave is the signal's amplitude, in the column's unit, and its phase against the angle as the
+    encoder counts it, rad; None without an angle.
     """
 
     column: str
@@ -117,7 +117,7 @@ class SignalGuess:
 
 @frozen
 class FileGuess:
-    """What one file has."""
+    """The columns of one file."""
 
     look: Look  #: The file.
     #: The columns; None: there seems to be none.
@@ -134,7 +134,7 @@ class FileGuess:
 
     @property
     def temperature_table(self) -> dict[str, dict[str, str]]:
-        """What [records] says of the temperature; empty without one."""
+        """Return the temperature's table in [records]; empty without a temperature."""
         if self.temperature is None:
             return {}
         column, scale = self.temperature
@@ -142,7 +142,7 @@ class FileGuess:
 
     @property
     def temperature_words(self) -> list[str]:
-        """What a person is told of it."""
+        """Return the description of the temperature for a person."""
         if self.temperature is None:
             return []
         column, scale = self.temperature
@@ -151,9 +151,9 @@ class FileGuess:
 
 @np.errstate(all="ignore")  # no number of a file is too odd to be looked at
 def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> FileGuess:
-    """Return which column of a file is what; see the module.
+    """Return the role of each column of a file; see the module.
 
-    told: What a person says of it, by the keys of questions.
+    told: A person's answers about the file, by the keys of questions.
     """
     columns = [
         replace(column, unit=told.get(f"{column.name} unit", column.unit))
@@ -220,15 +220,15 @@ def _chosen(
     told: str | None,
     guess: Callable[[Sequence[FileColumn]], FileColumn | None],
 ) -> FileColumn | None:
-    """Return the column that is told, or else the one that is guessed."""
+    """Return the column that a person named, or else the guessed one."""
     named = next((column for column in columns if column.name == told), None)
     return named if told == NONE or named is not None else guess(columns)
 
 
 def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
-    """Return the column of a temperature by its unit or its name, and its scale; None: none.
+    """Return a temperature's column, by its unit or its name, and its scale; None without one.
 
-    Counts of a thermometer are none: its scale would be a guess.
+    Raw counts of a thermometer are ignored: their scale would be a guess.
     """
     for column in columns:
         scale = column.unit or ("degC" if _TEMPERATURE.fullmatch(column.name) else "")
@@ -240,7 +240,7 @@ def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
 
 
 def _sampling(look: Look, told: Mapping[str, str]) -> float | None:
-    """Return how many rows there are a second, Hz: as told, or as the file states it."""
+    """Return the number of rows a second, Hz: as a person answered, or as the file states it."""
     if "sampling_rate" in told:
         return parse(told["sampling_rate"], "Hz").value
     if look.interval:
@@ -252,7 +252,7 @@ def _sampling(look: Look, told: Mapping[str, str]) -> float | None:
 
 
 def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:
-    """Return the unit in which the steps of a time make the sampling rate, Hz; None: none."""
+    """Return the unit in which a time's steps make the sampling rate, Hz; None if no unit does."""
     step = float(np.nanmedian(np.diff(time.values)))
     for unit in ("s", "ms", "us") if sampling else ():
         if abs(step * unit_factor(unit, "s") * (sampling or 0.0) - 1.0) < _UNIT_TOLERANCE:
@@ -261,7 +261,7 @@ def _unit_by_rate(time: FileColumn, sampling: float | None) -> str | None:
 
 
 def _unit_by_turning(rate: float | None) -> str | None:
-    """Return the unit of a time in which a spindle turns so fast, rad per unit; None: none."""
+    """Return the unit of time that fits a spindle's rate, rad per unit; None if no unit does."""
     for unit, (slowest, fastest) in _TURNING_UNITS.items():
         if rate is not None and slowest <= abs(rate) <= fastest:
             return unit
@@ -269,13 +269,13 @@ def _unit_by_turning(rate: float | None) -> str | None:
 
 
 def _number(look: Look, names: re.Pattern[str]) -> float | None:
-    """Return the single number of a name, if it is positive."""
+    """Return the only number in a name, if it is positive."""
     found = [value for name, value in look.numbers.items() if names.fullmatch(name)]
     return found[0] if found and np.isfinite(found[0]) and found[0] > 0.0 else None
 
 
 def _is_signal(column: FileColumn, swing: float | None, told: Mapping[str, str]) -> bool:
-    """Return whether a column is a signal: as told, or because it swings, or by its name."""
+    """Return whether a column is a signal: by an answer, by its wave, or by its name."""
     if (what := told.get(f"{column.name} is")) is not None:
         return what != UNUSED
     if "signal" in told:
@@ -286,9 +286,9 @@ def _is_signal(column: FileColumn, swing: float | None, told: Mapping[str, str])
 
 
 def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
-    """Return what several files have in common, the first of them speaking for all.
+    """Return the guess common to several files, for which the first stands.
 
-    What a signal is may show in how its amplitude grows with the rate.
+    A signal's observable may show in how its amplitude grows with the rate.
     """
     first = guesses[0]
     for guess in guesses[1:]:
@@ -325,7 +325,7 @@ def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
 
 
 def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
-    """Return the column of the time: by its kind, its name or its unit, or even steps."""
+    """Return the time column: by its kind, its name or its unit, or by even steps."""
     # A clock that stands still from row to row tells no time of theirs.
     stamps = [column for column in columns if column.stamps and is_fine(column.values)]
     if stamps:
@@ -354,18 +354,18 @@ def _time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
 
 
 def _is_named_time(column: FileColumn) -> bool:
-    """Return whether a column has a name of times; a path may stand before it."""
+    """Return whether a column has a name of times; a path may precede it."""
     return bool(_TIME.match(re.split(r"[/.]", column.name)[-1]))
 
 
 def _rises(values: Array) -> bool:
-    """Return whether numbers never fall, and rise from row to row, most of them."""
+    """Return whether numbers never fall, and rise between most rows."""
     steps = np.diff(values[np.isfinite(values)])
     return bool(len(steps) >= 8 and (steps >= 0.0).all() and is_fine(values))
 
 
 def is_fine(stamps: Array) -> bool:
-    """Return whether times differ from row to row, most of them."""
+    """Return whether times differ between most rows."""
     steps = np.diff(stamps[np.isfinite(stamps)])
     return bool(len(steps) and np.mean(steps > 0.0) > 0.5)
 
@@ -380,7 +380,7 @@ def is_even(values: Array) -> bool:
 
 
 def _angle_column(advancing: Sequence[FileColumn]) -> FileColumn | None:
-    """Return the column of the angle among those that advance evenly, perhaps wrapped."""
+    """Return the angle column among those that advance evenly, perhaps wrapped."""
     turning = [column for column in advancing if not _counts_rows(column)]
     named = [column for column in turning if _ANGLE.match(column.name)]
     united = [c for c in turning if _unit_of(c, "rad") or _unit_of(c, "count")]
@@ -388,14 +388,14 @@ def _angle_column(advancing: Sequence[FileColumn]) -> FileColumn | None:
 
 
 def _counts_rows(column: FileColumn) -> bool:
-    """Return whether a column has the numbers of its rows, which advance at any rate."""
+    """Return whether a column has row numbers, which advance at any rate."""
     return bool(_COUNTER.fullmatch(column.name)) or bool(
         column.values[0] in (0.0, 1.0) and (np.diff(column.values) == 1.0).all()
     )
 
 
 def _advance(values: Array, time: Array) -> tuple[Array, float | None] | None:
-    """Return values unwrapped, and by how much they were wrapped; None if they do not advance."""
+    """Return unwrapped values and their period; None if they do not advance."""
     good = np.isfinite(values) & np.isfinite(time)
     if good.sum() < max(16, 0.8 * len(values)):
         return None
@@ -421,7 +421,7 @@ def _advance(values: Array, time: Array) -> tuple[Array, float | None] | None:
 def _angle(
     column: FileColumn, time: Array, turning: float | None, told: Mapping[str, str]
 ) -> tuple[AngleGuess, Array | None]:
-    """Return what an angle is in, and the angle in rad as the encoder counts it."""
+    """Return the unit of an angle, and the angle in rad as the encoder counts it."""
     found = _advance(column.values, time)
     assert found is not None
     unwrapped, period = found
@@ -455,7 +455,7 @@ def _angle(
 
 
 def _whole_counts(period: float) -> float | None:
-    """Return the counts of a revolution: a power of two or a round number near by."""
+    """Return the counts of a revolution: the nearest power of two or round number."""
     near = [2.0**n for n in range(8, 33)] + [
         digit * 10.0**n for n in range(2, 9) for digit in (1.0, 1.2, 1.8, 2.0, 2.5, 3.6, 4.0, 5.0)
     ]
@@ -466,7 +466,7 @@ def _whole_counts(period: float) -> float | None:
 def _pulses(
     columns: Sequence[FileColumn], time: Array, turning: float
 ) -> tuple[AngleGuess | None, Array | None]:
-    """Return the column whose few numbers are times, one a revolution, and the angle, rad."""
+    """Return a column of few numbers that are times, one a revolution, and the angle, rad."""
     for column in columns:
         values = column.values[np.isfinite(column.values)]
         if 3 <= len(values) < len(time) / 4 and (np.diff(values) > 0.0).all():
@@ -488,7 +488,7 @@ def _signal(
     rate: float | None,
     told: Mapping[str, str],
 ) -> SignalGuess:
-    """Return what a signal is, by its unit, and its wave."""
+    """Return a signal with its observable by the unit, and its wave."""
     wanted = told.get(f"{column.name} is")
     observable, unit = wanted, None
     for name, si in OBSERVABLES.items():
@@ -519,9 +519,9 @@ def _unit_of(column: FileColumn, wanted: str) -> str | None:
 
 
 def unit_in_name(name: str) -> str:
-    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty: there is none.
+    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
 
-    A single letter alone is a name, and so is A behind a blank: sensor A.
+    A single letter alone is a name, and so is A after a blank: sensor A.
     """
     *before, ending = re.split(r"[_\s,]+", name.strip())
     if "A" == ending != name.rpartition("_")[2]:
@@ -532,7 +532,7 @@ def unit_in_name(name: str) -> str:
 
 
 def converts(unit: str, wanted: str) -> bool:
-    """Return whether a unit is one in which something is wanted; no unit is none."""
+    """Return whether a unit converts to a wanted one; no unit does not."""
     try:
         return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) != 0.0
     except ValueError:

@@ -1,4 +1,4 @@
-"""What is in a file of a recorder, before anybody says what it means: columns, and their waves."""
+"""The columns of a recorder's file and their waves, before any meaning is assigned."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class FileColumn:
 
 @frozen(eq=False)
 class Look:
-    """What is in a file."""
+    """The contents of a file."""
 
     path: Path  #: The file.
     columns: tuple[FileColumn, ...]  #: Those that hold numbers or time stamps.
@@ -79,10 +79,10 @@ def look_at(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Look, ...]:
-    """Return what is in the files of the runs.
+    """Return the contents of the runs' files.
 
-    answers: ``sheet`` is that of workbooks with several tables, or `ALL_SHEETS`; without it, the
-        first.
+    answers: ``sheet`` selects the table of workbooks with several, or `ALL_SHEETS`; the default is
+        the first.
     progress: Called with (files looked at, files in all).
     """
     asked = (answers or {}).get("sheet")
@@ -100,7 +100,7 @@ def look_at(
 
 
 def look(path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()) -> Look:
-    """Return what is in a file, or in one of its sheets."""
+    """Return the contents of a file, or of one of its sheets."""
     return in_reader_process(_look, path, sheet, sheets)
 
 
@@ -149,7 +149,7 @@ def _words(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[
 
 
 def _column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:
-    """Return a column as numbers, or as time stamps, or None and why it is no number."""
+    """Return a column as numbers or time stamps; or None, and why it has no numbers."""
     why = ""
     for stamps in (False, True):
         file.stamps = frozenset([name] if stamps else [])
@@ -177,9 +177,9 @@ _WAVE_SHARE: Final = 0.5
 
 
 def frequency(time: Array, values: Array) -> float | None:
-    """Return the frequency of the wave that a column is made of, Hz; None if it is none.
+    """Return the frequency of a column's wave, Hz; None without a wave.
 
-    time, values: Shape (n,), NaN where there is none; time rises, in s.
+    time, values: Shape (n,), NaN for missing values; time rises, in s.
     """
     good = np.isfinite(time) & np.isfinite(values)
     t, y = time[good][:_MAX_SAMPLES], values[good][:_MAX_SAMPLES]
@@ -206,9 +206,10 @@ def frequency(time: Array, values: Array) -> float | None:
 
 
 def wave(angle: Array, values: Array, degree: int = 2) -> tuple[float, float]:
-    """Return amplitude and phase of values = A cos(angle + phase), beside a polynomial.
+    """Return amplitude and phase of values = A cos(angle + phase) + a polynomial.
 
-    angle, values: rad, unwrapped, and what follows it; shape (n,), NaN where there is none.
+    angle: Unwrapped, rad.
+    values: Values at the angles, shape (n,), NaN where missing.
     degree: Of the polynomial in the angle.
     """
     good = np.isfinite(angle) & np.isfinite(values)

@@ -1,6 +1,6 @@
-"""From what a sensor with three axes reads, set down in many poses, to a campaign's description.
+"""Draft a campaign's description from readings of a sensor with three axes in many poses.
 
-Such a record shows itself, and so does a table with a pose in each row
+Such a record is detected from its data, and so is a table with a pose in each row
 (`counterspin.exports.triads`).
 """
 
@@ -44,7 +44,7 @@ _NO_NOISE: Final = 6
 
 @frozen
 class PosesDraft(AnsweredExport):
-    """What a record of poses shows, and what a person has answered."""
+    """The contents of a record of poses, and a person's answers."""
 
     guesses: tuple[FileGuess, ...]  #: Of each file.
     found: (
@@ -53,12 +53,12 @@ class PosesDraft(AnsweredExport):
 
     @property
     def files(self) -> list[Path]:
-        """The records."""
+        """The files of the records."""
         return [guess.look.path for guess in self.guesses]
 
     @property
     def look(self) -> Look:
-        """What is in the first file."""
+        """The contents of the first file."""
         return self.guesses[0].look
 
     @property
@@ -67,7 +67,7 @@ class PosesDraft(AnsweredExport):
         return self.found.columns if self.found else None
 
     def document(self, folder: Path) -> dict[str, Any]:
-        """Return the description that guesses and answers make; CampaignError if one is missing.
+        """Return the description made from guesses and answers; CampaignError if one is missing.
 
         folder: The campaign's.
         """
@@ -105,7 +105,7 @@ class PosesDraft(AnsweredExport):
     def _table(
         self, columns: Sequence[str], said: Mapping[str, str], place: Path
     ) -> dict[str, Any]:
-        """Return where a table of poses is, and what its columns are."""
+        """Return the keys for a table of poses: its file and the role of its columns."""
         look = self.look
         readings: dict[str, Any] = {"file": relative_name(look.path, place)}
         readings |= {"sheet": look.sheet} if look.sheet else {}
@@ -117,7 +117,7 @@ class PosesDraft(AnsweredExport):
         return {"readings": readings | {"attitude": "unknown", "columns": read}}
 
     def _records(self, said: Mapping[str, str], place: Path) -> dict[str, Any]:
-        """Return how the time is in records of poses, and a run for each."""
+        """Return the keys for records of poses: their time, and a run for each."""
         time = self.guesses[0].time
         poses = {"rest": said["rest"]} | ({"u": said["u"]} if "u" in said else {})
         rows: dict[str, Any] = {"sampling_rate": said.get("sampling_rate")}
@@ -140,9 +140,9 @@ class PosesDraft(AnsweredExport):
 
 
 def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> PosesDraft:
-    """Return what records of poses show, and what has to be asked.
+    """Return a draft from records of poses, and the open questions.
 
-    answers: By the keys of questions; they stand above what is guessed.
+    answers: By the keys of questions; they take precedence over guesses.
     """
     if not looks:
         raise CampaignError("init", ["name the record of the poses"])
@@ -163,7 +163,7 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
 
 
 def shows_poses(looks: Sequence[Look]) -> bool:
-    """Return whether files seem to be records of a sensor that was set down in many poses."""
+    """Return whether files seem to be records of a sensor in many poses."""
     found = find_triad([guessed_poses(look, {}) for look in looks], {})
     if found is None or found.unit is not None:
         return found is not None
@@ -172,7 +172,7 @@ def shows_poses(looks: Sequence[Look]) -> bool:
 
 
 def _model(found: TriadColumns | None) -> dict[str, Any]:
-    """Return what is asked for of poses that do not tell all; empty for others."""
+    """Return the requested terms for poses that do not determine all; empty for others."""
     if found is None or found.means is None or found.tells_angles:
         return {}
     return {"model": {"terms": ["K_F", "K_I"]}}
@@ -272,7 +272,7 @@ def _statements(
 
 
 def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
-    """Yield what is said of a table with a pose in each row."""
+    """Yield the messages about a table with a pose in each row."""
     assert found.means is not None
     unit = f" in {found.unit}" if found.unit else ""
     yield f"a sensor with three axes: columns {quoted(found.columns)}{unit}"
@@ -283,7 +283,7 @@ def _of_table(guess: FileGuess, found: TriadColumns) -> Iterator[str]:
 
 
 def _few(found: TriadColumns) -> Iterator[str]:
-    """Yield what is said of poses that are too few, or in too few directions."""
+    """Yield the messages about poses that are too few, or in too few directions."""
     if not _model(found) or found.means is None:
         return
     few = len(found.means) <= PARAMETERS

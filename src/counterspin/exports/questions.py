@@ -1,7 +1,8 @@
-"""What is asked of a person about a recorder's files, and what answers and signals show together.
+"""Ask a person about a recorder's files, and combine the answers with the signals.
 
-On a double turntable every signal swings as the centrifuge's radius does in its direction. So the
-radius shows the unit of one, and the phase between two shows the sense or the axis of the second.
+On a double turntable every signal has a wave of the centrifuge's radius in the signal's direction.
+Therefore the radius shows the unit of a signal, and the phase between two signals shows the sense
+or the axis of the second.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ _DECIMAL_COMMA: Final = re.compile(r"(?<![\d.])(\d+),(\d+)(?![\d,])")
 
 @frozen
 class ExportQuestion:
-    """What files do not say, or what is guessed of them and may be overruled."""
+    """A question about facts that files do not state, or about a guess that may be overruled."""
 
     key: str  #: By which it is answered.
     text: str  #: The question.
@@ -110,7 +111,7 @@ class ExportQuestion:
     unit: str = ""  #: What a unit that is asked for must convert to; empty: none is asked for.
 
     def judged(self, answer: str) -> str:
-        """Return an answer in the words of a description; ValueError if it is none."""
+        """Return an answer in the words of a description; ValueError if it is not valid."""
         clean = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
         if self.choices and not self.unit:
             return self._chosen(answer.strip())
@@ -145,7 +146,7 @@ class ExportQuestion:
 
 @frozen
 class AnsweredExport:
-    """What was guessed of files, and what a person has answered."""
+    """Guesses from files, and a person's answers."""
 
     statements: tuple[str, ...]  #: What was guessed, in whole sentences.
     questions: tuple[ExportQuestion, ...]  #: What may be answered.
@@ -154,7 +155,7 @@ class AnsweredExport:
 
     @property
     def open_questions(self) -> list[ExportQuestion]:
-        """What has to be answered before a description can be written."""
+        """The questions that must be answered before a description can be written."""
         return [
             question
             for question in self.questions
@@ -162,7 +163,7 @@ class AnsweredExport:
         ]
 
     def complete(self) -> dict[str, str]:
-        """Return guesses, and answers above them; CampaignError if one is missing or wrong."""
+        """Return guesses, overruled by answers; CampaignError if one is missing or wrong."""
         # Nothing is asked about files that have to be exported anew.
         if unfit := [line for line in self.problems if line.startswith(f"{UNFIT}: ")]:
             raise CampaignError("init", unfit)
@@ -178,7 +179,7 @@ class AnsweredExport:
 
 
 def relative_name(file: Path, folder: Path) -> str:
-    """Return a file's path from a folder, whole where the two share no folder to be moved with."""
+    """Return a file's path relative to a folder; absolute if they share no parent folder."""
     file = file.resolve()
     if file.anchor != folder.anchor or file.parts[1:2] != folder.parts[1:2]:
         return str(file)
@@ -196,7 +197,7 @@ def _unit_error(unit: str, wanted: str) -> str:
 def questions_of(
     common: FileGuess, sense: str | None, answered: Collection[str] = ()
 ) -> Iterator[ExportQuestion]:
-    """Yield what may be answered: what is needed, and what is guessed.
+    """Yield the questions that may be answered: open ones, and guesses.
 
     answered: Keys that were answered before.
     """
@@ -215,9 +216,9 @@ def questions_of(
 
 
 def place_questions(look: Look, *more: str) -> Iterator[ExportQuestion]:
-    """Yield the questions of every table: its sheet, and where it was taken.
+    """Yield the questions of every table: its sheet, and the place of the test.
 
-    more: Answers beside the names of the sheets.
+    more: Answers in addition to the names of the sheets.
     """
     if look.sheets:
         text = "Which sheet is the table?"
@@ -253,7 +254,7 @@ def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[Export
 
 
 def _clock_seen(look: Look) -> str:
-    """Return what a clock shows that stands still from row to row; empty text if there is none."""
+    """Describe a clock that stands still from row to row; empty text if the clock runs."""
     for column in look.columns:
         seconds = column.values[np.isfinite(column.values)]
         if column.stamps and len(seconds) > 1 and (span := float(np.ptp(seconds))) > 0.0:
@@ -310,10 +311,10 @@ def settled(
     answers: Mapping[str, str] | None,
     asked: Callable[[Mapping[str, str]], Sequence[ExportQuestion]],
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the answers that count, in the words of a description, and what is wrong with others.
+    """Return the valid answers in the words of a description, and the errors of others.
 
-    asked: Returns what may be answered once some answers are taken: with its unit, an angle shows
-        the sense and the rates.
+    asked: Returns the questions once some answers are known: with its unit, an angle shows the
+        sense and the rates.
     """
     taken: dict[str, str] = {}
     while True:
@@ -326,7 +327,7 @@ def settled(
 def judged_answers(
     questions: Sequence[ExportQuestion], answers: Mapping[str, str]
 ) -> tuple[dict[str, str], list[str]]:
-    """Return answers in the words of a description, and what is wrong with the others."""
+    """Return answers in the words of a description, and the errors of the others."""
     known = {question.key: question for question in questions}
     taken, problems = {}, []
     for key, answer in answers.items():
@@ -354,7 +355,7 @@ _PHASE_TOLERANCE: Final = 0.3
 
 
 def waves_sense(common: FileGuess) -> str | None:
-    """Return the sense in which the angle grows, by the waves along two horizontal axes."""
+    """Return the sense in which the angle grows, from the waves along two horizontal axes."""
     phases: dict[str, dict[str, float]] = {}
     for signal in common.signals:
         if signal.phase is not None and signal.axis is not None and signal.observable:
@@ -371,7 +372,7 @@ def waves_sense(common: FileGuess) -> str | None:
 def completed(common: FileGuess, told: Mapping[str, str]) -> FileGuess:
     """Return a guess with units that follow from the radius and axes that follow from the sense.
 
-    told: What a person says, by the keys of questions.
+    told: A person's answers, by the keys of questions.
     """
     signals = common.signals
     if "radius" in told and common.rate is not None and (common.time or common.sampling):
@@ -384,7 +385,7 @@ def completed(common: FileGuess, told: Mapping[str, str]) -> FileGuess:
 
 
 def _with_unit(signal: SignalGuess, radius: float, rate: float) -> SignalGuess:
-    """Return a signal with the unit in which it swings by a radius, m, at a rate, rad/s."""
+    """Return a signal with the unit that fits its wave at a radius, m, and a rate, rad/s."""
     if signal.unit is not None or signal.observable is None:
         return signal
     derivatives, si = list(OBSERVABLES).index(signal.observable), OBSERVABLES[signal.observable]
@@ -399,7 +400,7 @@ def _with_unit(signal: SignalGuess, radius: float, rate: float) -> SignalGuess:
 def _with_axis(
     signal: SignalGuess, signals: tuple[SignalGuess, ...], forward: float
 ) -> SignalGuess:
-    """Return a signal with the axis that its phase shows against another of a known axis.
+    """Return a signal with the axis that its phase shows relative to another of a known axis.
 
     forward: 1 where the angle grows counterclockwise, -1 where it grows clockwise.
     """

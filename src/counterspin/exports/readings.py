@@ -1,4 +1,4 @@
-"""A table of readings, of a tumble or on an arm: which column is what, and what is read in it."""
+"""Tables of readings, of a tumble or on an arm: the role of each column, and its readings."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _SAME: Final = 2e-4
 
 @frozen
 class OutputEstimate:
-    """What readings show of an output, in its unit; NaN: not known."""
+    """Estimates of an output from its readings, in its unit; NaN: not known."""
 
     per_g: float  #: Reading of 1 g along the input axis, less the zero.
     zero: float  #: Reading where no force is felt.
@@ -65,7 +65,7 @@ class OutputEstimate:
 
 @frozen
 class ReadingsDraft(AnsweredExport):
-    """What a table of readings shows, and what a person has answered."""
+    """The contents of a table of readings, and a person's answers."""
 
     look: Look  #: The table.
     roles: Mapping[str, str]  #: Column -> what it is.
@@ -77,7 +77,7 @@ class ReadingsDraft(AnsweredExport):
 
     @property
     def said(self) -> dict[str, str]:
-        """Guesses, and answers above them, as far as there are any."""
+        """Guesses, overruled by the available answers."""
         guessed = {q.key: q.guess for q in self.questions if q.guess is not None}
         return guessed | dict(self.answers)
 
@@ -88,12 +88,12 @@ class ReadingsDraft(AnsweredExport):
         columns: Mapping[str, str],
         machine: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Return the description of what every table of readings says.
+        """Return the part of the description that all tables of readings share.
 
         folder: The campaign's.
-        axes: The accelerometers' own, in the level attitude.
-        columns: Key of a reading -> column, beside those of the outputs.
-        machine: What is said of the centrifuge, if there is one.
+        axes: The axes of the accelerometers in the level attitude.
+        columns: Key of a reading -> column, except those of the outputs.
+        machine: The centrifuge's table, if there is one.
         """
         said, place = self.complete(), folder.resolve()
         readings = [
@@ -144,7 +144,7 @@ class ReadingsDraft(AnsweredExport):
 
 
 def usual_role(column: FileColumn) -> str:
-    """Return what a column of numbers is in any table, by its name and unit."""
+    """Return the role of a column of numbers in any table, by its name and unit."""
     if column.unit in ("degC", "K") or (_TEMPERATURE.match(column.name) and not column.stamps):
         return "temperature"
     if column.stamps or _TIME.match(column.name) or converts(column.unit, "s"):
@@ -168,10 +168,10 @@ def roles_of(
     guess: Callable[[FileColumn], str],
     parts: Mapping[str, str | None],
 ) -> dict[str, str]:
-    """Return what each column is, of words too.
+    """Return the role of each column, of words too.
 
-    guess: What a column of numbers is.
-    parts: What only one column is -> the column that it seems to be, None if there is none.
+    guess: The role of a column of numbers.
+    parts: Role of a single column -> the likely column, None without one.
     """
     named = next((name for name in look.others if _NAME.match(name)), None)
     roles = {name: "name" if name == named else UNUSED for name in look.others}
@@ -205,7 +205,7 @@ def outputs_of(
 
 
 def kind_of_columns(columns: Sequence[FileColumn]) -> str:
-    """Return what several columns of readings are, by their names and how far they differ."""
+    """Return the role of several columns of readings, by their names and their differences."""
     if len(columns) < 2 or len({len(column.values) for column in columns}) > 1:
         return ACCELEROMETERS
     values = np.array([column.values for column in columns])
@@ -223,9 +223,9 @@ def kind_of_columns(columns: Sequence[FileColumn]) -> str:
 def several_question(
     columns: Sequence[FileColumn], guess: str, *more: str
 ) -> Iterator[ExportQuestion]:
-    """Yield what several columns of readings are.
+    """Yield the question about the role of several columns of readings.
 
-    more: What they may be besides one accelerometer each, or repeats.
+    more: Further roles besides one accelerometer each, or repeats.
     """
     if len(columns) > 1:
         said = "".join(f", {kind}" for kind in more)
@@ -236,7 +236,7 @@ def several_question(
 def part_question(
     part: str, text: str, names: Sequence[str], roles: Mapping[str, str], *, needed: bool
 ) -> ExportQuestion:
-    """Return the question which column it is that only one can be."""
+    """Return the question about the column of a role that only one can have."""
     there = next((name for name, role in roles.items() if role == part), None)
     if needed:
         return ExportQuestion(part, text, names[0], tuple(names), there)
@@ -249,10 +249,10 @@ def role_questions(
     parts: Sequence[str],
     word_roles: Sequence[str] = WORD_ROLES,
 ) -> Iterator[ExportQuestion]:
-    """Yield what each other column is.
+    """Yield the questions about the roles of the other columns.
 
-    parts: What only one column is, and may be said of a column of numbers.
-    word_roles: What may be said of a column of words.
+    parts: Roles of a single column, which a column of numbers may have.
+    word_roles: Roles that a column of words may have.
     """
     for name, role in roles.items():
         if role in parts:
@@ -266,7 +266,7 @@ def role_questions(
 def output_questions(
     column: FileColumn, told: Mapping[str, str], sensed: OutputEstimate
 ) -> Iterator[ExportQuestion]:
-    """Yield what a column of readings is in."""
+    """Yield the questions about the units of columns of readings."""
     name = column.name
     text = f"In which unit are the readings of column '{name}'?"
     unit = output_unit(column, told)
@@ -284,13 +284,13 @@ def output_questions(
 
 
 def output_unit(column: FileColumn, told: Mapping[str, str] = MappingProxyType({})) -> str | None:
-    """Return what a column of readings is in: as told, by the file, or by the end of its name."""
+    """Return the unit of a column of readings: by an answer, the file, or the end of its name."""
     known = (unit for unit in (column.unit, unit_in_name(column.name)) if unit in _OUTPUTS)
     return told.get(f"{column.name} unit") or next(known, None)
 
 
 def table_statements(look: Look, roles: Mapping[str, str]) -> Iterator[str]:
-    """Yield what is taken for what."""
+    """Yield statements of the role of each column."""
     rows = max(len(column.values) for column in look.columns)
     yield f"{look.path.name}: {', '.join([f'{rows} rows', *filter(None, [look.found])])}"
     for column in look.columns:

@@ -1,8 +1,8 @@
-"""Which columns of a file are a sensor's three axes, and where it was set down.
+"""Find the columns of a sensor's three axes, and its poses.
 
-At rest three columns are together as large as gravity, whichever way they share it: poses lie on a
-sphere. Its middle is zero, but for the counts of a converter and the volts of a single supply. A
-record has many rows at each rest; in a table of poses each row is one.
+At rest the norm of three columns is gravity in any attitude: poses lie on a sphere. Its centre is
+zero, except for a converter's counts and for the volts of a single supply. A record has many rows
+at each rest; each row of a table of poses is one.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _UNLIKE: Final = 1e-3
 
 @frozen(eq=False)
 class TriadColumns:
-    """Three columns, and where they rest."""
+    """Three columns, and their readings at rest."""
 
     columns: tuple[str, str, str]
     unit: str | None  #: None: unknown.
@@ -94,14 +94,14 @@ class TriadColumns:
 
     @property
     def gravity(self) -> float:
-        """What is felt at rest, in the median, in the columns' unit."""
+        """The median norm of the readings at rest, in the columns' unit."""
         if self.means is None:
             return math.nan
         return float(np.median(_norms(self.means - self.zero)))
 
     @property
     def tells_angles(self) -> bool:
-        """Whether poses lie between the axes, and so tell the angles of these beside the rest."""
+        """True if poses lie between the axes, and so determine the angles between the axes."""
         if self.means is None or len(self.means) <= PARAMETERS:
             return False
         x, y, z = ((self.means - _centre(self.means)) / self.gravity).T
@@ -111,12 +111,12 @@ class TriadColumns:
 
     @property
     def in_table(self) -> bool:
-        """Whether each row is a pose."""
+        """True if each row is a pose."""
         return self.means is not None and self.poses is None
 
 
 def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
-    """Return which column is what, where nothing turns: what rises in even steps is the time."""
+    """Return the role of each column without rotation: the time is what rises in even steps."""
     guess = guess_file(look, told)
     first = look.columns[0]
     known = {"time", "sampling_rate"} & set(told)
@@ -131,14 +131,15 @@ def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
 
 
 def _counts_rows(column: FileColumn) -> bool:
-    """Return whether a column numbers the rows, perhaps from anywhere, which is no time."""
+    """Return whether a column numbers the rows, from any start; it is not a time then."""
     return bool(not column.unit and np.all(np.diff(column.values) == 1.0))
 
 
 def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadColumns | None:
-    """Return the columns of a triad: those that are told, or three that rest like one in all files.
+    """Return the columns of a triad: the answered ones, or three that rest alike in all files.
 
-    Of several, such as a magnetometer's beside, the first whose size at rest is gravity's.
+    If there are several, such as those of a magnetometer, return the first with the norm of gravity
+    at rest.
     """
     guess = guesses[0]
     columns, seconds = _together(guesses)
@@ -149,9 +150,9 @@ def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadCo
 
 
 def _tells_more(shorter: TriadColumns | None, longer: TriadColumns | None) -> bool:
-    """Return whether short rests are a sensor's poses that longer ones leave out.
+    """Return whether short rests are poses of the sensor that longer ones leave out.
 
-    A hand that hovers is no pose: it moves too much, or is not as large as gravity.
+    A hovering hand is not a pose: it moves too much, or its norm is not gravity.
     """
     if shorter is None or shorter.means is None:
         return False
@@ -170,7 +171,7 @@ def _found_triad(
     told: Mapping[str, str],
     rest: float,
 ) -> TriadColumns | None:
-    """Return the columns of a triad with rests of so many seconds, as `find_triad`."""
+    """Return the columns of a triad with rests of a given length, s, as `find_triad`."""
     named = [columns[told[axis]] for axis in AXES if told.get(axis) in columns]
     if len(named) == len(AXES):
         return _looked_at(named, seconds, rest, told.get("unit"))
@@ -190,7 +191,7 @@ def _found_triad(
 
 
 def without_gravity(guess: FileGuess) -> tuple[str, ...]:
-    """Return the axes of a sensor that rests at nothing, as where a filter took gravity away."""
+    """Return the axes of a sensor that reads zero at rest, as if a filter removed gravity."""
     columns, seconds = _together([guess])
     there = [one for one in columns.values() if len(one.values) == len(seconds)]
     for three in islice(threes(there), _MOST_THREES):
@@ -209,7 +210,7 @@ def without_gravity(guess: FileGuess) -> tuple[str, ...]:
 
 
 def _felt_alike(one: TriadColumns, other: TriadColumns) -> bool:
-    """Return whether two triads felt the same force: a magnetometer's rests turn otherwise."""
+    """Return whether two triads felt the same force: a magnetometer's rests turn differently."""
     known = one.unit == other.unit and one.means is not None and other.means is not None
     return known and bool(abs(one.gravity / other.gravity - 1.0) < _GRAVITY_PART)
 
@@ -248,7 +249,7 @@ def _may_be_force(unit: str) -> bool:
 def _looked_at(
     columns: Sequence[FileColumn], seconds: Array, rest: float, unit: str | None
 ) -> TriadColumns:
-    """Return where three columns rest, and their unit: as told, by the file or by their size."""
+    """Return where three columns rest, and their unit: by an answer, the file or their norm."""
     first, second, third = (column.name for column in columns)
     named = (first, second, third)
     values = np.column_stack([column.values[:MOST_ROWS] for column in columns])
@@ -276,7 +277,7 @@ def _looked_at(
 
 
 def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
-    """Refuse counts below zero that were written as if they had no sign: -1 as 65535."""
+    """Refuse counts below zero that were written as unsigned numbers: -1 as 65535."""
     there = values[np.isfinite(values).all(axis=1)]
     if not len(there) or not _whole(there) or there.min() < 0.0:
         return
@@ -293,7 +294,7 @@ def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
 
 
 def _rows_of(values: Array) -> Array | None:
-    """Return the rows of a table in which each is a pose, shape (n, 3); None: of a record."""
+    """Return the rows of a table in which each is a pose, shape (n, 3); None for a record."""
     rows = values[np.isfinite(values).all(axis=1)]
     if not _FEWEST_POSES <= len(rows) <= _MOST_POSES:
         return None
@@ -304,13 +305,13 @@ def _rows_of(values: Array) -> Array | None:
 
 
 def _whole(values: Array) -> bool:
-    """Return whether all numbers are whole ones, as a converter counts."""
+    """Return whether all numbers are integers, as a converter counts."""
     there = values[np.isfinite(values)]
     return bool(np.all(there == np.round(there)) and np.ptp(there) > 1.0)
 
 
 def _middle(means: Array) -> Array:
-    """Return the middle of the sphere on which poses lie, shape (3,); zero where that serves."""
+    """Return the centre of the sphere of the poses, shape (3,); zero where zero suffices."""
     none = np.zeros(3)
     if len(means) < _FEWEST_ABOUT_MIDDLE or _turns(means):
         return none
@@ -336,12 +337,12 @@ def _norms(means: Array) -> Array:
 
 
 def _is_gravity(felt: Array) -> bool:
-    """Return whether most of what is felt at rest, m/s^2, is gravity, wrongly scaled a little."""
+    """Return whether most readings at rest, m/s^2, are gravity with a small scale error."""
     return bool(np.mean(np.abs(felt / STANDARD_GRAVITY - 1.0) < _GRAVITY_PART) > 0.8)
 
 
 def _turns(means: Array) -> bool:
-    """Return whether poses, (n, 3), are many, alike in size and unlike in direction."""
+    """Return whether poses, (n, 3), are many, with equal norms and different directions."""
     felt = _norms(means)
     if not felt.all():
         return False
@@ -352,7 +353,7 @@ def _turns(means: Array) -> bool:
 
 
 def grade_of(found: TriadColumns, guess: FileGuess) -> str | None:
-    """Return a grade by the noise at rest; None where nothing tells it."""
+    """Return a grade from the noise at rest; None if nothing shows it."""
     if found.means is None:
         return None
     if found.poses is None:
@@ -372,7 +373,7 @@ def _step(guess: FileGuess) -> float:
 
 
 def _usual_step(time: Array) -> float:
-    """Return the median step of a time that may stand still for some rows."""
+    """Return the median step of a time that may be constant over some rows."""
     steps = np.diff(time)
     return float(np.median(steps[steps > 0.0]))
 
@@ -388,8 +389,8 @@ _OF_FILTER: Final = re.compile(r"(?i).*grav")
 def threes(columns: Sequence[FileColumn]) -> Iterator[Three]:
     """Yield columns that may be axes X, Y and Z of a sensor, the likeliest first.
 
-    Names that differ in these letters alone belong together, in the order of the letters, wherever
-    they stand; other columns do if they follow one another.
+    Names that differ in these letters alone belong together, in the order of the letters and at any
+    place; other columns do if they are adjacent.
     """
     named = _named(columns)
     yield from sorted(named, key=lambda three: bool(_OF_FILTER.match(three[0].name)))
@@ -399,7 +400,7 @@ def threes(columns: Sequence[FileColumn]) -> Iterator[Three]:
 
 
 def _named(columns: Sequence[FileColumn]) -> list[Three]:
-    """Return columns whose names differ in the letters x, y and z alone, in order of the file."""
+    """Return columns whose names differ only in the letters x, y and z, in the file's order."""
     alike: dict[tuple[str, str, bool], dict[str, FileColumn]] = {}
     for column in columns:
         for letter in re.finditer("(?i)[xyz]", column.name):

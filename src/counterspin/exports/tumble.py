@@ -1,7 +1,7 @@
-"""From a table of readings of a multi-position tumble to a campaign's description.
+"""Draft a campaign's description from a table of readings of a multi-position tumble.
 
-Which column is the position and which are readings follows from names, units and numbers. How the
-input axis points at the position 0 follows from the readings: at rest they are greatest where it
+The columns of the position and of the readings follow from names, units and numbers. The direction
+of the input axis at the position 0 follows from the readings: at rest they are greatest where it
 points up.
 """
 
@@ -55,13 +55,13 @@ _WAVE_PART: Final = 0.99
 
 @frozen
 class TumbleDraft(ReadingsDraft):
-    """What a tumble's table of readings shows, and what a person has answered."""
+    """The contents of a tumble's table of readings, and a person's answers."""
 
     @property
     def directions(self) -> list[float]:
-        """Where the input axis points at each position, in deg from up by east; empty: not known.
+        """Directions of the input axis at each position, in deg from up by east; empty: not known.
 
-        As it is seen from the south, where a head that turns about north turns clockwise.
+        Seen from the south, where a head that turns about north turns clockwise.
         """
         said = self.said
         axis, unit, here = (said.get(key) for key in ("axis at 0", "position unit", "position"))
@@ -73,7 +73,7 @@ class TumbleDraft(ReadingsDraft):
         return [float(angle) for angle in turned % 360.0]
 
     def document(self, folder: Path) -> dict[str, Any]:
-        """Return the description that guesses and answers make; CampaignError if one is missing.
+        """Return the description made from guesses and answers; CampaignError if one is missing.
 
         folder: The campaign's.
         """
@@ -86,9 +86,9 @@ class TumbleDraft(ReadingsDraft):
 
 
 def tumble_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> TumbleDraft:
-    """Return what a table of readings shows, and what has to be asked.
+    """Return a draft from a table of readings, and the open questions.
 
-    answers: By the keys of questions; they stand above what is guessed.
+    answers: By the keys of questions; they take precedence over guesses.
     """
     if len(looks) != 1:
         raise CampaignError("init", ["a tumble is one table of readings: give one file"])
@@ -129,7 +129,7 @@ def _is_even(time: FileColumn) -> bool:
 
 
 def _follows(angles: Array, values: Array) -> bool:
-    """Return whether values are the wave of a revolution, beside a constant; angles in rad."""
+    """Return whether values are a constant plus the wave of a revolution; angles in rad."""
     good = np.isfinite(angles) & np.isfinite(values)
     design = np.column_stack([np.cos(angles), np.sin(angles), np.ones(angles.size)])[good]
     y = values[good]
@@ -144,7 +144,7 @@ def _follows(angles: Array, values: Array) -> bool:
 
 
 def _roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
-    """Return what each column is."""
+    """Return the role of each column."""
     found = [column for column in look.columns if _role(column) == "position"]
     found.sort(key=lambda column: not converts(column.unit, "rad"))
     return roles_of(look, told, _role, {"position": found[0].name if found else None})
@@ -163,7 +163,7 @@ def _angle_unit(column: FileColumn) -> str:
 
 
 def _axis(angles: Array, values: Array) -> str | None:
-    """Return how the input axis points at 0, for readings at angles in rad; None if unclear."""
+    """Return the input axis's direction at 0, for readings at angles in rad; None if unclear."""
     up_at = -math.degrees(wave(angles, values, degree=0)[1])
     for axis, angle in _UP_AT.items():
         if abs(math.remainder(up_at - angle, 360.0)) < _POINTING:
@@ -201,7 +201,7 @@ def _questions(
 
 
 def _sensed(column: FileColumn, angles: Array | None) -> OutputEstimate:
-    """Return what the readings show of an output; angles in rad, None: not known yet."""
+    """Return an estimate of an output from its readings; angles in rad, None: not known yet."""
     if angles is None:
         return OutputEstimate(math.nan, math.nan)
     size, phase = wave(angles, column.values, degree=0)
