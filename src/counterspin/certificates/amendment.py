@@ -47,7 +47,7 @@ _PARTS: Final = {
 
 @frozen
 class Amendment:
-    """Which certificate is to be replaced."""
+    """The certificate to be replaced, and the reason."""
 
     path: Path  #: The issued certificate, XML or PDF.
     reason: str  #: Why, in words.
@@ -65,7 +65,7 @@ class AmendedCertificate:
     earlier: tuple[str, ...] = ()
 
     def next_identifier(self) -> str:
-        """Return an identifier for the new one, where the laboratory gives none."""
+        """Return an identifier for the new certificate, if the laboratory gives none."""
         numbered = re.fullmatch(r"(.*)-A(\d+)", self.identifier)
         if numbered is None:
             return f"{self.identifier}-A1"
@@ -73,7 +73,7 @@ class AmendedCertificate:
 
 
 def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
-    """Return what is to be said of a certificate that is replaced, and its XML."""
+    """Return the statements about a certificate that is replaced, and its XML."""
     if not amendment.reason.strip():
         raise CampaignError("certificate", ["`reason`: state why the certificate is replaced"])
     data = read_document(amendment.path)
@@ -110,12 +110,12 @@ def _same(first: str, second: str) -> bool:
 
 
 def with_changes(amended: AmendedCertificate, old: bytes, new: bytes) -> AmendedCertificate:
-    """Return it with what is otherwise in the new certificate's XML."""
+    """Return the amendment with the other changes in the new certificate's XML."""
     return replace(amended, changes=tuple(changes(old, new)))
 
 
 def changes(old: bytes, new: bytes) -> list[str]:
-    """Return in sentences what differs between two certificates, numbers first."""
+    """Return sentences about the differences between two certificates, numbers first."""
     before, after = (read_certificate(data, "the certificate") for data in (old, new))
     return [
         *_numbers(before, after),
@@ -124,7 +124,7 @@ def changes(old: bytes, new: bytes) -> list[str]:
 
 
 def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
-    """Return what a certificate says of the one that it replaces; nothing if there is none."""
+    """Return a certificate's statements about the one that it replaces; none without one."""
     if amended is None:
         return []
     return [
@@ -171,7 +171,7 @@ def _numbers(before: CertificateNumbers, after: CertificateNumbers) -> Iterator[
 
 
 def _certified(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
-    """Return what has values: each accelerometer, and the triad."""
+    """Return the accelerometers and the triad that have certified values."""
     triad = certified.triad
     return certified.accelerometers | ({"the triad": triad.parameters} if triad else {})
 
@@ -225,7 +225,7 @@ _SHOWN: Final = 120
 
 
 def _difference(was: list[str], is_: list[str]) -> str:
-    """Return what stands in the place of what, without the words that both begin and end with."""
+    """Return the old and the new words, without the words common to the start and the end."""
     same = 0
     while same < min(len(was), len(is_)) and was[same] == is_[same]:
         same += 1

@@ -52,7 +52,7 @@ SCHEMA_VERSION: Final = "3.3.0"
 
 
 def check_certifiable(result: Result, names: Sequence[str]) -> None:
-    """Raise RecordError if a result must not be certified; it is judged already, or is here."""
+    """Raise RecordError if a result must not be certified; judge it if necessary."""
     if result.model == "as-printed":
         raise RecordError(
             "this result was computed with the paper's equations as printed, which give "
@@ -80,7 +80,7 @@ def certificate(
 
     verdicts: Conformity of the certified coefficients.
     pages: The same as PDF, or None.
-    original: The result as its file has it, if that is another.
+    original: The result as its file has it, if it differs from `result`.
     """
     names, stated = lab.certified(result), with_capability(result, lab)
     written = _template().render(
@@ -167,7 +167,7 @@ def _template() -> Template:
 
 
 def _release(version: str) -> str:
-    """Return the form of a version that the DCC takes, such as v1.2.3."""
+    """Return a version's release in the form that the DCC requires, such as v1.2.3."""
     found = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", version)
     return f"v{found[0] if found else version}"
 
@@ -178,13 +178,13 @@ def _significant_digit(value: float, u: float) -> int | None:
 
 
 def _rates(result: Result) -> list[tuple[str, float]]:
-    """Return name and rate in rad/s of each reading, made while something turned."""
+    """Return name and rate in rad/s of each reading that was taken during rotation."""
     every = (one for readings in readings_of(result).values() for one in readings)
     return list(dict.fromkeys((reading.name, reading.rate) for reading in every if reading.rate))
 
 
 def _all_together(result: Result, names: Sequence[str]) -> dict[str, Any] | None:
-    """Return the covariance across accelerometers, which g, radius and platform make."""
+    """Return the covariance across accelerometers, caused by g, radius and platform."""
     if len(names) < 2:
         return None
     return _together(
@@ -200,7 +200,7 @@ def _all_together(result: Result, names: Sequence[str]) -> dict[str, Any] | None
 def _together(
     correlation: Correlation | None, estimates: Mapping[str, SiEstimate]
 ) -> dict[str, Any] | None:
-    """Return the covariance of the certified coefficients, where there are two or more."""
+    """Return the covariance of the certified coefficients, if there are two or more."""
     symbols = [s for s in (correlation.terms if correlation else ()) if s in estimates]
     if correlation is None or len(symbols) < 2:
         return None
@@ -239,7 +239,7 @@ def _warnings(result: Result, names: Sequence[str]) -> list[str]:
 
 
 def _drop_unlinked(root: Element) -> None:
-    """Take away each id that nothing refers to, as PTB's rules have it."""
+    """Remove each id without a reference, as PTB's rules require."""
     named = {name for element in root.iter() for name in element.get("refId", "").split()}
     for element in root.iter():
         if element.get("id") not in {None, *named}:
@@ -247,9 +247,9 @@ def _drop_unlinked(root: Element) -> None:
 
 
 def _drop_single_languages(root: Element) -> None:
-    """Where there are two languages, let text that exists in one of them alone state none.
+    """Remove the language of text that exists in only one of two languages.
 
-    PTB's rules ask for text in every language that is used, or for text without one.
+    PTB's rules require text in every language that is used, or text without a language.
     """
     used = len(list(root.iter(f"{{{DCC}}}usedLangCodeISO639_1")))
     for content in root.iter(f"{{{DCC}}}content"):

@@ -1,7 +1,7 @@
-"""The numbers that a certificate states: no smaller than the laboratory's capability, and in SI.
+"""The numbers that a certificate states: in SI, and U not below the laboratory's capability.
 
 The capability (CMC) is the smallest uncertainty that the laboratory may state. In SI the
-uncertainty of g counts by what remains of it after the conversion.
+uncertainty of g contributes only the part that remains after the conversion.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ OUTPUT: Final = {"bias": "K_F", "scale_factor": "K_I"}
 def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     """Return bias and scale factor in the SI unit of an accelerometer's readings.
 
-    Those are left out whose unit has no expression in SI.
+    Omit those whose unit has no expression in SI.
     """
     accelerometer = result.accelerometers[name]
     estimates = {}
@@ -79,7 +79,7 @@ def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
 
 
 def with_exact_g(coefficients: Mapping[str, Coefficient], gravity: float) -> dict[str, SiEstimate]:
-    """Return coefficients in SI units, g (m/s^2) being exact."""
+    """Return coefficients in SI units, with g (m/s^2) taken as exact."""
     return {
         symbol: c.to_si(gravity) for symbol, c in coefficients.items() if wording.is_determined(c)
     }
@@ -90,7 +90,7 @@ def covariance(
 ) -> float:
     """Return the covariance of two coefficients in SI units.
 
-    correlation: Theirs in g-units.
+    correlation: Of the two in g-units.
     """
     first, second = estimates[one], estimates[other]
     if one == other:
@@ -115,19 +115,19 @@ def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
 
 
 def title(triad: TriadResult) -> str:
-    """Return what the triad is called in the whole certificate."""
+    """Return the triad's title in the whole certificate."""
     return TITLE + ", ".join(triad.accelerometers)
 
 
 def triad_in_si(result: Result, triad: TriadResult) -> dict[str, SiEstimate]:
-    """Return the parameters that are determined, in SI units."""
+    """Return the determined parameters in SI units."""
     return _in_si(result, triad, triad.parameters)
 
 
 def shown_in_si(
     result: Result, triad: TriadResult
 ) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
-    """Return the same by their words, in g-units and in SI, as pages show them."""
+    """Return the determined parameters by their words, in g-units and in SI, as pages show them."""
     shown = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
     in_si = _in_si(result, triad, {name: c for name, (_, c) in shown.items()})
     return dict(shown.values()), {shown[name][0]: estimate for name, estimate in in_si.items()}
@@ -148,13 +148,13 @@ def _in_si(
 
 
 def matrix_dof(triad: TriadResult) -> float | None:
-    """Return the degrees of freedom of the matrix: the fewest of the parameters that make it."""
+    """Return the degrees of freedom of the matrix: the fewest of its parameters."""
     made = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
     return min((c.dof for c in made if c.dof is not None), default=None)
 
 
 def triad_lines(triad: TriadResult) -> list[str]:
-    """Return what was done with the triad, what its parameters are, and which have no value."""
+    """Return sentences on the triad: the method, its parameters, and those without a value."""
     names = ", ".join(triad.accelerometers)
     lines = [
         f"{names} are one sensor. In addition to their coefficients, parameters are given that "
@@ -196,12 +196,12 @@ def output_table(
 
 
 def _element(value: float, expanded: float) -> str:
-    """Return an element of a matrix, with U where it has one: not of what is zero by choice."""
+    """Return an element of a matrix, with U if it has one; zeros by choice have none."""
     return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
 
 
 def parameter_line(name: str, parameter: Coefficient) -> str:
-    """Return a parameter that is determined, with U and k, in g-units and its SI unit."""
+    """Return a determined parameter, with U and k, in g-units and its SI unit."""
     words, c = shown_parameter(name, parameter)
     k = coverage_factor(c.dof)
     whole = "the whole angle is " if c.value != parameter.value else ""
@@ -210,7 +210,7 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
 
 
 def output_lines(result: Result, triad: TriadResult) -> list[str]:
-    """Return how the corrected output follows from the indications; nothing without a matrix."""
+    """Return sentences on the corrected output from the indications; none without a matrix."""
     if triad.matrix is None:
         return []
     outputs = nominal_outputs(result, triad)
@@ -230,10 +230,10 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
 
 
 def with_capability(result: Result, lab: Lab) -> Result:
-    """Return the result with each expanded uncertainty at least that of the laboratory's CMC.
+    """Return the result with each expanded uncertainty at least the laboratory's CMC.
 
-    What is added is independent of all else (ILAC-P14:09/2020, 5.4): covariances stay, and
-    correlations become smaller. Degrees of freedom and k stay, which makes U no smaller.
+    The added variance is independent of all others (ILAC-P14:09/2020, 5.4): covariances stay, and
+    correlations become smaller. Degrees of freedom and k stay, which does not reduce U.
     """
     if not lab.cmc:
         return result
@@ -279,7 +279,7 @@ _RAISED_BY: Final = {
 
 
 def _triad(result: Result, triad: TriadResult, lab: Lab) -> TriadResult:
-    """Return a triad with no smaller U than the laboratory states of the terms that make it."""
+    """Return a triad with U not below the values that the laboratory states for its terms."""
     g = StatedGravity(result.inputs.gravity, result.inputs.u_gravity)
     factors = {}
     for name, c in triad.parameters.items():
@@ -328,14 +328,14 @@ def capability_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
 
 
 def _enlarged(result: Result, lab: Lab, name: str, symbol: str) -> float:
-    """Return by how much u is to be multiplied, in g-units: 1 where it is large enough."""
+    """Return the factor by which u must grow, in g-units: 1 if it is large enough."""
     c = result.accelerometers[name].coefficients[symbol]
     least = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
     return _factor(c, least, result.gravity_of(name, symbol))
 
 
 def _factor(c: Coefficient, least: float | None, g: StatedGravity) -> float:
-    """Return the same of an estimate, the least U being in its unit; None: none is stated."""
+    """Return the factor of an estimate, with the least U in its unit; None: none is stated."""
     if least is None or not c.u or c.value is None:
         return 1.0
     estimate = si_estimate(c.value, c.u, c.unit, c.dof, g)

@@ -1,7 +1,8 @@
-"""[evidence] of ``LAB.toml``: what bounds the terms that a result takes as perfect.
+"""[evidence] of ``LAB.toml``: bounds of the terms that a result takes as perfect.
 
-A term that a description assumes to be perfect adds nothing to u, so a certificate that states u
-has to say why: with a text of the laboratory for each, such as a measurement or a data sheet.
+A term that a description assumes to be perfect adds nothing to u. Therefore a certificate that
+states u has to justify each such term with a text of the laboratory, such as a measurement or a
+data sheet.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ ALL: Final = "all"
 
 
 def terms_without_evidence(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
-    """Return what is assumed without a text."""
+    """Return the assumed terms without a text."""
     return [name for name in assumed if not any(_covers(key, name) for key in evidence)]
 
 
 def _covers(key: str, name: str) -> bool:
-    """Return whether a key of [evidence] stands for something that is assumed."""
+    """Return whether a key of [evidence] covers an assumed term."""
     if key == ALL:
         return True
     own = name if _is_pattern(name) else symbol_of(name)
@@ -45,9 +46,9 @@ def is_evidence_for_something(key: str, accelerometers: Collection[str]) -> bool
 
 
 def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source: str) -> None:
-    """Refuse a certificate of a result that assumes something for which nobody answers.
+    """Refuse a certificate of a result with assumptions that the laboratory does not justify.
 
-    source: What the laboratory's data are called in the message.
+    source: Name of the laboratory's data in the message.
     """
     lacking = terms_without_evidence(assumed, evidence)
     if not lacking:
@@ -64,7 +65,7 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
 
 
 def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Iterator[str]:
-    """Yield the texts for what is assumed, each with the terms that it is for."""
+    """Yield the texts for assumed terms, each with its terms."""
     for key, text in evidence.items():
         if any(_covers(key, name) for name in assumed):
             yield f"{', '.join(assumed) if key == ALL else key}: {text}"

@@ -1,6 +1,6 @@
-"""A certificate for people: who, what, how, the results, and what is to be said about them.
+"""The pages of a certificate: subject, method, results and statements.
 
-What is an opinion, such as whether a result is good, is left to the report (ISO/IEC 17025 7.8.7).
+Opinions, such as whether a result is good, are left to the report (ISO/IEC 17025 7.8.7).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _ELECTRONIC: Final = "electronic, of the XML and of these pages"
 
 
 def title(issue: Issue) -> str:
-    """Return what stands on top of every page."""
+    """Return the heading of every page."""
     return f"DRAFT, not a {TITLE.lower()}" if issue.draft else TITLE
 
 
@@ -89,7 +89,7 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
 
 
 def _part(name: str, *lines: str) -> Iterator[Block]:
-    """Yield a statement of some lines under its name; nothing without any."""
+    """Yield a named section of some statements; nothing without any."""
     if lines:
         yield Heading(name, 3)
     yield from map(Paragraph, lines)
@@ -111,7 +111,7 @@ def _conformity(stated: Result, verdicts: Verdicts) -> Iterator[Block]:
 
 
 def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
-    """Yield the numbers, of `stated`, and what belongs to them."""
+    """Yield the numbers, of `stated`, and the statements about them."""
     settings, names = lab.certificate, lab.certified(result)
     for name in names:
         accelerometer = stated.accelerometers[name]
@@ -179,7 +179,7 @@ def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
 
 
 def _circumstances(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
-    """Yield how, and where: what a reader needs to judge whether the result is for him."""
+    """Yield method and circumstances, from which a reader judges whether the result applies."""
     inputs = result.inputs
     if lab.certificate.procedure is not None:
         yield "Procedure", lab.certificate.procedure
@@ -234,7 +234,7 @@ def results_table(
 ) -> Table:
     """Return the determined coefficients with U, in g-units and in SI.
 
-    coefficients: In g-units; one that is missing here stands in SI alone.
+    coefficients: In g-units; a missing one is in SI only.
     """
     rows = []
     for symbol, estimate in estimates.items():

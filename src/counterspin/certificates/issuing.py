@@ -1,4 +1,4 @@
-"""From a result to a certificate's file, and from the file back to its numbers."""
+"""Make a result's certificate, write its file, and read the numbers of a file."""
 
 from __future__ import annotations
 
@@ -100,16 +100,15 @@ class Certificate:
         path
             The file.
         ledger
-            The ledger in which it is entered, in place of the laboratory's. A draft is entered in
-            none.
+            The ledger of the entry, instead of the laboratory's. A draft is not entered.
 
         Raises
         ------
         CampaignError
-            If the name ends otherwise.
+            If the name has another ending.
         CounterspinError
-            If there is such a file already, or it cannot be written; or the ledger cannot, was
-            altered, or has this identifier with other content: then nothing is written.
+            If the file exists already or cannot be written; or if the ledger cannot be written,
+            was altered, or has this identifier with other content. Then nothing is written.
         """
         path = Path(path)
         check_place(path)
@@ -181,7 +180,7 @@ class Certificate:
 
 
 def check_place(output: Path) -> None:
-    """Refuse a name of another kind, and one of a file that is there."""
+    """Refuse a name with another ending, and the name of an existing file."""
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: end the name of the file in .xml or .pdf"])
     if output.is_file():
@@ -209,7 +208,7 @@ def _xml_and_pdf(output: Path) -> tuple[Path, Path]:
 
 
 def other_kind(output: Path) -> Path:
-    """Return the name of a certificate's PDF beside that of its XML, or the other way round."""
+    """Return the name of the PDF next to a certificate's XML, or of the XML next to its PDF."""
     return output.with_suffix(next(f for f in FORMATS if f != output.suffix.lower()))
 
 
@@ -383,7 +382,7 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
 
 
 def _identifier(lab: Lab, result: Result, accepted: Sequence[str]) -> str:
-    """Return an identifier that follows from the bytes of the result and the laboratory's data."""
+    """Return an identifier derived from the bytes of the result and the laboratory's data."""
     said = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
     rests_on = (checksum_of(result.content), said, *(accepted or [""]))
     return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
@@ -444,7 +443,7 @@ def _pages(
 
 @frozen
 class CertificateCheck:
-    """What a certificate's file holds, and what its signature is worth."""
+    """The numbers of a certificate's file, and the validity of its signature."""
 
     certified: CertificateNumbers  #: The numbers.
     #: Of the XML: ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
@@ -463,7 +462,7 @@ def check_certificate(
     cert: Path | None = None,
     amends: Path | None = None,
 ) -> CertificateCheck:
-    """Read a certificate's numbers; with a schema validated, with a signer's certificate verified.
+    """Read a certificate's numbers; validate with a schema, verify with a signer's certificate.
 
     schema, cert: As in `certificate`; the signer's certificate, PEM.
     """

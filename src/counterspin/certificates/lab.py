@@ -303,7 +303,7 @@ class Lab(SettingsSection):
     )
 
     def certified(self, result: Result) -> list[str]:
-        """Return the names of the result's accelerometers that the certificate is about."""
+        """Return the names of the result's accelerometers in the certificate."""
         chosen = self.certificate.accelerometers
         return list(result.accelerometers) if chosen is None else chosen
 
@@ -322,7 +322,7 @@ class Lab(SettingsSection):
         return stated.value
 
     def serial_number(self, name: str, result: Result) -> str | None:
-        """Return an accelerometer's own serial number: as stated here, or in the result."""
+        """Return an accelerometer's serial number, from this file or from the result."""
         part = self.accelerometers.get(name, LabAccelerometer())
         return part.serial_number or result.accelerometers[name].serial_number
 
@@ -332,7 +332,7 @@ def read_lab(
 ) -> tuple[Lab, Specifications | None]:
     """Read the file and check it against the result that is to be certified.
 
-    Returns: the file, and what its [specification] says; None without one.
+    Returns: the file, and its [specification]; None without one.
     """
     if isinstance(path, Mapping):
         source, problems = "the laboratory's data", Problems(path)
@@ -398,7 +398,7 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
 
 
 def write_example(path: Path | str) -> Path:
-    """Write a commented example; CounterspinError if the file is there or cannot be written."""
+    """Write a commented example; CounterspinError if the file exists or cannot be written."""
     path = Path(path)
     if path.exists():
         raise CounterspinError(f"{path} exists; edit it, or choose another name")

@@ -1,8 +1,8 @@
-"""The ledger of an instrument: what was found, certified and amended, one line each, only added to.
+"""The append-only ledger of an instrument: results, certificates and amendments, one line each.
 
-Each line is one entry as JSON, and holds the SHA-256 of the entry before and its own. So whoever
-changes, removes or moves an entry must write all later ones anew; a note of the last one's hash,
-kept elsewhere, shows even that. A line counts once its end is on the disk.
+Each line is one entry as JSON, and contains the SHA-256 of the previous entry and its own. Whoever
+changes, removes or moves an entry must therefore rewrite all later ones. A copy of the last hash,
+kept elsewhere, shows even that. An entry is valid only with its newline on the disk.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class VerifiedLedger:
 
     @property
     def head(self) -> str:
-        """Hash of the last entry, which stands for all of them."""
+        """Hash of the last entry, which identifies all of them."""
         return self.entries[-1].digest if self.entries else _BEGINNING
 
 
@@ -83,7 +83,7 @@ def verify_ledger(path: Path) -> VerifiedLedger:
 
 
 def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
-    """Add an entry; several processes may do so at once, and each waits for the others.
+    """Append an entry; several processes may do so at once, and each waits for the others.
 
     Parameters and errors as of `opened` and `OpenLedger.append`.
     """
@@ -97,9 +97,9 @@ def checksum_of(data: bytes) -> str:
 
 
 class OpenLedger:
-    """A ledger that is held: others who would add to it wait.
+    """A locked ledger: other writers wait.
 
-    file: Its file, open for adding; RecordError if it was altered.
+    file: Its file, open for appending; RecordError if it was altered.
     """
 
     def __init__(self, path: Path, file: int) -> None:
@@ -115,9 +115,9 @@ class OpenLedger:
         self._head = verified.head
 
     def append(self, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
-        """Add an entry; it is on the disk when this returns.
+        """Append an entry; it is on the disk when this returns.
 
-        What an interrupted writer left behind is no entry; it is taken away, and the new entry
+        The remainder of an interrupted write is not an entry; it is removed, and the new entry
         keeps it in `of`, as ``unfinished``.
         """
         if self._unfinished:
@@ -150,9 +150,9 @@ class OpenLedger:
 
 @contextmanager
 def open_ledger(path: Path) -> Iterator[OpenLedger]:
-    """Hold a ledger; it is made where there is none.
+    """Lock a ledger; create it if it does not exist.
 
-    Whoever has it keeps others waiting, and lets go when it dies.
+    Other writers wait; the lock ends with its process.
     """
     require_valid_name(path)
     made = not path.exists()
@@ -180,7 +180,7 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
 
 
 def _unlock(file: int) -> None:
-    """Unlock a ledger at once; Windows would do so some time after its end."""
+    """Unlock a ledger immediately; Windows would unlock it some time after its end."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -254,7 +254,7 @@ def _begins_entry(line: bytes) -> bool:
 
 
 def _content(line: bytes) -> dict[str, Any] | None:
-    """Return what an entry says; None if it is none."""
+    """Return the content of an entry; None if the line is not an entry."""
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
@@ -295,7 +295,7 @@ def _entry(content: Mapping[str, Any]) -> Entry:
 
 @frozen
 class IssueDetails:
-    """Who answers for a certificate, why it is issued and when, and the file of its result."""
+    """The signatory of a certificate, the reason and date of issue, and the file of its result."""
 
     who: str
     why: str
@@ -304,7 +304,7 @@ class IssueDetails:
 
 
 def check_ledger(ledger: Path) -> None:
-    """Refuse a ledger that was altered, or whose folder is not there."""
+    """Refuse a ledger that was altered, or whose folder does not exist."""
     if ledger.exists():
         verify_ledger(ledger)
     else:
@@ -312,7 +312,7 @@ def check_ledger(ledger: Path) -> None:
 
 
 def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
-    """Enter a result's file."""
+    """Append an entry for a result's file."""
     Result.read(file)
     of = {"file": file.name, "sha256": _checksum(file)}
     return append(ledger, "result", of, who=who, why=why, when=_moment(date))
@@ -321,14 +321,15 @@ def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime
 def enter_certificate(
     kept: Path, path: Path, data: bytes, of: Mapping[str, str], said: IssueDetails
 ) -> Entry | None:
-    """Enter a certificate or an amendment, before it its result, and then give its file its name.
+    """Append a certificate's or amendment's entry, after its result's; then rename its file.
 
-    All of it under the ledger's lock, and the entry first: so a certificate that stands is in its
-    ledger. The finished bytes lie hidden beside their place, under a name that follows from their
-    checksum; if a kill comes between the entry and the name, the same command again finds them.
+    All of it is done under the ledger's lock, and the entry comes first: every published
+    certificate is in its ledger. The finished bytes are hidden next to their place, under a name
+    that follows from their checksum. If the process is killed between entry and rename, the same
+    command finds them.
 
-    Returns: of an interrupted command, whose certificate was found and has its name now, in place
-        of `data`, which differ from it; else None.
+    Returns: the data of an interrupted command, whose certificate was found and is published now
+    instead of `data`, which differ from it; else None.
     """
     checksum = checksum_of(data)
     with open_ledger(kept) as ledger:
@@ -366,12 +367,12 @@ def _enter(ledger: OpenLedger, of: Mapping[str, str], said: IssueDetails) -> Non
 
 
 def _hidden(path: Path, checksum: str) -> Path:
-    """Return where a certificate lies until it has its name."""
+    """Return the hidden path of a certificate before its publication."""
     return path.resolve().parent / f".{checksum[:16]}{path.suffix}"
 
 
 def _stands_by(path: Path, entry: Entry) -> bool:
-    """Return whether the bytes of an entry lie hidden beside a place."""
+    """Return whether the bytes of an entry are hidden next to a place."""
     expected = entry.of.get("file_sha256", "")
     try:
         return checksum_of(read_file(_hidden(path, expected))) == expected
@@ -395,7 +396,7 @@ def _finish(path: Path, checksum: str) -> None:
 
 
 def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
-    """Yield the entries of a ledger, and the hash that stands for all of them."""
+    """Yield the entries of a ledger, and the hash that identifies all of them."""
     yield Heading("Ledger", 1)
     yield Table(
         (

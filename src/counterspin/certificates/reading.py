@@ -1,4 +1,4 @@
-"""The numbers of a certificate, read back from the XML that its file carries."""
+"""Read the numbers of a certificate from the XML that its file carries."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _PYPDF_MISSING: Final = (
 
 
 def is_pdf(path: Path) -> bool:
-    """Return whether a certificate's file is for people, by the ending of its name."""
+    """Return whether a certificate's file is a PDF, by the ending of its name."""
     return path.suffix.lower() == ".pdf"
 
 
 def read_document(path: Path) -> bytes:
-    """Return the XML of a certificate: the file, or what is attached to a PDF.
+    """Return the XML of a certificate: the file, or the attachment of a PDF.
 
-    A PDF is read where it can do no harm, as records of native formats are.
+    A PDF is read in an isolated process, as records of native formats are.
     """
     if is_pdf(path):
         return in_reader_process(_attached, path)
@@ -44,7 +44,7 @@ def read_document(path: Path) -> bytes:
 
 
 def verify_pages(path: Path, public: bytes) -> PagesSignature:
-    """Return what the signature of a PDF's pages is worth, as `pages_signature` does."""
+    """Return the state of the signature of a PDF's pages, as `pages_signature` does."""
     return in_reader_process(_pages_signature, path, public)
 
 
@@ -145,7 +145,7 @@ class CertifiedAccelerometer:
 
 @frozen
 class CertifiedTriad:
-    """Three accelerometers as one sensor in a certificate, in g-units as theirs."""
+    """Three accelerometers as one sensor in a certificate, in the same g-units."""
 
     accelerometers: tuple[str, ...]  #: Their names.
     parameters: CertifiedAccelerometer  #: By their names, such as ``angle.X.Y``.
@@ -204,7 +204,7 @@ def _replaced(root: Element) -> Iterator[str]:
 
 
 def _triad(part: Element, gravity: float) -> CertifiedTriad:
-    """Return the parameters of a triad; ValueError if its matrix or bias is not theirs."""
+    """Return the parameters of a triad; ValueError if its matrix or bias contradicts them."""
     names = tuple(_one(part, _NAME).removeprefix(TITLE).split(", "))
     parameters = _values(_all(part, f"dcc:results/dcc:result{_PARAMETERS}/{_DATA}"), gravity)
     output = _all(part, f"dcc:results/dcc:result{_OUTPUT}/{_DATA}/si:realListXMLList")
@@ -230,7 +230,7 @@ def _triad(part: Element, gravity: float) -> CertifiedTriad:
 def _parameters(
     names: Sequence[str], rows: npt.NDArray[np.float64], bias: npt.NDArray[np.float64]
 ) -> dict[str, float]:
-    """Return a triad's nine parameters by the vectors along which its accelerometers feel."""
+    """Return a triad's nine parameters from the input axes of its accelerometers."""
     sizes = np.linalg.norm(rows, axis=1)
     cosine = (rows / sizes[:, None]) @ (rows / sizes[:, None]).T
     return {
@@ -299,7 +299,7 @@ def _covariance(
 
 
 def _unit(label: str) -> str:
-    """Return the unit of a term, of a parameter of a triad, or of the term of one of its three."""
+    """Return the unit of a term, of a triad's parameter, or of a term of one of its sensors."""
     kind, _, rest = label.partition(".")
     if kind in _KINDS and rest:
         return _KINDS[kind]

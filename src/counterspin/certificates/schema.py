@@ -1,7 +1,7 @@
 """The XML of a certificate: its words, numbers, namespaces, and validation against the DCC schema.
 
-The files that PTB publishes import each other by address. Here an import is answered by the file
-of the folder that declares the name space.
+The files that PTB publishes import each other by address. Here the file of the folder that declares
+the name space answers an import.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Element = Any  # lxml carries no types
 
 
 def clean(words: str) -> str:
-    """Return text that XML can represent (clause 2.2) and no reader obeys, no blanks around it."""
+    """Return text stripped, with control characters escaped (XML 1.0, 2.2)."""
     return escape_controls(words).strip()
 
 
@@ -66,8 +66,8 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
 def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
     """Return the root of a document called `source`; RecordError if it is not XML.
 
-    Comments are taken away, as a signature does not cover them: a number in which one stands reads
-    alike whether it is signed or not. With `comments` they stay.
+    Comments are removed, because a signature does not cover them: a number with a comment in it
+    reads the same whether signed or not. With `comments` they stay.
     """
     try:
         root = etree.fromstring(document, parser(remove_comments=not comments))
@@ -137,7 +137,7 @@ def _schema_files(folder: Path) -> list[Path]:
 
 
 def _imports(folders: list[Path]) -> dict[str, Path]:
-    """Return for every address that a schema in the folders imports the file that answers it."""
+    """Return the file that answers each address that a schema in the folders imports."""
     paths = [path for folder in folders for path in _schema_files(folder)]
     by_space = {space: path for path in reversed(paths) if (space := _space(path)) is not None}
     places = {}
@@ -169,7 +169,7 @@ def _named_imports(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _plain(message: str) -> str:
-    """Return a fault with prefixes in place of name spaces."""
+    """Return an error with prefixes instead of name spaces."""
     for prefix, space in NAMESPACES.items():
         message = message.replace(f"{{{space}}}", f"{prefix}:")
     return re.sub(r"\s+", " ", message)

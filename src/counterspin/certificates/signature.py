@@ -1,7 +1,7 @@
 """The electronic signatures of a certificate: of its XML, and PAdES of its pages.
 
-It is added to the file as PDF has it, behind all that is there: no byte of the pages changes, and
-neither their conformance with PDF/A-3 nor what is attached to them.
+The pages' signature is an incremental update: existing bytes, the conformance with PDF/A-3 and the
+attachments do not change.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SIGNXML_MISSING: Final = (
 
 @frozen
 class SignatureCheck:
-    """What the expected signer has signed."""
+    """The content that the expected signer has signed."""
 
     content: bytes  #: The signed part of the document: everything but the signature.
     #: The day on which the signer's certificate expired, after the day of issue; None: it is valid.
@@ -49,7 +49,7 @@ def sign(root: Element, signer: Signer) -> Element:
 
 
 class _Key:
-    """A signer as the private key that signxml asks."""
+    """A signer as the private key that signxml needs."""
 
     def __init__(self, signer: Signer) -> None:
         self._signer = signer
@@ -61,13 +61,13 @@ class _Key:
 
 
 def verify(document: bytes, certificate: Path, source: str) -> SignatureCheck:
-    """Check that a certificate was signed by the expected signer and not changed since.
+    """Check that the expected signer signed a certificate, and that it has not changed since.
 
-    A signer's certificate that has expired counts as long as it was valid on the day of issue. That
-    day is what the signed document says of itself.
+    A signer's certificate that has expired counts if it was valid on the day of issue, as the
+    signed document states it.
 
-    certificate: X.509 certificate of the signer, PEM, known from elsewhere: what stands in the
-        document itself proves nothing.
+    certificate: X.509 certificate of the signer, PEM, from another source: the one in the document
+        itself proves nothing.
     """
     _signxml()
     from signxml.exceptions import InvalidDigest
@@ -101,7 +101,7 @@ def is_signed(document: bytes, source: str) -> bool:
 
 
 def _verified(root: Any, key: Any) -> Any:
-    """Return what a key has signed of a document; raises what signxml raises if it has not."""
+    """Return the part of a document that a key has signed; raises as signxml if there is none."""
     signxml = _signxml()
     # signxml takes certificates that are valid today. Whether the signer's was valid when it
     # mattered is judged here, so that signxml gets the key in a certificate of the day.
@@ -131,7 +131,7 @@ def _certificate_of_today(key: Any) -> Any:
 
 
 def _whose(root: Any, certificate: Path) -> str:
-    """Say whose signature it is that is not of the expected signer."""
+    """Describe the signer of a signature that is not the expected signer's."""
     from cryptography.x509 import load_der_x509_certificate
     from signxml.exceptions import InvalidDigest
 
@@ -159,7 +159,7 @@ def _issued(root: Any) -> date | None:
 
 
 def _expired(trusted: Any, issued: date | None, certificate: Path, source: str) -> date | None:
-    """Return when the signer's certificate expired, None if it has not; raises if it never was."""
+    """Return when the signer's certificate expired, None if it has not; raises if never valid."""
     now = datetime.now(UTC)
     begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc
     if begin > now:
@@ -215,7 +215,7 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
     from pyhanko.sign.signers.pdf_byterange import SignatureObject
 
     class Addition(IncrementalPdfFileWriter):  # type: ignore[misc, unused-ignore]
-        """What is added to a file, which says of itself what it has said before."""
+        """An incremental update that keeps the file's identifier and metadata."""
 
         @classmethod
         def _handle_id(cls, prev: Any) -> Any:
@@ -248,7 +248,7 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
 
 
 def _longest(signer: Signer) -> int:
-    """Return how many bytes a signature has at most; those of elliptic curves vary."""
+    """Return the largest number of bytes of a signature; signatures by elliptic curves vary."""
     from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
     size: int = signer.public.key_size
@@ -284,7 +284,7 @@ async def _cms(signer: Signer, digest: bytes) -> bytes:
 
 
 def _finished(work: Coroutine[Any, Any, bytes]) -> bytes:
-    """Return what a coroutine returns; in a thread, for a notebook's own has a loop that runs."""
+    """Return a coroutine's result; in a thread if a loop, such as a notebook's, runs already."""
     import asyncio
     from concurrent.futures import ThreadPoolExecutor
 
@@ -293,10 +293,10 @@ def _finished(work: Coroutine[Any, Any, bytes]) -> bytes:
 
 
 def pages_signature(document: bytes, public: bytes) -> PagesSignature:
-    """Return what the signature of a PDF's pages is worth.
+    """Return the state of the signature of a PDF's pages.
 
-    public: X.509 certificate of the expected signer, DER. Whether it was valid when the pages were
-        signed is not judged here.
+    public: X.509 certificate of the expected signer, DER. Its validity at the time of signing is
+        not judged here.
     """
     _require_pyhanko()
     from asn1crypto.x509 import Certificate

@@ -1,4 +1,4 @@
-"""Who signs a certificate: a private key in a file, or a command that has it in a device."""
+"""Signers of a certificate: a private key in a file, or a command with a key in a device."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _MISSING: Final = (
 
 
 class PasswordNeededError(CounterspinError):
-    """A key is encrypted, and no password was given."""
+    """The error for an encrypted key without a password."""
 
 
 @frozen(eq=False)
 class Signer:
-    """Who signs.
+    """A person's signature by a private key.
 
     No part of a key is ever written, or in a message.
     """
@@ -43,7 +43,7 @@ class Signer:
 
     @property
     def name(self) -> str:
-        """Who it is, as the certificate says."""
+        """Name of the signer, as the certificate states it."""
         text: str = self.certificates[0].subject.rfc4514_string()
         return text[:REASON_LENGTH]
 
@@ -54,7 +54,7 @@ class Signer:
 
     @property
     def with_rsa(self) -> bool:
-        """Whether the key is RSA; else it is of an elliptic curve."""
+        """True for an RSA key; else the key is of an elliptic curve."""
         from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
 
         return isinstance(self.public, RSAPublicKey)
@@ -69,7 +69,7 @@ class KeyFile:
 
     @classmethod
     def read(cls, path: Path) -> KeyFile:
-        """Read a file; CounterspinError if that cannot be done."""
+        """Read a file; CounterspinError if it cannot be read."""
         try:
             return cls(str(path), read_file(path))
         except OSError as error:
@@ -79,9 +79,9 @@ class KeyFile:
 def read_signer(
     key: Path | KeyFile, certificate: Path | KeyFile | None = None, password: str | None = None
 ) -> Signer:
-    """Read a private key with the certificate that belongs to it.
+    """Read a private key and its certificate.
 
-    key: PEM, or PKCS #12, which holds its certificate.
+    key: PEM, or PKCS #12, which includes its certificate.
     certificate: PEM; None: it is in the file of the key.
     """
     of_key = key if isinstance(key, KeyFile) else KeyFile.read(key)
@@ -110,9 +110,9 @@ def signer_with(key: Any, certificates: Sequence[Any]) -> Signer:
 
 
 def command_signer(command: str, certificate: Path) -> Signer:
-    """Return the signer whose key a command has: in a card, a token, another machine.
+    """Return the signer whose key a command uses: in a card, a token, another machine.
 
-    command: Reads on standard input what is to be signed, and writes the signature: of RSA by
+    command: Reads the bytes to be signed from standard input, and writes the signature: of RSA by
         PKCS #1 v1.5, of an elliptic curve in DER, each with SHA-256.
     """
     _require_cryptography()
@@ -131,7 +131,7 @@ def command_signer(command: str, certificate: Path) -> Signer:
 
 
 def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
-    """Return what a command makes of bytes, if it is their signature."""
+    """Return a command's output for given bytes, if it is their signature."""
     from cryptography.exceptions import InvalidSignature
 
     def failed(why: str) -> CounterspinError:
@@ -164,7 +164,7 @@ def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
 
 
 def _way(public: Any) -> tuple[Any, ...]:
-    """Return how the holder of a key signs; empty for other kinds than RSA and curves."""
+    """Return the signature scheme of a key's holder; empty unless RSA or an elliptic curve."""
     from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
     from cryptography.hazmat.primitives.hashes import SHA256
 
@@ -174,7 +174,7 @@ def _way(public: Any) -> tuple[Any, ...]:
 
 
 def certificates_in(file: KeyFile) -> list[Any]:
-    """Return the X.509 certificates in a PEM file, of which there is one at least."""
+    """Return the X.509 certificates in a PEM file, which must have at least one."""
     _require_cryptography()
     from cryptography.x509 import load_pem_x509_certificates
 
@@ -225,7 +225,7 @@ def _from_pkcs12(file: KeyFile, password: bytes | None) -> tuple[Any, list[Any]]
 
 
 def _refuse_unfit(signer: Signer, key: str, certificate: str) -> None:
-    """Refuse a signer whose signature of now would be worth nothing."""
+    """Refuse a signer whose signature would not be valid now."""
     from cryptography.x509 import ExtensionNotFound, KeyUsage
 
     if not _way(signer.public):

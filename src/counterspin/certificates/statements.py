@@ -1,4 +1,4 @@
-"""The statements of a certificate: its claims in words, and what machines are told of each."""
+"""The statements of a certificate: its claims in words, and the marks of each for machines."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Issue:
     accepted_unsealed: str | None = None
 
     def file_name(self, ending: str) -> str:
-        """Return a file name made of the identifier, in which a slash would name a folder."""
+        """Return a file name made of the identifier; a slash in it would name a folder."""
         return re.sub(r"[^\w.-]+", "_", self.identifier) + ending
 
 
@@ -62,7 +62,7 @@ class Statement:
 
 
 def item_id(lab: Lab, result: Result, name: str) -> str:
-    """Return the id of an accelerometer's own item."""
+    """Return the id of an accelerometer's item."""
     return f"item-{lab.certified(result).index(name) + 1}"
 
 

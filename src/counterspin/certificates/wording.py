@@ -42,7 +42,7 @@ def coverage_factor(dof: float | None) -> float:
 
 
 def region_factor(size: int, dof: float | None) -> float:
-    """Return k of the region d' V^-1 d <= k^2 of so many quantities with covariance V.
+    """Return k of the region d' V^-1 d <= k^2 of a number of quantities with covariance V.
 
     dof: Degrees of freedom of the common scale of V; None is infinite.
     """
@@ -116,7 +116,7 @@ def is_determined(coefficient: Coefficient) -> bool:
 
 
 def uncertainty_statement() -> str:
-    """Return how the expanded uncertainties are defined."""
+    """Return the definition of the expanded uncertainties."""
     return (
         "The number after ± is the expanded uncertainty U: the combined standard uncertainty, "
         "evaluated according to the GUM (JCGM 100), multiplied by the stated coverage factor k. "
@@ -149,7 +149,7 @@ def unit_statement(gravity: float) -> str:
 
 
 def scope_statement() -> str:
-    """Return what the results relate to, and that parts may mislead (ISO/IEC 17025 7.8.2.1)."""
+    """Return the items that the results concern, and a note on parts (ISO/IEC 17025 7.8.2.1)."""
     return (
         "The results relate only to the items calibrated, in the state and under the conditions "
         "stated. Without the written approval of the laboratory this certificate may only be "
@@ -158,7 +158,7 @@ def scope_statement() -> str:
 
 
 def without_plus_minus(sentence: str) -> str:
-    """Return a sentence of the calibration as a certificate says it, where ± precedes U alone."""
+    """Return a sentence of the calibration for a certificate, in which ± precedes U only."""
     apart = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
     return apart.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
 
@@ -172,14 +172,14 @@ def method_name(result: Result) -> str:
 
 
 def test_lines(result: Result) -> list[str]:
-    """Return what was done with the item, a sentence for each kind of test."""
+    """Return sentences on the tests of the item, one for each kind of test."""
     if readings_of(result) or poses_of(result):
         return list(lines_of_tests(result))
     return ["The item was carried on a double turntable centrifuge at the stated rates."]
 
 
 def method_lines(result: Result) -> list[str]:
-    """Return what was observed, how the coefficients follow, and the accelerometers' model."""
+    """Return sentences on the observations, the estimation, and the accelerometers' model."""
     return [
         *test_lines(result),
         *(block.text for block in model_blocks(result) if isinstance(block, Paragraph)),
@@ -187,19 +187,19 @@ def method_lines(result: Result) -> list[str]:
 
 
 def deviation_lines(settings: CertificateSettings) -> list[str]:
-    """Return what was done otherwise than by the procedure (ISO/IEC 17025 7.8.2.1 n)."""
+    """Return the deviations from the procedure (ISO/IEC 17025 7.8.2.1 n)."""
     return [f"Deviation: {deviation}" for deviation in settings.deviations]
 
 
 def customer_lines(settings: CertificateSettings) -> list[str]:
-    """Return what the customer supplied, with the disclaimer; nothing where that is nothing."""
+    """Return the customer's data, with the disclaimer; nothing without any."""
     return [*settings.customer_data, CUSTOMER_DISCLAIMER] if settings.customer_data else []
 
 
 def known_beforehand(name: str, result: Result, settings: CertificateSettings) -> list[str]:
-    """Return what a result of an accelerometer takes from elsewhere, by its budget.
+    """Return the prior information in an accelerometer's result, by its budget.
 
-    settings: Of the laboratory's file; what its `customer_data` names is marked.
+    settings: Of the laboratory's file; data that its `customer_data` names are marked.
     """
     lines = {
         line.source: line
@@ -220,9 +220,9 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
 
 
 def rest_lines(name: str, result: Result) -> list[str]:
-    """Return what u of an accelerometer's coefficients rests on that nobody has measured.
+    """Return the unmeasured assumptions behind u of an accelerometer's coefficients.
 
-    Beside what the records cannot tell apart: what is not stated and counts at its typical size.
+    They are confounded terms, and terms that nobody stated and that count at their typical size.
     """
     accelerometer = result.accelerometers[name]
     said = [without_plus_minus(line) for line in rests_on(accelerometer)]
@@ -254,7 +254,7 @@ def seal_lines(result: Result, accepted: str | None) -> list[str]:
 
 
 def misfit_lines(result: Result, names: Sequence[str]) -> list[str]:
-    """Return what the records of a result contradict, and why it is certified all the same."""
+    """Return the contradictions between a result and its records, and the reason to certify it."""
     if result.accepted_misfit is None:
         return []
     failed = [
@@ -288,12 +288,12 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
 
 
 def stated_in(unit: SiUnit) -> str:
-    """Return in which unit a quantity has its number, for the end of its description."""
+    """Return the unit of a quantity's number, for the end of its description."""
     return "stated here " + ("as a pure number." if unit == SiUnit() else f"in {unit.words}.")
 
 
 def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
-    """Return a coefficient that is determined, with U and k, in g-units and its SI unit."""
+    """Return a determined coefficient, with U and k, in g-units and its SI unit."""
     assert coefficient.value is not None
     assert coefficient.u is not None
     k = coverage_factor(coefficient.dof)
@@ -305,7 +305,7 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
 
 
 def shown_in_g(coefficient: Coefficient, k: float) -> str:
-    """Return a coefficient that is determined with k u, in the unit in which the field reads it."""
+    """Return a determined coefficient with k u, in the unit in which the field reads it."""
     assert coefficient.value is not None
     assert coefficient.u is not None
     unit, scale = field_unit(coefficient.unit)
@@ -313,7 +313,7 @@ def shown_in_g(coefficient: Coefficient, k: float) -> str:
 
 
 def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    """Return a sentence for each coefficient that is not certified, and why."""
+    """Return a sentence for each coefficient that is not certified, with the reason."""
     return [
         f"{symbol} of {name}: {why_not_determined(c)}; no value is certified."
         for symbol, c in accelerometer.coefficients.items()
@@ -322,7 +322,7 @@ def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
 
 
 def why_not_determined(coefficient: Coefficient) -> str:
-    """Return why a coefficient is not certified."""
+    """Return the reason why a coefficient is not certified."""
     if coefficient.value is None:
         return "not determined by the records"
     assert coefficient.u is not None
@@ -346,9 +346,9 @@ def decision_rule(judged: Conformity) -> str:
 
 
 def conformity_word(judged: Conformity, coefficient: Coefficient | None) -> str | None:
-    """Return the verdict in the words of DCC; None where it has no word.
+    """Return the verdict in the words of DCC; None if it has no word.
 
-    For an undecided one it has words only beside a guard band: conditional pass inside the
+    DCC has words for an undecided verdict only with a guard band: conditional pass inside the
     tolerance limits, conditional fail outside (ILAC-G8:09/2019, 4.2.3).
     """
     if judged.verdict != "undecided":
