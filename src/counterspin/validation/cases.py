@@ -1,4 +1,4 @@
-"""The reference cases: what is asked, what is expected, where that comes from, how close.
+"""The reference cases: inputs, expected values, their sources, and limits.
 
 They are data, in ``data/cases.json``, and the project's own tests take them from here.
 """
@@ -23,11 +23,11 @@ DATA: Final = Path(__file__).parent / "data"
 
 @frozen
 class Case:
-    """One reference case."""
+    """A reference case."""
 
     name: str  #: By which it is known.
     requirement: str  #: What it belongs to: physics, spindle, least squares ...
-    kernel: str  #: The function that is asked, as ``module:name``.
+    kernel: str  #: The function under test, as ``module:name``.
     source: str  #: Where the expected values come from: document and place, closed form, or script.
     given: Mapping[str, Any]  #: What the function is given.
     #: What is expected, name -> values; None: `given` names the file where that stands.
@@ -39,7 +39,7 @@ class Case:
 
     @cached_property
     def expected(self) -> Mapping[str, Array]:
-        """What is expected, name -> values of any shape; CounterspinError if it stands nowhere."""
+        """Expected values, name -> values of any shape; CounterspinError if they are missing."""
         kernel = self.kernel.rpartition(":")[2]
         stated = _REFERENCES[kernel](self.given) if self.stated is None else self.stated
         return {name: np.array(values, np.float64) for name, values in stated.items()}
@@ -64,8 +64,8 @@ def cases() -> tuple[Case, ...]:
 
 
 def case(name: str) -> Case:
-    """Return a case by its name; KeyError if there is none."""
-    return {one.name: one for one in cases()}[name]
+    """Return a case by its name; raise KeyError if it does not exist."""
+    return {candidate.name: candidate for candidate in cases()}[name]
 
 
 def _read(entry: Mapping[str, Any]) -> Case:
@@ -86,8 +86,8 @@ def _read(entry: Mapping[str, Any]) -> Case:
 
 def motion_of(given: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the case of the file of integrals that a given label names."""
-    found = document(given["file"])["cases"]
-    return next(one for one in found if one["label"] == given["label"])
+    motions = document(given["file"])["cases"]
+    return next(motion for motion in motions if motion["label"] == given["label"])
 
 
 def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -95,13 +95,13 @@ def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
     motion = motion_of(given)
     shown = motion[given["observable"]]["QX"] if motion.get("platform") else ()
     platform = [symbol for symbol in PLATFORM_TERMS if symbol in shown]
-    own = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
-    return {name: [*own, *platform] for name in motion[given["observable"]]}
+    symbols = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
+    return {name: [*symbols, *platform] for name in motion[given["observable"]]}
 
 
 def forces_asked(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the places on an arm at one rate of which the file states the force."""
-    return [one for one in document(given["file"])["cases"] if one["rate"] == given["rate"]]
+    """Return the places on an arm at one rate whose force the file states."""
+    return [place for place in document(given["file"])["cases"] if place["rate"] == given["rate"]]
 
 
 def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _angles(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _forces(given: Mapping[str, Any]) -> dict[str, Any]:
     key = "arm" if given["file"] == "axis_tilt.json" else "force"
-    return {"force": [one[key] for one in forces_asked(given)]}
+    return {"force": [place[key] for place in forces_asked(given)]}
 
 
 def _certified(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _certified(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _fit(given: Mapping[str, Any]) -> Any:
-    """Return what the file of fits has of a campaign."""
+    """Return the entry of a campaign in the file of fits."""
     return document(given["file"])[given["fit"]]
 
 

@@ -1,4 +1,4 @@
-"""What cases ask of files and of results: records, campaigns, corrected forces, certificates."""
+"""Case inputs from files and results: records, campaigns, corrected forces, certificates."""
 
 from __future__ import annotations
 
@@ -62,27 +62,31 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def fitted(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a campaign's result says of everything, by name."""
-    found = module.calibrate(DATA / given["folder"])
-    answer: dict[str, Any] = {symbol: _line(c) for symbol, c in found.platform.items()}
-    for row in found.rests_on:
+    """Return all numbers of a campaign's result, by name."""
+    result = module.calibrate(DATA / given["folder"])
+    answer: dict[str, Any] = {symbol: _line(c) for symbol, c in result.platform.items()}
+    for row in result.rests_on:
         if row.found is not None:
             answer[f"what {row.name} is"] = [row.found - row.value, row.u_found]
-    for name, own in found.accelerometers.items():
-        asked = {f"{name}.{symbol}": c for symbol, c in own.coefficients.items()}
-        answer |= {symbol: _line(c) for symbol, c in asked.items()}
-        answer |= {f"degrees of freedom of {symbol}": [c.dof] for symbol, c in asked.items()}
-        answer |= {f"{key} of {name}": [c.value, c.u] for key, c in own.output.items()}
-        answer |= {f"{part} noise of {name}": [line.value] for part, line in own.noise.items()}
-        left = own.residual
-        answer[f"misfit of {name}"] = [left.chi2, left.dof, left.lack_of_fit_p]
-        for symbol, lines in own.budget.items():
+    for name, accelerometer in result.accelerometers.items():
+        coefficients = {f"{name}.{symbol}": c for symbol, c in accelerometer.coefficients.items()}
+        answer |= {symbol: _line(c) for symbol, c in coefficients.items()}
+        answer |= {f"degrees of freedom of {symbol}": [c.dof] for symbol, c in coefficients.items()}
+        answer |= {f"{key} of {name}": [c.value, c.u] for key, c in accelerometer.output.items()}
+        answer |= {
+            f"{part} noise of {name}": [line.value] for part, line in accelerometer.noise.items()
+        }
+        residual = accelerometer.residual
+        answer[f"misfit of {name}"] = [residual.chi2, residual.dof, residual.lack_of_fit_p]
+        for symbol, lines in accelerometer.budget.items():
             for line in lines:
                 source = f"{name}.{line.source}" if line.source in OWN_TERMS else line.source
                 answer[f"{name}.{symbol} by {source}"] = [line.contribution]
-        if own.correlation is not None:
-            places = [own.correlation.terms.index(s) for s in sorted(own.coefficients)]
-            matrix = np.array(own.correlation.matrix)[np.ix_(places, places)]
+        if accelerometer.correlation is not None:
+            places = [
+                accelerometer.correlation.terms.index(s) for s in sorted(accelerometer.coefficients)
+            ]
+            matrix = np.array(accelerometer.correlation.matrix)[np.ix_(places, places)]
             answer[f"correlation of {name}"] = matrix.ravel()
     return {name: np.array(values, np.float64) for name, values in answer.items()}
 
@@ -92,7 +96,7 @@ def _line(c: Coefficient) -> list[float | None]:
 
 
 def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether a certificate conforms to the schema, and whether altered ones do."""
+    """Check a certificate, and altered ones, against the schema."""
     if "schema" not in given:
         raise NotAvailableError(
             "the schema of DCC is not part of the package; name its folder (`schema`)"
@@ -107,11 +111,11 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         return 1.0
 
     wrong = [re.sub(old, new, made, flags=re.DOTALL) for old, new in _FAULTS]
-    return {"as made": conforms(made), "altered": [conforms(one) for one in wrong]}
+    return {"as made": conforms(made), "altered": [conforms(altered) for altered in wrong]}
 
 
 def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether a signature counts, of the document as it is, altered, and of another."""
+    """Check the signature of a document, of an altered one, and of another signer."""
     if find_spec("signxml") is None:
         raise NotAvailableError("signxml is not installed; it is needed to verify signatures")
     folder = DATA / given["folder"]
@@ -135,8 +139,8 @@ def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 def read_back(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return estimate and u of each term that a result's certificate states."""
     read = module.read_certificate(xml_of(given["file"]), "the certificate of the case")
-    found = read.accelerometers[given["accelerometer"]].coefficients
-    return {symbol: [c.value, c.u] for symbol, c in found.items()}
+    coefficients = read.accelerometers[given["accelerometer"]].coefficients
+    return {symbol: [c.value, c.u] for symbol, c in coefficients.items()}
 
 
 _UNITS: Final = {"K_F": "g", "delta_O": "rad", "delta_P": "rad"}
@@ -163,14 +167,14 @@ def xml_of(file: str, changes: Mapping[str, Any] | None = None) -> bytes:
 
 
 def numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a certificate states: value, U and k of each coefficient, and all together."""
-    own = document(given["file"])["result"]["accelerometers"]["Qx"]
-    own = {
-        **own,
+    """Return the values of a certificate: value, U and k of each coefficient, and the region."""
+    accelerometer = document(given["file"])["result"]["accelerometers"]["Qx"]
+    accelerometer = {
+        **accelerometer,
         "coefficients": {s: {**c, "estimated": True} for s, c in given["coefficients"].items()},
         "budget": {s: [line] for s, line in given["budget"].items()},
     }
-    changes = {"accelerometers": {"Qx": own}, "inputs": given["inputs"]}
+    changes = {"accelerometers": {"Qx": accelerometer}, "inputs": given["inputs"]}
     root = ET.fromstring(xml_of(given["file"], changes))
     keys = ("value", "valueExpandedMU", "coverageFactor")
     answer: dict[str, Any] = {}
@@ -193,9 +197,9 @@ def corrected(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     for name, table in stated["coefficients"].items():
         symbols = list(table)
         related = np.eye(len(symbols))
-        for one, other, r in stated["correlation"]:
-            if {one, other} <= set(symbols):
-                i, j = symbols.index(one), symbols.index(other)
+        for first, second, r in stated["correlation"]:
+            if {first, second} <= set(symbols):
+                i, j = symbols.index(first), symbols.index(second)
                 related[i, j] = related[j, i] = float(r)
         coefficients = {
             s: {"value": float(v), "u": float(u), "unit": _unit(s), "estimated": True}

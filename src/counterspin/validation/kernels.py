@@ -1,6 +1,6 @@
-"""How each function that a case names is asked, and what of its answer is compared.
+"""Calls of the functions that cases name, and the compared parts of their answers.
 
-Functions are looked up in their modules each time, so that what is asked is what others use.
+Functions are looked up in their modules each time, so that a case calls the function in use.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Found = Mapping[str, Any]
 
 
 def ask(case: Case) -> dict[str, Any]:
-    """Return what the function of a case says: name -> values, in the shapes of `expected`."""
+    """Return the answer of a case's function: name -> values, in the shapes of `expected`."""
     module, _, name = case.kernel.partition(":")
     return dict(_ASKED[name](import_module(module), case.given))
 
@@ -48,10 +48,10 @@ def _columns(module: Any, given: Given) -> Found:
     from counterspin.physics import accelerometer
     from counterspin.physics.motion import Site, Trajectory
 
-    whole, motion = document(given["file"]), motion_of(given)
-    earth_rate = float(whole["earth_rate"]) if motion.get("earth_rate") else 0.0
-    site = Site(float(whole["gravity"]), float(whole["latitude"]), earth_rate)
-    trajectory = Trajectory(_spindle(motion), float(whole["radius"]), site)
+    data, motion = document(given["file"]), motion_of(given)
+    earth_rate = float(data["earth_rate"]) if motion.get("earth_rate") else 0.0
+    site = Site(float(data["gravity"]), float(data["latitude"]), earth_rate)
+    trajectory = Trajectory(_spindle(motion), float(data["radius"]), site)
     times = np.array(motion["times"], np.float64)
     answer = dict[str, Any]()
     for name, symbols in integrals_asked(given).items():
@@ -76,7 +76,7 @@ def _force(module: Any, given: Given) -> Found:
     from counterspin.physics.accelerometer import Mounting
     from counterspin.physics.motion import Site
 
-    whole, mounting = (
+    data, mounting = (
         document(given["file"]),
         Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up"))),
     )
@@ -90,7 +90,7 @@ def _force(module: Any, given: Given) -> Found:
             radius=float(place["radius"]),
             axis_tilt=tilt,
         )
-        site = Site(float(whole["gravity"]), float(place["latitude"]))
+        site = Site(float(data["gravity"]), float(place["latitude"]))
         forces.append(station.force(site, np.array([float(place["angle"])]))[0])
     return {"force": forces}
 
@@ -245,11 +245,17 @@ def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
 
 
 def _si_estimate(module: Any, given: Given) -> Found:
-    asked = _quotients(given)[0] if "observations" in given else {"": given}
+    inputs = _quotients(given)[0] if "observations" in given else {"": given}
     answer = dict[str, Any]()
-    for name, one in asked.items():
-        gravity = module.StatedGravity(**one["gravity"])
-        estimate = module.si_estimate(one["value"], one["u"], one["unit"], one.get("dof"), gravity)
+    for name, given_estimate in inputs.items():
+        gravity = module.StatedGravity(**given_estimate["gravity"])
+        estimate = module.si_estimate(
+            given_estimate["value"],
+            given_estimate["u"],
+            given_estimate["unit"],
+            given_estimate.get("dof"),
+            gravity,
+        )
         answer |= {name or "value": estimate.value, f"u({name})" if name else "u": estimate.u}
         if estimate.dof is not None:
             answer["dof"] = estimate.dof
@@ -261,21 +267,25 @@ def _si_covariance(module: Any, given: Given) -> Found:
     from counterspin.calibration.result_parts import Correlation
 
     if "observations" in given:
-        asked, related = _quotients(given)
+        inputs, related = _quotients(given)
     else:
-        asked, related = given["estimates"], np.array(given["correlation"])
+        inputs, related = given["estimates"], np.array(given["correlation"])
     estimates = {
         name: si_estimate(
-            one["value"], one["u"], one["unit"], None, StatedGravity(**one["gravity"])
+            given_estimate["value"],
+            given_estimate["u"],
+            given_estimate["unit"],
+            None,
+            StatedGravity(**given_estimate["gravity"]),
         )
-        for name, one in asked.items()
+        for name, given_estimate in inputs.items()
     }
-    correlation = Correlation(terms=list(asked), matrix=related.tolist())
+    correlation = Correlation(terms=list(inputs), matrix=related.tolist())
     answer = dict[str, Any]()
-    for one, other in combinations(asked, 2):
-        together = module.covariance(correlation, estimates, one, other)
-        u = estimates[one].u * estimates[other].u if "observations" in given else 1.0
-        answer[f"{one}, {other}"] = together / u
+    for first, second in combinations(inputs, 2):
+        together = module.covariance(correlation, estimates, first, second)
+        u = estimates[first].u * estimates[second].u if "observations" in given else 1.0
+        answer[f"{first}, {second}"] = together / u
     return answer
 
 
@@ -308,8 +318,8 @@ def _forecast(module: Any, given: Given) -> Found:
 def _individuals(module: Any, given: Given) -> Found:
     values = given["values"]
     answer = module.individuals(values, [str(place) for place in range(len(values))])
-    found = {"low": answer.action_low, "high": answer.action_high}
-    return {"centre": answer.centre, "mean_range": answer.mean_range, **found}
+    limits = {"low": answer.action_low, "high": answer.action_high}
+    return {"centre": answer.centre, "mean_range": answer.mean_range, **limits}
 
 
 def _weighted_mean(module: Any, given: Given) -> Found:
@@ -329,7 +339,7 @@ def _factors(module: Any, given: Given) -> Found:
 
 
 def _number(name: str, key: str) -> Callable[[Any, Given], Found]:
-    """Return how a function is asked that takes what is given by name and returns a number."""
+    """Return the call of a function with keyword arguments that returns a number."""
     return lambda module, given: {key: getattr(module, name)(**given)}
 
 

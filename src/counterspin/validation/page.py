@@ -10,7 +10,7 @@ from counterspin.results import ResultPart, ShownResult
 
 
 class Installation(ResultPart):
-    """What is installed."""
+    """The installed package, its environment and the state of its files."""
 
     version: str  #: Of counterspin.
     environment: dict[str, str]  #: Python, NumPy, SciPy, the machine.
@@ -26,11 +26,11 @@ class Installation(ResultPart):
 
 
 class CheckedCase(ResultPart):
-    """A case and how close what was found came."""
+    """A case and the deviation of its found values."""
 
     name: str  #: Of the case.
     requirement: str  #: What it belongs to.
-    kernel: str  #: The function that is asked.
+    kernel: str  #: The function under test.
     source: str  #: Where the expected values come from.
     #: ``passed``, ``failed``, or ``not run`` because a package is not installed.
     state: Literal["passed", "failed", "not run"]
@@ -46,7 +46,7 @@ class CheckedCase(ResultPart):
 
 
 class Dossier(ShownResult):
-    """What `validate` returns."""
+    """The result of `validate`."""
 
     BLOCKS: ClassVar[str] = "counterspin.validation.page:summary_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.validation.page:dossier_blocks"
@@ -80,7 +80,7 @@ def summary_blocks(dossier: Dossier) -> list[Block]:
 
 
 def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
-    """Yield the answer, what is installed, requirements, cases, and what is not covered."""
+    """Yield the answer, the installation, requirements, cases, and the parts not covered."""
     yield Heading(_TITLE, 1)
     yield from _answer(dossier)
     yield from _failures(dossier)
@@ -119,10 +119,10 @@ def _answer(dossier: Dossier) -> Iterator[Block]:
         yield Paragraph(
             f"{counted}, but the installation differs from the delivered one.", "warning"
         )
-    there = dossier.installation
-    if there.altered or there.missing:
-        words = [f"altered: {', '.join(there.altered)}"] if there.altered else []
-        words += [f"missing: {', '.join(there.missing)}"] if there.missing else []
+    installed = dossier.installation
+    if installed.altered or installed.missing:
+        words = [f"altered: {', '.join(installed.altered)}"] if installed.altered else []
+        words += [f"missing: {', '.join(installed.missing)}"] if installed.missing else []
         yield Paragraph(f"Files of the installation: {'; '.join(words)}.", "warning")
 
 
@@ -138,10 +138,10 @@ def _failures(dossier: Dossier) -> Iterator[Block]:
 def _requirements(dossier: Dossier) -> Table:
     rows = []
     for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
-        own = [case for case in dossier.cases if case.requirement == requirement]
-        states = [case.state for case in own]
-        passed = f"{states.count('passed')} of {len(own)}"
-        rows.append((requirement, passed, "; ".join(case.name for case in own)))
+        cases = [case for case in dossier.cases if case.requirement == requirement]
+        states = [case.state for case in cases]
+        passed = f"{states.count('passed')} of {len(cases)}"
+        rows.append((requirement, passed, "; ".join(case.name for case in cases)))
     columns = (Column("Requirement", wraps=True), Column("Passed"), Column("Cases", wraps=True))
     return Table(columns, tuple(rows))
 
@@ -176,21 +176,21 @@ def _number(value: float | None) -> str:
 
 
 def _installed(dossier: Dossier) -> Iterator[Block]:
-    there = dossier.installation
-    rows = [("counterspin", there.version), *there.environment.items()]
-    rows += [row for row in there.packages.items() if row[0] not in there.environment]
+    installed = dossier.installation
+    rows = [("counterspin", installed.version), *installed.environment.items()]
+    rows += [row for row in installed.packages.items() if row[0] not in installed.environment]
     yield Table((Column("Part"), Column("Version")), tuple(rows))
-    yield Paragraph(f"{there.files} files of the package, together {there.checksum}.")
-    if not there.recorded:
+    yield Paragraph(f"{installed.files} files of the package, together {installed.checksum}.")
+    if not installed.recorded:
         yield Paragraph(
             "The installation has no RECORD of these files (it was installed in place, "
             "or not installed): they cannot be compared with the delivered ones."
         )
         return
-    altered, missing = len(there.altered), len(there.missing)
+    altered, missing = len(installed.altered), len(installed.missing)
     yield Paragraph(
-        f"{there.recorded} files are in the installation's RECORD: {altered} altered, "
-        f"{missing} missing; {len(there.unknown)} files are not in it."
+        f"{installed.recorded} files are in the installation's RECORD: {altered} altered, "
+        f"{missing} missing; {len(installed.unknown)} files are not in it."
     )
-    if there.unknown:
-        yield Paragraph(f"Not in RECORD: {', '.join(there.unknown)}.", "quiet")
+    if installed.unknown:
+        yield Paragraph(f"Not in RECORD: {', '.join(installed.unknown)}.", "quiet")

@@ -1,4 +1,4 @@
-"""`counterspin validate`: the cases run on what is installed, and whether that is as delivered."""
+"""`counterspin validate`: the cases run on the installed package, and the state of its files."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def installation() -> Installation:
     except metadata.PackageNotFoundError:
         delivered = None
     if delivered is not None:
-        # An editable installation has other files beside its RECORD than those that are run.
-        beside = Path(str(delivered.locate_file(_PACKAGE)))
-        if beside.resolve() == folder.resolve():
+        # The files next to the RECORD of an editable installation are not those that run.
+        location = Path(str(delivered.locate_file(_PACKAGE)))
+        if location.resolve() == folder.resolve():
             record = delivered.read_text("RECORD")
         for requirement in delivered.requires or []:
             if ";" not in requirement:
@@ -46,21 +46,21 @@ def installation() -> Installation:
     files, altered, missing = (
         checked_files(record, folder) if record else (dict[str, str](), list[str](), list[str]())
     )
-    own = sorted(path for path in folder.rglob("*") if path.is_file() and _is_own(path))
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and _is_own(path))
     digest = hashlib.sha256()
-    for path in own:
+    for path in paths:
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return Installation(
         version=__version__,
         environment=environment(),
         packages=needed,
-        files=len(own),
+        files=len(paths),
         checksum=f"sha256:{digest.hexdigest()}",
         recorded=len(files),
         altered=altered,
         missing=missing,
-        unknown=_unknown(own, folder, files) if files else [],
+        unknown=_unknown(paths, folder, files) if files else [],
     )
 
 
@@ -81,8 +81,8 @@ def checked_files(record: str, folder: Path) -> tuple[dict[str, str], list[str],
         if not place.is_file():
             missing.append(name)
             continue
-        found = hashlib.new(algorithm, place.read_bytes()).digest()
-        if base64.urlsafe_b64encode(found).rstrip(b"=").decode() != expected:
+        digest = hashlib.new(algorithm, place.read_bytes()).digest()
+        if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != expected:
             altered.append(name)
     return files, altered, missing
 
@@ -91,8 +91,8 @@ def _is_own(path: Path) -> bool:
     return "__pycache__" not in path.parts and path.suffix != ".pyc"
 
 
-def _unknown(own: list[Path], folder: Path, files: dict[str, str]) -> list[str]:
-    return [n for n in (path.relative_to(folder).as_posix() for path in own) if n not in files]
+def _unknown(paths: list[Path], folder: Path, files: dict[str, str]) -> list[str]:
+    return [n for n in (path.relative_to(folder).as_posix() for path in paths) if n not in files]
 
 
 def _version(name: str) -> str:
@@ -102,7 +102,7 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-#: What `write_dossier` writes.
+#: The files that `write_dossier` writes.
 DOSSIER_FILES: Final = ("validation.html", "validation.pdf", "validation.json")
 
 _MOST_DIGITS: Final = 16.0
@@ -114,12 +114,12 @@ def validate(
     chosen: Sequence[Case] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Dossier:
-    """Run reference cases, and say what is installed.
+    """Run reference cases, and describe the installation.
 
     Parameters
     ----------
     schema
-        Folder or file of DCC's schema, for the case of a certificate that is held to it; None: that
+        Folder or file of DCC's schema, for the case of a certificate checked against it; None: that
         case is not run.
     chosen
         The cases; None: all.
@@ -134,7 +134,7 @@ def validate(
     Raises
     ------
     CounterspinError
-        If `schema` is given and holds no schema, or not all of it.
+        If `schema` is given and does not contain the complete schema.
     """
     wanted = cases() if chosen is None else tuple(chosen)
     if schema is not None:
@@ -145,15 +145,19 @@ def validate(
         checked.append(check(case))
         if progress is not None:
             progress(len(checked), len(wanted))
-    there = installation()
-    sound = not (there.altered or there.missing)
+    installed = installation()
+    sound = not (installed.altered or installed.missing)
     return Dossier(
-        passed=sound and all(one.state != "failed" for one in checked),
-        installation=there,
+        passed=sound and all(outcome.state != "failed" for outcome in checked),
+        installation=installed,
         cases=checked,
         not_covered=[
             *document("cases.json")["not_covered"],
-            *(f"{one.name}: {one.note}" for one in checked if one.state == "not run"),
+            *(
+                f"{outcome.name}: {outcome.note}"
+                for outcome in checked
+                if outcome.state == "not run"
+            ),
         ],
     )
 
@@ -165,9 +169,9 @@ def _with_schema(case: Case, schema: Path | str) -> Case:
 
 
 def check(case: Case) -> CheckedCase:
-    """Run one case; an error of what is asked, or of what is expected, is its failure."""
+    """Run a case; an error in its function or in its expected values is a failure."""
     try:
-        stated, found = case.expected, ask(case)
+        stated, answer = case.expected, ask(case)
     except NotAvailableError as error:
         return _without_numbers(case, "not run", str(error))
     except Exception as error:  # whatever it is, the assessor is to read it
@@ -175,7 +179,7 @@ def check(case: Case) -> CheckedCase:
     worst: tuple[float, str, float, float, float] | None = None
     count = 0
     for name, expected in stated.items():
-        got = np.asarray(found.get(name, np.nan), np.float64)
+        got = np.asarray(answer.get(name, np.nan), np.float64)
         if got.shape != expected.shape:
             return _without_numbers(case, "failed", f"{name} is missing, or has another shape")
         allowed = np.broadcast_to(case.allowed(name), expected.shape)
@@ -246,17 +250,17 @@ def _without_numbers(case: Case, state: str, note: str) -> CheckedCase:
     )
 
 
-def _share(found: float, expected: float, allowed: float) -> float:
-    """Return a difference as a part of what is allowed; infinite where nothing is."""
-    if found == expected:
+def _share(value: float, expected: float, allowed: float) -> float:
+    """Return a difference as a part of the allowed one; infinite if none is allowed."""
+    if value == expected:
         return 0.0
-    difference = abs(found - expected)
+    difference = abs(value - expected)
     return difference / allowed if allowed and difference < math.inf else math.inf
 
 
-def _digits(found: float, expected: float) -> float | None:
-    if found == expected:
+def _digits(value: float, expected: float) -> float | None:
+    if value == expected:
         return _MOST_DIGITS
-    if not expected or not math.isfinite(found):
+    if not expected or not math.isfinite(value):
         return None
-    return min(_MOST_DIGITS, -math.log10(abs(found - expected) / abs(expected)))
+    return min(_MOST_DIGITS, -math.log10(abs(value - expected) / abs(expected)))
