@@ -62,9 +62,9 @@ def check(
     RecordError
         If file not found.
     """
-    whole = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
+    full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
     with one_blas_thread():
-        return _checked(record, whole, run)
+        return _checked(record, full_campaign, run)
 
 
 def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun:
@@ -73,15 +73,15 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
         if not file.exists():
             raise RecordError(f"{file}: file not found.")
         opener_of(file)  # asked before it matters which run it is
-    meant = _meant(campaign, file, name)
+    meant = _select_run(campaign, file, name)
     if file is None:
         table: MemoryTable = memory_table(f"{meant.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, meant.record: table})
     if isinstance(meant, MeanRun):
         return check_mean(campaign, meant, file or meant.record)
-    own = meant if file is None else _of_file(meant, file)
-    campaign = _with_recorded(campaign, lambda run: own if run is meant else run)
-    own_check = _by_itself(campaign, own)
+    tested = meant if file is None else _use_file(meant, file)
+    campaign = _with_recorded(campaign, lambda run: tested if run is meant else run)
+    own_check = _check_alone(campaign, tested)
     if own_check.fit is None and own_check.state.poses is None:
         return CheckedRun(
             run=own_check.state,
@@ -92,21 +92,21 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun
             expected=[],
             why_not="the record cannot be used as it is",
         )
-    others, found = _with_the_others(campaign, own, own_check.fit)
-    expected, why_not = _expected(campaign, own, own_check)
+    others, reached = _check_with_others(campaign, tested, own_check.fit)
+    expected, why_not = _expected(campaign, tested, own_check)
     return CheckedRun(
         run=own_check.state,
         remarks=own_check.remarks,
         # Poses that are too few by themselves may be enough with others.
-        good=own_check.good or (own_check.fit is None and any(c.u is not None for c in found)),
+        good=own_check.good or (own_check.fit is None and any(c.u is not None for c in reached)),
         others=others,
-        reached=found,
+        reached=reached,
         expected=expected,
         why_not=why_not,
     )
 
 
-def _of_file(run: Recorded, file: Path) -> Recorded:
+def _use_file(run: Recorded, file: Path) -> Recorded:
     """Return a run, or a record of poses, whose record is another file."""
     if isinstance(run, Run):
         return run.model_copy(update={"file": file})
@@ -118,15 +118,17 @@ def _with_recorded(campaign: Campaign, use: Callable[[Recorded], Recorded | None
     runs = tuple(run for run in map(use, campaign.runs) if isinstance(run, Run))
     triad = campaign.triad
     if triad is not None:
-        records = tuple(one for one in map(use, triad.records) if isinstance(one, PoseRecord))
+        records = tuple(
+            record for record in map(use, triad.records) if isinstance(record, PoseRecord)
+        )
         triad = replace(triad, records=records)
     return replace(campaign, runs=runs, triad=triad)
 
 
-def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded | MeanRun:
+def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Recorded | MeanRun:
     """Return the run whose record is meant."""
-    every = (*recordings(campaign), *mean_runs(campaign))
-    by_name = {run.name: run for run in every}
+    recorded = (*recordings(campaign), *mean_runs(campaign))
+    by_name = {run.name: run for run in recorded}
     if name is not None:
         if name not in by_name:
             raise CampaignError(
@@ -134,16 +136,16 @@ def _meant(campaign: Campaign, file: Path | None, name: str | None) -> Recorded 
             )
         return by_name[name]
     if file is not None:
-        for run in every:
+        for run in recorded:
             if run.record == file or (run.record.exists() and run.record.samefile(file)):
                 return run
         if file.stem in by_name:
             return by_name[file.stem]
-        for run in every:
+        for run in recorded:
             if run.record.name == file.name:
                 return run
-    if len(every) == 1:
-        return every[0]
+    if len(recorded) == 1:
+        return recorded[0]
     raise CampaignError(
         "`run`", [f"name the run, one of: {', '.join(by_name) or 'none has a record'}"]
     )
@@ -160,18 +162,18 @@ class _RecordCheck:
     observed: ObservedRun | None = None  # None of poses
 
 
-def _by_itself(campaign: Campaign, run: Recorded) -> _RecordCheck:
-    """Return what a record shows by itself."""
+def _check_alone(campaign: Campaign, run: Recorded) -> _RecordCheck:
+    """Return the check of a single record."""
     alone = _with_recorded(
-        replace(campaign, readings=()), lambda other: run if other is run else None
+        replace(campaign, readings=()), lambda candidate: run if candidate is run else None
     )
     if alone.triad is not None:
         alone = replace(alone, triad=replace(alone.triad, poses=()))
     observer = Observer(alone)
     observer.look()
     part, observed = observer.present()
-    found = observer.poses_of(run.name)
-    if not observed and not found:
+    poses = observer.poses_of(run.name)
+    if not observed and not poses:
         state = observer.not_read(run.name)
         why = state.why if state.state == "failed" else f"too short: {state.why}"
         state = state.model_copy(update={"state": "failed", "why": why})
@@ -182,37 +184,37 @@ def _by_itself(campaign: Campaign, run: Recorded) -> _RecordCheck:
     except CounterspinError as error:
         refused = str(error)
     if isinstance(run, PoseRecord):
-        state = poses_state(part, run, found, fit)
-        remarks, good = remarks_of_poses(found, fit)
-        own = None
+        state = poses_state(part, run, poses, fit)
+        remarks, good = remarks_of_poses(poses, fit)
+        observed_run = None
     else:
-        (own,) = observed
-        state = run_state(part, own, fit.views if fit else ())
+        (observed_run,) = observed
+        state = run_state(part, observed_run, fit.views if fit else ())
         remarks, good = (
-            remarks_of(state, own.record.report.notes(), fit.views) if fit else ([], False)
+            remarks_of(state, observed_run.record.report.notes(), fit.views) if fit else ([], False)
         )
     if fit is None:
         remarks, good = [refused, *remarks], False
-    return _RecordCheck(state, remarks, good, fit, own)
+    return _RecordCheck(state, remarks, good, fit, observed_run)
 
 
-def _with_the_others(
+def _check_with_others(
     campaign: Campaign, run: Recorded, fit: FitSoFar | None
 ) -> tuple[list[str], list[ReachedCoefficient]]:
-    """Return which other records are there, and what they say with this one.
+    """Return the other existing records, and the coefficients from all records together.
 
-    fit: Of this one alone; None if it does not determine enough.
+    fit: Fit of this record alone; None if it does not determine enough.
     """
 
-    def there(other: Recorded) -> Recorded | None:
-        in_memory = other.record in campaign.frames
-        return other if other is run or in_memory or other.record.exists() else None
+    def existing(recorded: Recorded) -> Recorded | None:
+        in_memory = recorded.record in campaign.frames
+        return recorded if recorded is run or in_memory or recorded.record.exists() else None
 
-    observer = Observer(_with_recorded(campaign, there))
+    observer = Observer(_with_recorded(campaign, existing))
     observer.look()
     part, observed = observer.present()
-    others = [one.run.name for one in observed]
-    others += [one.name for one in (part.triad.records if part.triad else ())]
+    others = [item.run.name for item in observed]
+    others += [item.name for item in (part.triad.records if part.triad else ())]
     others.remove(run.name)
     if others or part.readings or part.posed:
         try:
@@ -226,10 +228,10 @@ def _with_the_others(
 def _expected(
     campaign: Campaign, run: Recorded, own_check: _RecordCheck
 ) -> tuple[list[ReachedCoefficient], str | None]:
-    """Return what the whole campaign will know, its other runs being made as described."""
+    """Return the expected coefficients of the whole campaign with its other runs as described."""
     if not campaign.runs:
         return [], None
-    whole, rate = campaign, None
+    completed, rate = campaign, None
     if own_check.observed is not None and own_check.fit is not None:
         seconds = float(own_check.observed.record.time[-1])
         rate = 1.0 / own_check.observed.record.report.step
@@ -237,15 +239,15 @@ def _expected(
             r.model_copy(update={"duration": seconds}) if r is run else r for r in campaign.runs
         )
         noise = noise_of_fit(own_check.fit.estimate.fit)
-        whole = as_recorded(replace(campaign, runs=tuple(runs)), [own_check.observed], noise)
-    unknown = [r.name for r in whole.runs if r.duration is None]
+        completed = as_recorded(replace(campaign, runs=tuple(runs)), [own_check.observed], noise)
+    unknown = [r.name for r in completed.runs if r.duration is None]
     if unknown:
         return [], f"the description does not state how long {', '.join(unknown)} will last"
     try:
-        whole = with_pose_noise(whole)
-        predicted = forecast(whole, sampling_rate=rate)
+        completed = with_pose_noise(completed)
+        predicted = forecast(completed, sampling_rate=rate)
     except CounterspinError as error:
         return [], str(error)
     names = shown_names(campaign)
-    lines = reached_coefficients(FitSoFar(whole, predicted.estimate), names)
+    lines = reached_coefficients(FitSoFar(completed, predicted.estimate), names)
     return [line.model_copy(update={"value": None}) for line in lines], None

@@ -1,4 +1,4 @@
-"""A record on an arm or at rest, whose mean is a reading: the rotation, the mean, what it adds."""
+"""A record on an arm or at rest, whose mean is a reading: rotation, mean, contribution."""
 
 from __future__ import annotations
 
@@ -58,11 +58,14 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
     file: The record, which may be another file than that of the description.
     """
     campaign = _with_records(
-        campaign, lambda one: replace(one, record=file) if one.name == run.name else one
+        campaign,
+        lambda reading: replace(reading, record=file) if reading.name == run.name else reading,
     )
     try:
         averaged = [
-            average_record(campaign, one) for one in campaign.readings if one.record == file
+            average_record(campaign, reading)
+            for reading in campaign.readings
+            if reading.record == file
         ]
     except CounterspinError as error:
         return CheckedRun(
@@ -75,7 +78,7 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
             why_not="the record cannot be used as it is",
         )
     state = _state(campaign, averaged)
-    notes = list(dict.fromkeys(note for one in averaged for note in one.mean.report.notes()))
+    notes = list(dict.fromkeys(note for record in averaged for note in record.mean.report.notes()))
     remarks, good = remarks_of(state, notes, ())
     others, reached = _fit_with_others(campaign, run.name)
     return CheckedRun(
@@ -86,7 +89,8 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
 def _with_records(campaign: Campaign, use: Callable[[Reading], Reading | None]) -> Campaign:
     """Return a campaign with its readings as a function has them; None leaves one out."""
     return replace(
-        campaign, readings=tuple(one for one in map(use, campaign.readings) if one is not None)
+        campaign,
+        readings=tuple(reading for reading in map(use, campaign.readings) if reading is not None),
     )
 
 
@@ -109,7 +113,7 @@ def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
     reading, measured = first.reading, first.reading.measured
     assert reading.record is not None
     facts = report_fields(first.mean.report, first.record.time) | rotation_fields(first.rotation)
-    facts["outliers"] = max(sum(one.mean.report.outliers.values()) for one in averaged)
+    facts["outliers"] = max(sum(record.mean.report.outliers.values()) for record in averaged)
     if measured is not None:
         facts |= {"rate": measured.value, "u_rate": measured.u}
     return RunState(
@@ -120,16 +124,18 @@ def _state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
         nominal_rate=reading.rate,
         **facts,
         means={
-            one.reading.accelerometer: MeanState(
-                value=one.reading.value, u=one.reading.u or 0.0, revolutions=one.mean.revolutions
+            record.reading.accelerometer: MeanState(
+                value=record.reading.value,
+                u=record.reading.u or 0.0,
+                revolutions=record.mean.revolutions,
             )
-            for one in averaged
+            for record in averaged
         },
     )
 
 
 def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[ReachedCoefficient]]:
-    """Return which other records exist, and the coefficients from all of them together."""
+    """Return the other existing records, and the coefficients from all of them together."""
 
     def exists(record: Path) -> bool:
         return record in campaign.frames or record.exists()
@@ -137,12 +143,12 @@ def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[Rea
     runs = tuple(run for run in campaign.runs if exists(run.record))
     part = _with_records(
         replace(campaign, runs=runs),
-        lambda one: one if one.record is None or exists(one.record) else None,
+        lambda reading: reading if reading.record is None or exists(reading.record) else None,
     )
     observer = Observer(part)
     observer.look()
     part, observed = observer.present()
-    others = [one.run.name for one in observed]
+    others = [observed_run.run.name for observed_run in observed]
     others += [run.name for run in mean_runs(part) if run.name != name]
     names = shown_names(campaign)
     try:

@@ -1,4 +1,4 @@
-"""`counterspin noise`: what a record at rest says of the noise of its sensors."""
+"""`counterspin noise`: noise of sensors from a record at rest."""
 
 from __future__ import annotations
 
@@ -69,25 +69,25 @@ def noise(
     gravity: str | None = None,
     rate: str | None = None,
 ) -> NoiseResult:
-    """Tell the noise of a record at rest: spectrum, Allan deviation, components and lines.
+    """Estimate the noise of a record at rest: spectrum, Allan deviation, components and lines.
 
     Parameters
     ----------
     record
         A file of any format that records have, or a frame as `make_campaign` takes it.
     campaign
-        A campaign, its folder or its description, which says what the columns are; None: the file
-        says it, and the names of its columns.
+        A campaign, its folder or its description, which describes the columns; None: the file and
+        the names of its columns describe them.
     columns
-        Those to be taken; empty: all whose unit is known.
+        Selected columns; empty: all with a known unit.
     unit
-        Of columns of which the file states none, such as ``"g"`` or ``"m/s"``.
+        Unit of columns without a unit in the file, such as ``"g"`` or ``"m/s"``.
     sampling_rate
-        Where there is no column of time, such as ``"100 Hz"``.
+        Sampling rate of a file without a time column, such as ``"100 Hz"``.
     gravity
-        By which g and m/s^2 are converted; None: the campaign's, or 9.80665 m/s^2.
+        Gravity that converts between g and m/s^2; None: the campaign's, or 9.80665 m/s^2.
     rate
-        Of a spindle that turned beside, such as ``"1 rev/s"``, by which lines are named.
+        Rate of a nearby rotating spindle, such as ``"1 rev/s"``, whose lines are named.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def noise(
     Raises
     ------
     CampaignError
-        If what is asked does not fit the record or the campaign.
+        If the arguments do not fit the record or the campaign.
     RecordError
         If the record cannot be used: too short, uneven, or without a unit.
     """
@@ -109,15 +109,15 @@ def noise(
     unused: list[str] = []
     with one_blas_thread():
         if campaign is not None:
-            whole = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
+            full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
             if gravity is not None:
                 raise CampaignError("noise", ["`gravity`: the campaign states it"])
-            g = whole.gravity.value
-            signals = _chosen(rest_signals(whole, source), columns)
+            g = full_campaign.gravity.value
+            signals = _select_signals(rest_signals(full_campaign, source), columns)
         else:
-            signals, unused = _guessed(source, columns, unit, sampling_rate, g)
-        found = [at_rest(source, signal) for signal in signals]
-        parts = [_stated(one, turning) for one in found]
+            signals, unused = _guess_signals(source, columns, unit, sampling_rate, g)
+        rest_records = [at_rest(source, signal) for signal in signals]
+        parts = [_stated(rest_record, turning) for rest_record in rest_records]
     checksum = None
     if file is not None:
         with Checksums() as checksums:
@@ -141,15 +141,15 @@ def _quantity(name: str, text: str | None, unit: str) -> float | None:
         raise CampaignError("noise", [f"`{name}`: {error}"]) from error
 
 
-def _chosen(signals: list[RestSignal], columns: Sequence[str]) -> list[RestSignal]:
+def _select_signals(signals: list[RestSignal], columns: Sequence[str]) -> list[RestSignal]:
     chosen = [s for s in signals if not columns or s.column in columns or s.name in columns]
     if not chosen:
-        there = ", ".join(signal.column for signal in signals)
-        raise CampaignError("noise", [f"`columns`: the campaign's accelerometers have {there}"])
+        available = ", ".join(signal.column for signal in signals)
+        raise CampaignError("noise", [f"`columns`: the campaign's accelerometers have {available}"])
     return chosen
 
 
-def _guessed(
+def _guess_signals(
     source: Path | MemoryTable,
     columns: Sequence[str],
     unit: str | None,
@@ -157,20 +157,22 @@ def _guessed(
     gravity: float,
 ) -> tuple[list[RestSignal], list[str]]:
     """Return the signals of a file by its own words, and the names of other columns."""
-    told = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
+    answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
     if isinstance(source, MemoryTable):
-        held = tuple(FileColumn(name, "", values) for name, values in source.columns.items())
-        seen = Look(Path(source.name), held, source.others, "")
+        file_columns = tuple(
+            FileColumn(name, "", values) for name, values in source.columns.items()
+        )
+        seen = Look(Path(source.name), file_columns, source.others, "")
     else:
         seen = look(source)
-    guess = guess_file(seen, told)
+    guess = guess_file(seen, answers)
     missing = [name for name in columns if name not in {c.name for c in seen.columns}]
     if missing:
-        there = ", ".join(column.name for column in seen.columns)
-        raise CampaignError("noise", [f"`columns`: there is no {missing[0]!r} among {there}"])
+        available = ", ".join(column.name for column in seen.columns)
+        raise CampaignError("noise", [f"`columns`: there is no {missing[0]!r} among {available}"])
     time = _time(source, guess, seen.columns)
-    own = guess.time.column if guess.time else None
-    rest = [c for c in seen.columns if c.name != own and not c.stamps]
+    time_column = guess.time.column if guess.time else None
+    rest = [c for c in seen.columns if c.name != time_column and not c.stamps]
     taken: list[RestSignal] = []
     unused: list[str] = []
     for column in rest:
@@ -225,9 +227,9 @@ def _unit_of(column: FileColumn) -> str | None:
     return column.unit or file_unit(ending) or None
 
 
-def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
-    """Return what a column says of its noise."""
-    signal, stretches, analysis = found.signal, found.stretches, found.analysis
+def _stated(record: RestRecord, turning: float | None) -> SignalNoise:
+    """Return the noise of a column."""
+    signal, stretches, analysis = record.signal, record.stretches, record.analysis
     rest, kind, step = analysis.noise, analysis.kind, analysis.step
     key, unit = ("quantisation", "m/s")
     observable = next(name for name, order in observation.ORDERS.items() if order == signal.order)
@@ -235,16 +237,16 @@ def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
         key, unit = observable, OBSERVABLES[observable]
     sizes = {
         _KEYS.get(name, key): NoiseSize(
-            value=math.sqrt(one.variance) if one.variance > 0.0 else None,
-            low=math.sqrt(one.low),
-            high=math.sqrt(one.high) if math.isfinite(one.high) else None,
+            value=math.sqrt(component.variance) if component.variance > 0.0 else None,
+            low=math.sqrt(component.low),
+            high=math.sqrt(component.high) if math.isfinite(component.high) else None,
             unit=SI_UNITS.get(_KEYS.get(name, ""), unit),
         )
-        for name, one in ((name, rest.components[name]) for name in COMPONENTS)
+        for name, component in ((name, rest.components[name]) for name in COMPONENTS)
     }
     _, longest = stretches.longest
-    own = kind.means
-    force = np.diff(longest, n=own) / stretches.step**own
+    differences = kind.means
+    force = np.diff(longest, n=differences) / stretches.step**differences
     seconds = stretches.step * sum(part.size for _, part in stretches.parts)
     lines = [replace(line, name=_line_name(line, 1.0 / step, turning)) for line in analysis.lines]
     stated = SignalNoise(
@@ -267,33 +269,39 @@ def _stated(found: RestRecord, turning: float | None) -> SignalNoise:
         spectrum=spectrum(force, stretches.step, kind, rest.variances),
         remarks=[],
     )
-    return stated.model_copy(update={"remarks": list(_remarks(stated, found))})
+    return stated.model_copy(update={"remarks": list(_remarks(stated, record))})
 
 
 def _line_name(line: SpectralLine, sampling: float, turning: float | None) -> str | None:
-    """Return what a line may be: mains or the spindle, or one that the sampling folds down."""
+    """Return the probable source of a line: mains or the spindle, possibly aliased."""
     close = 3.0 * line.u_frequency
     spindle = None if turning is None else turning / (2.0 * math.pi)
     for number in range(1, _SPINDLE_HARMONICS + 1) if spindle else ():
         assert spindle is not None
-        if abs(_folded(number * spindle, sampling) - line.frequency) <= close + 1e-4 * spindle:
+        if (
+            abs(_alias_frequency(number * spindle, sampling) - line.frequency)
+            <= close + 1e-4 * spindle
+        ):
             return "spindle" if number == 1 else f"spindle, harmonic {number}"
     for number in range(1, _MAINS_HARMONICS + 1):
         for mains in _MAINS:
             seen = number * mains
-            if abs(_folded(seen, sampling) - line.frequency) <= close + _MAINS_WANDER * seen:
+            if (
+                abs(_alias_frequency(seen, sampling) - line.frequency)
+                <= close + _MAINS_WANDER * seen
+            ):
                 name = f"{mains:g} Hz mains" + ("" if number == 1 else f", harmonic {number}")
                 return name if seen <= 0.5 * sampling else f"{name}, folded by the sampling"
     return None
 
 
-def _folded(frequency: float, sampling: float) -> float:
-    """Return the frequency at which samples show a wave."""
+def _alias_frequency(frequency: float, sampling: float) -> float:
+    """Return the aliased frequency of a wave."""
     return abs(frequency - sampling * round(frequency / sampling))
 
 
-def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
-    """Yield what to know before the figures are used."""
+def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
+    """Yield remarks on the validity of the figures."""
     names = {"acceleration": "white noise of the accelerometer", "flicker": "flicker"}
     names |= {"bias_walk": "random walk of the bias", "quantisation": "quantisation noise"}
     for key, size in stated.components.items():
@@ -325,47 +333,47 @@ def _remarks(stated: SignalNoise, found: RestRecord) -> Iterator[str]:
             f"The record is cut at {stated.gaps} gap{'s' if stated.gaps > 1 else ''}; spectrum "
             "and Allan deviation use its longest part, the components all parts."
         )
-    thin = round(found.analysis.step / found.stretches.step)
+    thin = round(record.analysis.step / record.stretches.step)
     if thin > 1:
         yield (
             f"Components, lines and Allan deviation are computed from velocities {thin} "
             "samples apart; the spectrum from all samples."
         )
-    if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _scatter(found) ** 2:
+    if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _scatter(record) ** 2:
         yield (
             f"The samples are multiples of {stated.resolution:.3g} {OBSERVABLES[stated.observable]}"
             ": rounding contributes much of the white noise here, and it is not white "
             "where the signal stays within one step."
         )
-    yield from _motion(found)
-    yield from _misfit(found.analysis.noise.bands)
+    yield from _motion(record)
+    yield from _misfit(record.analysis.noise.bands)
 
 
-def _motion(found: RestRecord) -> Iterator[str]:
-    """Yield where a specific force scatters as none at rest does."""
-    start, values = found.stretches.longest
+def _motion(record: RestRecord) -> Iterator[str]:
+    """Yield a remark on the place where the scatter of a specific force indicates motion."""
+    start, values = record.stretches.longest
     size = max(_FEWEST_TOGETHER, values.size // _PARTS)
     parts = values[: values.size // size * size].reshape(-1, size)
     scatter = parts.std(axis=1)
     usual, place = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
-    if found.signal.order == 0 and len(parts) >= _PARTS // 2 and scatter[place] > _MOVED * usual:
-        begin = start + place * size * found.stretches.step
+    if record.signal.order == 0 and len(parts) >= _PARTS // 2 and scatter[place] > _MOVED * usual:
+        begin = start + place * size * record.stretches.step
         yield (
-            f"From {begin:.4g} s to {begin + size * found.stretches.step:.4g} s the record "
+            f"From {begin:.4g} s to {begin + size * record.stretches.step:.4g} s the record "
             f"scatters {scatter[place] / usual:.2g} times as much as where it is quiet: it is not "
             "at rest all along, and these figures are not those of its noise. Cut it there."
         )
 
 
-def _scatter(found: RestRecord) -> float:
+def _scatter(record: RestRecord) -> float:
     """Return the standard deviation of samples about their neighbours."""
-    _, longest = found.stretches.longest
+    _, longest = record.stretches.longest
     second = longest[2:] - 2.0 * longest[1:-1] + longest[:-2]
     return float(np.std(second)) / math.sqrt(6.0)
 
 
 def _misfit(bands: Sequence[Band]) -> Iterator[str]:
-    """Yield where the spectrum is not that of the components."""
+    """Yield a remark on the band where the spectrum deviates most from the components."""
     from scipy.stats import chi2
 
     worst: tuple[float, Band] | None = None

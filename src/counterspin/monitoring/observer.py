@@ -1,7 +1,7 @@
-"""The existing records, read again only where they have changed; of a table its new rows alone.
+"""The existing records, read again only where they have changed; for a table, only its new rows.
 
-Whatever a recorder appends is read once. A last line without an end is waited for. What is kept is
-the columns, in memory: all of it comes from the file again if the program is started anew.
+Each appended row is read once. An incomplete last line is read when it is complete. The columns
+stay in memory, and are read from the file again if the program restarts.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class GrowingTable:
         return MemoryTable(str(self.path), columns)
 
     def follow(self) -> tuple[bool, str | None]:
-        """Read what is new."""
+        """Read the new data."""
         with open_file(self.path) as file:
             now = FileIdentity.of(file.fileno())
             if now == self._identity:
@@ -99,13 +99,13 @@ class GrowingTable:
             changed = event is not None
             file.seek(self._done)
             # No further than the file was when it was looked at: a fast writer never ends.
-            left = now.size - self._done
+            remaining = now.size - self._done
             rest = b""
-            while left > 0 and (part := file.read(min(left, _PART_BYTES))):
-                left -= len(part)
-                whole, _, rest = (rest + part).rpartition(b"\n")
-                if whole:
-                    changed |= self._take(whole + b"\n")
+            while remaining > 0 and (part := file.read(min(remaining, _PART_BYTES))):
+                remaining -= len(part)
+                complete, _, rest = (rest + part).rpartition(b"\n")
+                if complete:
+                    changed |= self._take(complete + b"\n")
             return changed, event
 
     def _what_happened(self, now: FileIdentity, file: FileIO) -> str | None:
@@ -163,13 +163,13 @@ class GrowingTable:
         """Put rows below the others, in room that doubles as it is needed."""
         more = len(new[self.names[0]])
         for name, values in new.items():
-            own = self._columns.get(name)
-            if own is None or len(own) < self._rows + more:
+            column = self._columns.get(name)
+            if column is None or len(column) < self._rows + more:
                 wider = np.empty(max(2 * (self._rows + more), 4096))
-                if own is not None:
-                    wider[: self._rows] = own[: self._rows]
-                self._columns[name] = own = wider
-            own[self._rows : self._rows + more] = values
+                if column is not None:
+                    wider[: self._rows] = column[: self._rows]
+                self._columns[name] = column = wider
+            column[self._rows : self._rows + more] = values
         self._rows += more
 
 
@@ -195,7 +195,7 @@ def recordings(campaign: Campaign) -> tuple[Recorded, ...]:
 
 @dataclass
 class _WatchedRun:
-    """A run, its file, and what was made of it when it was last read."""
+    """A run, its file, and the results of its last reading."""
 
     run: Recorded
     columns: RecordColumns
@@ -240,7 +240,7 @@ class Observer:
             self._watched.append(_WatchedRun(run, columns, table))
 
     def look(self) -> tuple[bool, list[str]]:
-        """Read what is new."""
+        """Read the new data."""
         changed, events = False, []
         for watched in self._watched:
             if watched.run.record in self._campaign.frames:
@@ -270,9 +270,9 @@ class Observer:
         part = replace(self._campaign, runs=runs, frames=frames)
         if part.triad is not None:
             usable = tuple(
-                replace(one, temperature=warm[one.name])
-                for one in part.triad.records
-                if self.poses_of(one.name)
+                replace(record, temperature=warm[record.name])
+                for record in part.triad.records
+                if self.poses_of(record.name)
             )
             part = replace(part, triad=replace(part.triad, records=usable))
         conditions = conditions_of(part, lengths) if runs else {}
@@ -292,17 +292,17 @@ class Observer:
         return next(w for w in self._watched if w.run.name == name).found
 
     def of(self, name: str) -> tuple[str | None, str | None, int]:
-        """Return what a run waits for, what is wrong with it, and how many rows it has."""
+        """Return the reason why a run waits, its fault, and its number of rows."""
         watched = next(w for w in self._watched if w.run.name == name)
         rows = watched.table.rows if watched.table else 0
         if watched.record is not None:
             rows = max(rows, watched.record.report.rows)
-        if watched.found and (whole := watched.found[0].record) is not None:
-            rows = max(rows, whole.report.rows)
+        if watched.found and (record := watched.found[0].record) is not None:
+            rows = max(rows, record.report.rows)
         return watched.waits, watched.fault or watched.trouble, rows
 
     def not_read(self, name: str) -> RunState:
-        """Return the state of a run of which nothing can be said yet, or which cannot be used."""
+        """Return the state of a run that is too short or cannot be used."""
         run = next(w.run for w in self._watched if w.run.name == name)
         waits, trouble, rows = self.of(name)
         return RunState(
@@ -316,7 +316,7 @@ class Observer:
         )
 
     def _read(self, watched: _WatchedRun) -> None:
-        """Make a record of the rows that there are, if they are others than before."""
+        """Make a record of the existing rows if they have changed."""
         if not watched.stale:
             return
         watched.forget()
@@ -344,7 +344,7 @@ class Observer:
 
 
 def _too_short(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str | None:
-    """Return what a growing record waits for before anything can be said of it."""
+    """Return the reason why a growing record is too short to read, or None."""
     clock, rows = columns.time, len(next(iter(table.columns.values())))
     first, last = (0.0, rows - 1.0) if clock.is_made else table.columns[clock.name][[0, -1]]
     seconds = float(last - first) * clock.factor

@@ -31,11 +31,11 @@ from counterspin.reports.numbers import (
 def watch_line(state: WatchState) -> str:
     """Return a state in one line."""
     runs = ", ".join(f"{run.run} {_progress(run)}" for run in state.runs)
-    found = ", ".join(f"u({c.name}) {_u(c.u, c.unit)}" for c in state.coefficients)
+    uncertainties = ", ".join(f"u({c.name}) {_u(c.u, c.unit)}" for c in state.coefficients)
     worst = [r.ratio for run in state.runs for r in run.residuals.values()]
     residual = f"; residuals {max(worst):.2f} times the noise" if worst else ""
     goals = "; goal met" if state.met else ""
-    return f"{runs}; {found}{residual}{goals}"
+    return f"{runs}; {uncertainties}{residual}{goals}"
 
 
 def check_blocks(checked: CheckedRun) -> Iterator[Block]:
@@ -204,7 +204,7 @@ def _goal(goal: GoalState | None) -> str:
 #: What a file of the plots says that it is.
 PLOTS: Final = "plots of noise"
 
-#: Key of a component -> what it is called.
+#: Key of a component -> its name.
 NAMES: Final = {
     "displacement": "white noise of the displacement, a sample",
     "velocity": "white noise of the velocity, a sample",
@@ -219,7 +219,7 @@ _EVERY: Final = 2
 
 
 def noise_blocks(result: NoiseResult) -> Iterator[Block]:
-    """Yield the components of each column, what to know of them, spectrum and Allan deviation."""
+    """Yield the components of each column, remarks, spectrum and Allan deviation."""
     yield Heading(f"Noise of {result.record}", 1)
     for signal in result.signals:
         yield Heading(signal.name)
@@ -262,13 +262,13 @@ def _first(signal: SignalNoise, gravity: float) -> str:
     )
     slow = []
     for key, name in (("flicker", "B"), ("bias_walk", "K")):
-        own = signal.components[key]
-        unit, factor = _shown(own.unit, signal, gravity)
-        if own.value is not None:
-            slow.append(f"{name} = {format_number(own.value * factor)} {unit}")
-    beside = f", {' and '.join(slow)}" if slow else "; no slower noise is visible"
+        component = signal.components[key]
+        unit, factor = _shown(component.unit, signal, gravity)
+        if component.value is not None:
+            slow.append(f"{name} = {format_number(component.value * factor)} {unit}")
+    others = f", {' and '.join(slow)}" if slow else "; no slower noise is visible"
     rate = format_number(signal.sampling_rate, 5)
-    return f"{white}{beside}, in {signal.seconds:.5g} s at {rate} Hz."
+    return f"{white}{others}, in {signal.seconds:.5g} s at {rate} Hz."
 
 
 def _number(value: float | None, factor: float) -> str:
@@ -338,7 +338,7 @@ def _allan(signal: SignalNoise, gravity: float) -> Table:
 
 
 def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
-    """Return the Allan deviation and the spectrum of a column, with what the components make."""
+    """Return plots of a column's Allan deviation and spectrum, with those of the components."""
     unit, factor = _shown("m/s^2", signal, gravity)
     tau = tuple(point.tau for point in signal.allan)
     allan = Plot(

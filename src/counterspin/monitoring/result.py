@@ -1,4 +1,4 @@
-"""What is known of a campaign while it is recorded, and of noise at rest: the JSON of both.
+"""State of a campaign while it is recorded, and noise at rest: the JSON of both.
 
 SI units, coefficients in g-units.
 """
@@ -16,7 +16,7 @@ class ResidualState(ResultPart):
 
     rms: float  #: Root mean square, a sample, in `unit`.
     stated: float | None  #: White noise that the campaign states; None where it is to be estimated.
-    ratio: float  #: Whitened residuals over what the noise lets expect: near 1.
+    ratio: float  #: Whitened residuals over their value expected from the noise: near 1.
     p: float | None  #: Probability of larger ones; None where the noise was estimated from them.
     unit: str  #: Of ``rms`` and ``stated``.
 
@@ -44,14 +44,14 @@ class MeanState(ResultPart):
 
 
 class RunState(ResultPart):
-    """What one run shows so far."""
+    """The state of a run so far."""
 
     run: str  #: Its name.
     record: str  #: Its file.
     #: ``waiting``: no file, or too little of it; ``read``; ``failed``: it cannot be used as it
     #: stands.
     state: Literal["waiting", "read", "failed"]
-    why: str | None = None  #: What is waited for, or what is wrong.
+    why: str | None = None  #: The reason for waiting, or the fault.
     rows: int = 0  #: Read so far.
     seconds: float = 0.0  #: Recorded so far.
     #: How long it is to be; None where the campaign does not say.
@@ -101,7 +101,7 @@ class WatchState(ShownResult):
 
     title: str  #: Of the campaign.
     runs: list[RunState]  #: In the order of the description.
-    #: K_II of each accelerometer, all of a triad in poses, and what goals name.
+    #: K_II of each accelerometer, all of a triad in poses, and the coefficients of goals.
     coefficients: list[ReachedCoefficient]
     goals: list[GoalState]  #: What is wanted.
     events: list[str]  #: What happened to files since the state before, in sentences.
@@ -111,12 +111,12 @@ class WatchState(ShownResult):
 
     @property
     def met(self) -> bool:
-        """Whether there are goals, and all of them are met."""
+        """True if the watch has goals and all of them are met."""
         return bool(self.goals) and all(goal.met for goal in self.goals)
 
 
 class CheckedRun(ShownResult):
-    """One record, checked."""
+    """A checked record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
     KIND: ClassVar[str] = "check"
@@ -132,7 +132,7 @@ class CheckedRun(ShownResult):
     why_not: str | None = None  #: Why that cannot be said; None if it can.
 
 
-#: SI unit -> the unit of what is recorded in g, and how many of it are 1 g of the former.
+#: SI unit -> the unit of a record in g, and its number per 1 g of the SI quantity.
 _IN_G: Final = {
     "m/s^2/Hz^0.5": ("ug/Hz^0.5", 1e6),
     "m/s^2": ("ug", 1e6),
@@ -157,7 +157,7 @@ class NoiseSize(ResultPart):
 
     value: float | None  #: None: the record does not show it.
     low: float  #: Lower end of its 95 % interval; 0: the record may be without it.
-    high: float | None  #: Upper end; of what does not show, an upper limit. None: no limit.
+    high: float | None  #: Upper end; an upper limit for an undetected component. None: no limit.
     unit: str  #: Of all three.
 
 
@@ -197,5 +197,5 @@ class NoiseResult(ShownResult):
     checksum: str | None  #: SHA-256 of it; None of a record in memory.
     gravity: float  #: By which g and m/s^2 are converted, m/s^2.
     signals: list[SignalNoise]  #: One for each column.
-    unused: list[str]  #: Columns that are no displacement, velocity or specific force.
+    unused: list[str]  #: Columns other than displacement, velocity and specific force.
     table: str  #: The ``[noise]`` table, to be pasted into ``campaign.toml``.

@@ -1,4 +1,4 @@
-"""What a run, a record of poses and all records together show, and whether it is enough."""
+"""States of a run, of a record of poses and of all records, and their verdicts."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ from counterspin.records.record import RecordReport
 def run_state(
     campaign: Campaign, observed: ObservedRun, views: Sequence[AccelerometerView]
 ) -> RunState:
-    """Return what a run shows.
+    """Return the state of a run.
 
-    views: A fit with it, as each accelerometer sees it; empty if there is none.
+    views: A fit with the run, by accelerometer; empty without a fit.
     """
     run = observed.run
     return RunState(
@@ -94,7 +94,7 @@ def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
     """Return the fields of `RunState` that the recorded angle determines."""
     if rotation is None:
         return {}
-    ripple = max(rotation.spindle.ripples, key=lambda one: one.amplitude, default=None)
+    ripple = max(rotation.spindle.ripples, key=lambda wave: wave.amplitude, default=None)
     return {
         "rate": rotation.spindle.rate,
         "u_rate": rotation.u_rate,
@@ -128,7 +128,7 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
 def remarks_of(
     state: RunState, notes: Sequence[str], views: Sequence[AccelerometerView]
 ) -> tuple[list[str], bool]:
-    """Return what is odd about a run, in sentences, and whether it may be kept as it is."""
+    """Return remarks on a run, in sentences, and True if the run may be kept as it is."""
     wrong, odd = list[str](), list[str]()
     if state.rate is not None:
         part = state.rate / state.nominal_rate - 1.0
@@ -145,15 +145,15 @@ def remarks_of(
     if state.outliers > OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
         wrong.append(f"{state.outliers} of {state.rows} samples are outliers.")
     for view in views:
-        found = [f"{view.name}: {text}" for text in view.diagnostics.findings]
+        findings = [f"{view.name}: {text}" for text in view.diagnostics.findings]
         p = view.diagnostics.lack_of_fit_p if view.diagnostics.noise_given else None
-        (wrong if p is not None and p < CHI_SQUARE_SIGNIFICANCE else odd).extend(found)
+        (wrong if p is not None and p < CHI_SQUARE_SIGNIFICANCE else odd).extend(findings)
     return [*wrong, *odd, *notes], not wrong
 
 
 @frozen(eq=False)
 class FitSoFar:
-    """The joint fit of the runs that are there."""
+    """The joint fit of the existing runs."""
 
     campaign: Campaign  #: With these runs alone.
     estimate: Estimate  #: Of its unknowns.
@@ -223,14 +223,14 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
 
 
 def reached_coefficients(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoefficient]:
-    """Return what a fit says of unknowns, None where it does not determine them."""
+    """Return the estimates of unknowns from a fit, None where it does not determine them."""
     places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
-    found = []
+    reached = []
     for name in names:
         if name not in places:
             continue
         c = coefficient(fit.estimate, fit.estimate.fit.assessment, places[name])
-        found.append(
+        reached.append(
             ReachedCoefficient(
                 name=name,
                 value=c.value if c.estimated else None,
@@ -238,11 +238,11 @@ def reached_coefficients(fit: FitSoFar, names: Sequence[str]) -> list[ReachedCoe
                 unit=c.unit,
             )
         )
-    return found
+    return reached
 
 
 def nothing_reached(campaign: Campaign, names: Sequence[str]) -> list[ReachedCoefficient]:
-    """Return the coefficients of the names that are asked for, none of them determined."""
+    """Return the named parameters of interest as not determined."""
     symbols = {unknown.name: unknown.symbol for unknown in model_of(campaign).asked}
     return [
         ReachedCoefficient(name=name, value=None, u=None, unit=unit_of(symbols[name]))
@@ -252,15 +252,15 @@ def nothing_reached(campaign: Campaign, names: Sequence[str]) -> list[ReachedCoe
 
 
 def shown_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
-    """Return what is shown: K_II of each, all that is asked of a triad in poses, and goals."""
+    """Return the displayed names: K_II of each, parameters of interest of a triad, and goals."""
     of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
-    asked = [unknown.name for unknown in model_of(campaign).asked if unknown.owner in of_triad]
+    requested = [unknown.name for unknown in model_of(campaign).asked if unknown.owner in of_triad]
     squares = (f"{name}.K_II" for name in campaign.accelerometers)
-    return list(dict.fromkeys([*squares, *asked, *goals]))
+    return list(dict.fromkeys([*squares, *requested, *goals]))
 
 
 def goal_states(goals: Mapping[str, float], found: Sequence[ReachedCoefficient]) -> list[GoalState]:
-    """Return for each goal whether it is met."""
+    """Return the state of each goal."""
     by_name = {c.name: c for c in found}
     return [
         GoalState(
@@ -275,26 +275,26 @@ def goal_states(goals: Mapping[str, float], found: Sequence[ReachedCoefficient])
     ]
 
 
-#: What is known of a combination of which no pose tells anything, in poses: next to nothing.
+#: Prior information on combinations that no pose determines, in poses: negligible.
 _NEXT_TO_NOTHING: Final = 1e-9
 
-#: Most directions that are named; a triad of which nothing is known takes nine.
+#: Most directions that are named; a triad without prior information needs nine.
 _MOST_MISSING: Final = 12
 
 
 def poses_state(
     campaign: Campaign, record: PoseRecord, found: Sequence[FoundPose], fit: FitSoFar | None
 ) -> RunState:
-    """Return what a record of poses shows.
+    """Return the state of a record of poses.
 
     found: Its poses, at least one.
-    fit: With it; None if there is none.
+    fit: Fit with the record; None without a fit.
     """
-    whole = found[0].record
-    assert whole is not None
-    poses, report = whole.poses, whole.report
-    own = {one.pose[0].name for one in found}
-    left = [size for name, size in _left(fit) if name in own] if fit else []
+    pose_record = found[0].record
+    assert pose_record is not None
+    poses, report = pose_record.poses, pose_record.report
+    names = {found_pose.pose[0].name for found_pose in found}
+    residuals = [size for name, size in _pose_residuals(fit) if name in names] if fit else []
     return RunState(
         run=record.name,
         record=record_name(record.record, campaign.folder),
@@ -304,12 +304,14 @@ def poses_state(
         poses=PosesState(
             count=len(found),
             threshold=poses.threshold,
-            rms=campaign.gravity.value * float(np.sqrt(np.mean(np.square(left)))) if left else None,
+            rms=campaign.gravity.value * float(np.sqrt(np.mean(np.square(residuals))))
+            if residuals
+            else None,
             outlying=[
                 far_off.name
                 for part in (fit.posed if fit else ())
                 for far_off in part.outlying()
-                if far_off.name in own
+                if far_off.name in names
             ],
             missing=missing_directions(campaign, found, fit),
         ),
@@ -317,11 +319,11 @@ def poses_state(
 
 
 def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[list[str], bool]:
-    """Return what is odd about a record of poses, in sentences, and whether it may be kept."""
-    whole = found[0].record
-    assert whole is not None
+    """Return remarks on a record of poses, in sentences, and True if it may be kept."""
+    pose_record = found[0].record
+    assert pose_record is not None
     findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
-    odd = [*whole.poses.doubts, *whole.poses.left_out, *whole.report.notes()]
+    odd = [*pose_record.poses.doubts, *pose_record.poses.left_out, *pose_record.report.notes()]
     may_be_kept = not any(finding.contradicts for finding in findings)
     return [*(finding.text for finding in findings), *odd], may_be_kept
 
@@ -329,15 +331,15 @@ def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[
 def missing_directions(
     campaign: Campaign, found: Sequence[FoundPose], fit: FitSoFar | None
 ) -> list[str]:
-    """Return the directions in which one pose would say more than all that are there together.
+    """Return the directions in which one pose would be more informative than all existing poses.
 
-    The most telling comes first, each further one beside those before it. Nine poses that are as
-    good as nine can be leave none: in no direction is |f| known worse than by one pose (Kiefer and
+    The most informative direction comes first, each further one given those before it. Nine optimal
+    poses leave no direction: the variance of |f| nowhere exceeds that of a single pose (Kiefer and
     Wolfowitz, Canadian J. Math. 12 (1960) 363).
     """
     model = fit.estimate.fit.model if fit else model_of(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
-    group = one_group(campaign, [one.pose for one in found])
+    group = one_group(campaign, [found_pose.pose for found_pose in found])
     ups = every_up(group.accelerometers)
     known = [
         {
@@ -348,10 +350,10 @@ def missing_directions(
         for name in group.accelerometers
     ]
     further = pointing_up(one_group(campaign, [found[0].pose] * len(ups)), ups, known)
-    asked = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
-    rows = group.linearised(model, point).design[:, asked]
-    possible = further.linearised(model, point).design[:, asked]
-    information = rows.T @ rows + _NEXT_TO_NOTHING * np.eye(len(asked))
+    requested = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
+    rows = group.linearised(model, point).design[:, requested]
+    possible = further.linearised(model, point).design[:, requested]
+    information = rows.T @ rows + _NEXT_TO_NOTHING * np.eye(len(requested))
     missing: list[str] = []
     while len(missing) < _MOST_MISSING:
         # u^2 of |f| in each direction over that of one pose.
@@ -364,7 +366,7 @@ def missing_directions(
     return missing
 
 
-def _left(fit: FitSoFar) -> Iterator[tuple[str, float]]:
+def _pose_residuals(fit: FitSoFar) -> Iterator[tuple[str, float]]:
     """Yield each pose's name, and by how much the size of its specific force is off, g."""
     model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
     for part in fit.posed:

@@ -29,13 +29,13 @@ from counterspin.monitoring.run_state import (
 )
 from counterspin.workers import one_blas_thread
 
-#: A run that is as long as this part of what is stated is complete.
+#: A run is complete at this part of its stated duration.
 _COMPLETE_PART: Final = 1.0 - 1e-3
 
 
 @frozen
 class Pace:
-    """How often files are looked at, and how much of the processor is taken."""
+    """The interval between looks at the files, and the share of the processor."""
 
     interval: float = 1.0  #: Seconds between two looks.
     #: Part of one core that fits may take: the longer one takes, the later the next one.
@@ -60,8 +60,8 @@ def watch(
 ) -> Iterator[WatchState]:
     """Follow the records of a campaign while they grow.
 
-    Nothing is kept beside the files: a watch that is started again has the same states from then
-    on. New rows alone are read of tables of text; other files are read whole when they change.
+    The watch stores nothing except in memory: a restarted watch has the same states from then on.
+    Of text tables only new rows are read; other files are read completely when they change.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def watch(
     goals
         Such as ``K_II 1e-8 g/g^2``, or name -> u, or the file of a plan, whose ``target`` counts.
     pace
-        How often, and how much of the processor.
+        Interval between looks, and share of the processor.
     once
-        Whether one state is enough; else the iterator ends when every run is as long as the
-        description states, and otherwise not by itself.
+        True: stop after one state; False: the iterator ends only when every run is as long as
+        the description states.
 
     Yields
     ------
@@ -94,7 +94,7 @@ def watch(
 
 @dataclass
 class _Clock:
-    """When the next look and the next fit are due."""
+    """The times of the next look and the next fit."""
 
     pace: Pace
     fit_due: float = 0.0
@@ -113,8 +113,8 @@ def _states(
     events: list[str] = []
     due = True
     while True:
-        changed, told = observer.look()
-        events += told
+        changed, new_events = observer.look()
+        events += new_events
         due |= changed
         if due and time.monotonic() >= clock.fit_due:
             begin = time.process_time()
@@ -133,21 +133,21 @@ def _state(
     with one_blas_thread():
         part, observed = observer.present()
         fit, trouble = None, None
-        found: list[ReachedCoefficient] = []
+        reached: list[ReachedCoefficient] = []
         if observed or part.readings or part.posed:
             try:
                 fit = joint_fit_of(part, observed)
-                found = reached_coefficients(fit, shown_names(campaign, goals))
+                reached = reached_coefficients(fit, shown_names(campaign, goals))
             except CounterspinError as error:
                 trouble = str(error)
         runs = _runs(campaign, observer, observed, fit)
-    if not found:
-        found = nothing_reached(campaign, shown_names(campaign, goals))
+    if not reached:
+        reached = nothing_reached(campaign, shown_names(campaign, goals))
     return WatchState(
         title=campaign.title,
         runs=runs,
-        coefficients=found,
-        goals=goal_states(goals, found),
+        coefficients=reached,
+        goals=goal_states(goals, reached),
         events=list(events),
         trouble=trouble,
         complete=all(map(_is_complete, runs)),
@@ -157,14 +157,14 @@ def _state(
 def _runs(
     campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: FitSoFar | None
 ) -> list[RunState]:
-    there = {one.run.name: one for one in observed}
+    by_name = {observed_run.run.name: observed_run for observed_run in observed}
     states = []
     for run in recordings(campaign):
         trouble = observer.of(run.name)[1]
-        if isinstance(run, PoseRecord) and (found := observer.poses_of(run.name)):
-            state = poses_state(campaign, run, found, fit)
-        elif isinstance(run, Run) and run.name in there:
-            state = run_state(campaign, there[run.name], fit.views if fit else ())
+        if isinstance(run, PoseRecord) and (poses := observer.poses_of(run.name)):
+            state = poses_state(campaign, run, poses, fit)
+        elif isinstance(run, Run) and run.name in by_name:
+            state = run_state(campaign, by_name[run.name], fit.views if fit else ())
         else:
             states.append(observer.not_read(run.name))
             continue
