@@ -422,6 +422,7 @@ def _second_order(world: World, truth: StudyTruth) -> float:
             force = 1.0 if vertical else speed**2 / (4.0 * world.radius * world.site.gravity)
             grows = {
                 "tilt": 1.0,
+                "table": 1.0,
                 "drift": duration,
                 "g_sensitivity": duration if vertical else speed / world.site.gravity,
                 "g2_sensitivity": duration * (1.0 + force**2),
