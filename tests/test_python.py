@@ -97,3 +97,12 @@ def test_every_command_is_a_function_but_those_that_the_page_names():
     without = re.search(r"Every command is a function .*?, but (.*?)\.", page, re.DOTALL)[1]
     commands = {name for name in cli.app if not name.startswith("-")}
     assert commands - set(cs.__all__) == set(re.findall(r"`(\w+)`", without))
+
+
+def test_functions_refuse_a_number_of_threads_that_polars_cannot_use(monkeypatch):
+    monkeypatch.delitem(vars(cs), "simulate", raising=False)
+    monkeypatch.setenv("POLARS_MAX_THREADS", "0")
+    with pytest.raises(cs.CounterspinError, match="POLARS_MAX_THREADS: '0' is not a whole number"):
+        cs.simulate(".")
+    monkeypatch.setenv("POLARS_MAX_THREADS", "2")
+    assert callable(cs.simulate)

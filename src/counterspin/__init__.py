@@ -231,6 +231,10 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, attribute = _PLACES[name]
+    if module not in ("errors", "_version"):
+        from counterspin.errors import require_thread_count
+
+        require_thread_count()
     value = getattr(import_module(f"{__name__}.{module}"), attribute)
     globals()[name] = value
     return value

@@ -9,6 +9,7 @@ it. `installing` says how a part is had that not everybody installs.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from itertools import zip_longest
@@ -29,6 +30,10 @@ _LINE_LENGTH: Final = 3000
 
 #: The most characters of a library's complaint, or of a file's own words, that a message repeats.
 REASON_LENGTH: Final = 150
+
+#: What Polars reads the number of its threads from, and the most threads that counterspin allows.
+_THREADS: Final = "POLARS_MAX_THREADS"
+_MOST_THREADS: Final = 1024
 
 #: As many lines at the beginning and at the end of a message are shown.
 _END_LINES: Final = 20
@@ -121,3 +126,17 @@ class ConvergenceError(CounterspinError):
 
 class CounterspinWarning(UserWarning):
     """Something that a user should know, though the work goes on."""
+
+
+def require_thread_count() -> None:
+    """Raise `CampaignError` unless POLARS_MAX_THREADS is absent or a usable number of threads.
+
+    Polars panics at 0, and starts as many threads as a large number states.
+    """
+    value = os.environ.get(_THREADS)
+    if value is None or (re.fullmatch("0*[1-9][0-9]{0,3}", value) and int(value) <= _MOST_THREADS):
+        return
+    raise CampaignError(
+        f"environment variable {_THREADS}",
+        [f"{value!r} is not a whole number from 1 to {_MOST_THREADS}; correct or unset it"],
+    )

@@ -3,6 +3,7 @@
 import errno
 import inspect
 import json
+import os
 import re
 import shlex
 import shutil
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pypdf
 import pytest
+from campaigns import SMALL
 
 from counterspin import cli
 from counterspin.calibration.result import Result
@@ -202,6 +204,36 @@ def test_too_little_memory_to_begin_is_told(most, tmp_path):
     )
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith(f"counterspin: this process may take {most / 1e9:.2g} GB of")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "", "two", "1e3", "1025", "99999999999999"])
+def test_a_number_of_threads_that_polars_cannot_use_is_refused(
+    count, monkeypatch, capsys, tmp_path
+):
+    monkeypatch.setenv("POLARS_MAX_THREADS", count)
+    assert cli.main(["simulate", str(tmp_path)]) == 2
+    words = f"{count!r} is not a whole number from 1 to 1024; correct or unset it"
+    assert (
+        capsys.readouterr().err
+        == f"counterspin: environment variable POLARS_MAX_THREADS: {words}\n"
+    )
+
+
+def test_a_number_of_threads_is_checked_before_anything_is_read(tmp_path):
+    (tmp_path / "campaign.toml").write_text(SMALL, encoding="utf-8")
+    done = subprocess.run(
+        [f"{BESIDE}/counterspin", "calibrate", str(tmp_path)],
+        env=os.environ | {"POLARS_MAX_THREADS": "0"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(
+        "counterspin: environment variable POLARS_MAX_THREADS: '0' is not"
+    )
     assert done.stderr.count("\n") == 1
 
 

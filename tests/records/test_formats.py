@@ -10,7 +10,7 @@ import pytest
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
 from scipy.io import savemat
 
-from counterspin.errors import DamagedFileError, RecordError
+from counterspin.errors import CampaignError, DamagedFileError, RecordError
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.formats import open_columns
 from counterspin.records.record import ColumnSpec
@@ -203,3 +203,17 @@ def test_whatever_a_reader_raises_names_the_file_and_how_far_it_came(tmp_path, e
                 call()
         with pytest.raises(DamagedFileError, match=r"run\.csv: the file.* after row 12"):
             list(file.batches(["a"]))
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.h5"])
+def test_a_file_is_not_opened_with_a_number_of_threads_that_polars_cannot_use(
+    name, monkeypatch, tmp_path
+):
+    path = tmp_path / name
+    path.write_bytes(b"")
+    monkeypatch.setenv("POLARS_MAX_THREADS", "0")
+    with pytest.raises(CampaignError, match="POLARS_MAX_THREADS: '0' is not a whole number"):
+        open_columns(path)
+    monkeypatch.setenv("POLARS_MAX_THREADS", "04")
+    with pytest.raises(RecordError, match="the file is empty"):
+        open_columns(path)

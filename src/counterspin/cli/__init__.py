@@ -33,7 +33,12 @@ from counterspin.cli import (
     study,
 )
 from counterspin.cli.words import complain, in_one_line, spoken
-from counterspin.errors import CampaignError, CounterspinError, CounterspinWarning
+from counterspin.errors import (
+    CampaignError,
+    CounterspinError,
+    CounterspinWarning,
+    require_thread_count,
+)
 
 
 def _shown_default(value: object) -> str | None:
@@ -130,6 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     try:
+        require_thread_count()
         if any("\0" in word for word in words):
             raise CampaignError("the command's words", ["contain the character NUL"])
         app(words, exit_on_error=False, print_error=False, result_action="return_value")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, cast
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.errors import RecordError
+from counterspin.errors import RecordError, require_thread_count
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity, open_file, read_file
 from counterspin.loading import load_name
@@ -148,6 +148,7 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> Co
     """Open a record file, as a context manager."""
     if isinstance(path, MemoryTable):
         return MemoryFile(path)
+    require_thread_count()
     opener = opener_of(path)
     with record_errors(path), ExitStack() as stack:
         stream = stack.enter_context(open_file(path))
