@@ -3,6 +3,7 @@
 What it shows is made by the other rooms: a report's own blocks, a plan's forecast. Each thing that
 is done by a click is a command too, and the page says which.
 
+- `temporary_folders`: temporary folders, also those that a killed server left
 - `server`: `serve`, from a folder to a page in the browser; how many connections, and how long they
   may take
 - `guard`: who may ask, how much, and what a browser may do with the answer

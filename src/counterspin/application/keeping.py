@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
 from counterspin.application.desk import Desk, FileCache, export_command
 from counterspin.application.editing import checked_campaign, with_value
-from counterspin.application.folder import OutsideError
+from counterspin.application.folder import OutsideError, ServedFolder
+from counterspin.application.temporary_folders import remove_abandoned_folders, temporary_folder
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
 from counterspin.exports.description import AnyDraft, further_runs, guessed_test, write_description
@@ -138,15 +138,22 @@ def begin_drafted(
 #: Where campaigns go that are put away; as a hidden folder it is no part of the page.
 TRASH: Final = ".counterspin-trash"
 
+#: Prefix of the temporary folder in which a copy is made.
+_COPY_PREFIX: Final = ".counterspin-copy-"
+
+
+def remove_abandoned_copies(served: ServedFolder) -> None:
+    """Remove the incomplete copies of campaigns that killed servers left."""
+    for folder, _ in served.folders():
+        remove_abandoned_folders(_COPY_PREFIX, folder)
+
 
 def copy_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:
     """Copy a campaign's folder, with records and results; return the copy's name."""
     source, place = _source(desk, name), _new_place(desk, name, to)
     try:
-        with TemporaryDirectory(dir=place.parent, prefix=".counterspin-") as part:
-            whole = shutil.copytree(
-                source, Path(part) / place.name, ignore=shutil.ignore_patterns(".*")
-            )
+        with temporary_folder(_COPY_PREFIX, place.parent) as part:
+            whole = shutil.copytree(source, part / place.name, ignore=shutil.ignore_patterns(".*"))
             whole.rename(place)
     except OSError as error:
         raise CounterspinError(f"{to}: cannot be written ({error.strerror or error})") from error

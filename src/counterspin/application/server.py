@@ -42,6 +42,7 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import FILES, SESSION, TICKETS, Door, Guard
 from counterspin.application.interface import Answer, answer, answer_of, ticket_answer
+from counterspin.application.temporary_folders import remove_abandoned_folders, temporary_folder
 from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
 
@@ -148,6 +149,9 @@ def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
 
+
+#: Prefix of the temporary folder of a server.
+_PREFIX: Final = "counterspin-serve-"
 
 #: This machine, and no other.
 _ADDRESS: Final = "127.0.0.1"
@@ -285,8 +289,10 @@ def serve(
         command, cert = signing
         options = {"signer": command, "cert": str(cert)}
         desk = Desk(ServedFolder(folder), command_signer(command, cert), options)
-    private = partial(tempfile.TemporaryDirectory, prefix="counterspin-", dir=_private_place())
-    with listening(port) as listener, private() as own:
+    private = _private_place()
+    remove_abandoned_folders(_PREFIX, private)
+    keeping.remove_abandoned_copies(desk.folder)
+    with listening(port) as listener, temporary_folder(_PREFIX, private) as own:
 
         def tell(link: str) -> None:
             say("That link has been used; each works once. For another browser or window:")
@@ -296,7 +302,7 @@ def serve(
         say(f"Serving {folder} to this machine only. Ctrl-C stops the server.")
         say(f"  {door.link}")
         if browser:
-            opening = threading.Timer(0.3, webbrowser.open, [_leading(Path(own), door.link)])
+            opening = threading.Timer(0.3, webbrowser.open, [_leading(own, door.link)])
             opening.daemon = True
             opening.start()
         ended = threading.Event()
@@ -315,12 +321,13 @@ def serve(
     say("Ended.")
 
 
-def _private_place() -> str | None:
-    """Return a folder of this user alone, for files that others may not read; None: any will do.
+def _private_place() -> Path:
+    """Return the folder in which a private folder is made.
 
     Windows ignores the rights that a file is made with, and TEMP may be a folder that all share.
     """
-    return os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    private = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    return Path(private or tempfile.gettempdir())
 
 
 def _leading(folder: Path, link: str) -> str:

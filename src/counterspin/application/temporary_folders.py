@@ -1,0 +1,70 @@
+"""Temporary folders of the server, and the removal of those that a killed server left."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+#: A file in each temporary folder that its process keeps open and locked.
+_LOCK_NAME: Final = ".lock"
+
+#: A process locks the file at once; a file of this age without a lock is abandoned, s.
+_LOCKING_SECONDS: Final = 60.0
+
+#: What `tempfile` appends to a prefix.
+_RANDOM: Final = "[a-z0-9_]{8}"
+
+
+@contextmanager
+def temporary_folder(prefix: str, parent: Path) -> Iterator[Path]:
+    """Make a temporary folder and remove it at the end."""
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=parent) as name:
+        folder = Path(name)
+        with (folder / _LOCK_NAME).open("wb") as file:
+            with suppress(OSError):  # a file system without locks
+                _lock(file.fileno())
+            yield folder
+
+
+def remove_abandoned_folders(prefix: str, parent: Path) -> None:
+    """Remove the temporary folders with a prefix whose processes have ended without doing so.
+
+    A folder is removed only if `temporary_folder` made it for this user. A folder that cannot be
+    removed is kept.
+    """
+    with suppress(OSError):
+        for folder in list(parent.iterdir()):
+            if re.fullmatch(re.escape(prefix) + _RANDOM, folder.name):
+                with suppress(OSError):
+                    _remove_abandoned(folder)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove a folder; OSError if another process uses it."""
+    status, lock = folder.lstat(), folder / _LOCK_NAME
+    locked = lock.lstat()
+    is_ours = sys.platform == "win32" or status.st_uid == locked.st_uid == os.getuid()
+    is_old = time.time() > locked.st_mtime + _LOCKING_SECONDS
+    if not (is_ours and is_old and stat.S_ISDIR(status.st_mode) and stat.S_ISREG(locked.st_mode)):
+        return
+    with lock.open("rb") as file:
+        _lock(file.fileno())
+    lock.unlink()  # Windows refuses this while a process has the file open
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _lock(file: int) -> None:
+    """Lock a file; OSError if another process has locked it. On Windows, an open file suffices."""
+    if sys.platform != "win32":
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
