@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from record_files import ANGLE, SIGNAL, TIME, lines, read, refusal, table, write
 
+from counterspin.errors import RecordError
+from counterspin.records import csv_file
+from counterspin.records.formats import read_numbers, read_table
 from counterspin.records.record import ColumnSpec
 
 
@@ -156,3 +159,45 @@ def test_a_line_without_end(tmp_path):
     text = lines(table())
     text[500] = "1" * 200_000
     assert "line 501: the line has more than" in refusal(write(tmp_path / "run.csv", text))
+
+
+@pytest.mark.parametrize("row", [11, 9_000, 49_000])
+@pytest.mark.parametrize("later", ["", "closed far below"])
+def test_a_cell_in_an_open_quotation_mark_is_not_read_to_its_end(tmp_path, row, later, monkeypatch):
+    """Polars would look for the end of the cell in the whole file, and so would each later pass."""
+    text = lines(table()) * 50
+    text[row] = '"' + text[row]
+    if later:
+        text[row + 500] += '"'
+    path = write(tmp_path / "run.csv", text)
+    monkeypatch.setattr("polars.scan_csv", None)
+    words = f"line {row + 1}: a quotation mark is not closed within 100 lines"
+    assert words in refusal(path)
+    with pytest.raises(RecordError, match=words):
+        read_table(path)
+
+
+def test_quoted_cells_comments_and_heads_with_quotation_marks_are_read(tmp_path):
+    columns = table(n=60_000)
+    text = lines({"note": np.zeros(60_000), **columns})
+    text[1:] = [line.replace("0.0,", '"a ""b"" c",', 1) for line in text[1:]]
+    text[20_000] = text[20_000].replace("a ", "a \n" * 90)
+    text.insert(30_000, '# a wheel of 5" was exchanged')
+    text.insert(0, '# made with a 19" rack')
+    path = write(tmp_path / "run.csv", text)
+    np.testing.assert_array_equal(read_numbers(path, [SIGNAL])[SIGNAL], columns[SIGNAL])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_open_line_ends_are_counted_across_chunks(seed):
+    rng = np.random.default_rng(seed)
+    content = bytes(rng.choice([*b'aa"', *b"\n" * 3], 3000).astype(np.uint8))
+    count = before = 0
+    for chunk in np.array_split(np.frombuffer(content, np.uint8), 40):
+        before = csv_file._open_line_ends(chunk.tobytes(), before)
+        for byte in chunk.tobytes():
+            if byte == ord('"'):
+                count = 0 if count else 1
+            elif byte == ord("\n") and count:
+                count += 1
+        assert before == count

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
 
 from counterspin.errors import RecordError
 from counterspin.records.column_file import (
@@ -42,6 +43,10 @@ if TYPE_CHECKING:
 
 #: No line is longer.
 _LINE_BYTES = 100_000
+#: No quoted cell has more line ends.
+_CELL_LINE_ENDS = 100
+#: Bytes that are searched for quotation marks at once.
+_CHUNK_BYTES = 1 << 20
 #: Bytes that show whether characters are wide.
 _SHOWN_BYTES = 400
 _FORM = "A .csv file holds a line of column names and lines of numbers."
@@ -53,6 +58,7 @@ class CsvFile(ColumnFile):
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect = TO_BE_FOUND) -> None:
         super().__init__(path, stream)
         self._closely = False
+        self._are_quotes_checked = False
         #: As UTF-8 and with tabs, where it is no superset of ASCII, or blanks part the cells.
         self._content: bytes | None = None
         self._head: list[Line] = []
@@ -205,6 +211,10 @@ class CsvFile(ColumnFile):
     def _scan(self, wanted: Sequence[str], kind: Any, *, comments: bool) -> pl.LazyFrame:
         import polars as pl
 
+        if not self._are_quotes_checked:
+            self._refuse_open_quotation_mark()
+            self._are_quotes_checked = True
+
         def kind_of(name: str) -> Any:
             return kind if name in wanted and name not in self.stamps else pl.String()
 
@@ -257,8 +267,6 @@ class CsvFile(ColumnFile):
         import polars as pl
 
         stamps = [name for name in wanted if name in self.stamps]
-        if self._ends_in_a_quotation_mark():
-            self._refuse_bad_lines()  # the strict parser would crash, aloud, on a cell of one mark
         if self._closely:
             self._refuse_bad_cells(wanted)
             frames = self._text(wanted).select(
@@ -336,22 +344,45 @@ class CsvFile(ColumnFile):
             frame = frame.with_columns(pl.Series(name, self.seconds(times)))
         return frame
 
-    def _ends_in_a_quotation_mark(self) -> bool:
-        """Return whether the last line, not ended by a line feed, ends in one."""
+    def _refuse_open_quotation_mark(self) -> None:
+        """Refuse a quotation mark that is not closed, before Polars reads the rest as one cell.
+
+        Polars needs long for such a cell, and crashes on a last cell of one mark.
+        """
+        open_ends, last = 0, b""
+        for chunk in self._chunks():
+            open_ends = _open_line_ends(chunk, open_ends)
+            last = (last + chunk)[-2:]
+            if open_ends > _CELL_LINE_ENDS:
+                break
+        # A comment may contain a single mark; only the lines tell.
+        if open_ends or last.rstrip(b"\r").endswith(b'"'):
+            self._refuse_bad_lines()
+
+    def _chunks(self) -> Iterator[bytes]:
+        """Yield the bytes of the rows in chunks."""
         stream: Any = self._stream if self._content is None else io.BytesIO(self._content)
-        stream.seek(max(0, stream.seek(0, os.SEEK_END) - 2))
-        end: bytes = stream.read(2)
-        return end.rstrip(b"\r").endswith(b'"')
+        stream.seek(sum(len(line) for _, line in islice(self._lines(), self._before_rows)))
+        while chunk := stream.read(_CHUNK_BYTES):
+            yield chunk
 
     def _refuse_bad_lines(self) -> None:
-        """Refuse a line with too many cells, or a quotation mark that is never closed."""
+        """Refuse a line with too many cells, or a quotation mark that is not closed."""
         opened = 0  # the line at which a quoted cell begins that has not ended yet
+        delimiter = self.delimiter.encode()
         for number, raw in self._lines():
+            if not opened and b'"' not in raw and raw.count(delimiter) < len(self.names):
+                continue
             line = raw.decode("utf-8", errors="replace").rstrip("\r\n")
             if number <= self._before_rows or (line.startswith("#") and not opened):
                 continue
             if line.count('"') % 2:
                 opened = 0 if opened else number
+            elif opened and number > opened + _CELL_LINE_ENDS:
+                raise RecordError(
+                    f"{self.path}, line {opened}: a quotation mark is not closed within "
+                    f"{_CELL_LINE_ENDS} lines."
+                )
             elif not opened and line.count(self.delimiter) >= len(self.names):
                 width = len(next(csv.reader([line], delimiter=self.delimiter)))
                 if width > len(self.names):
@@ -378,6 +409,28 @@ class CsvFile(ColumnFile):
         # A comment takes a line and is no row; only a pass over the file tells where they are.
         body = islice(self._lines(), self._before_rows, None)
         return (number for number, line in body if not line.startswith(b"#"))
+
+
+def _open_line_ends(chunk: bytes, before: int) -> int:
+    """Return the line ends since a quotation mark that is open at the end of a chunk, plus one.
+
+    The result is 0 if no mark is open. It is larger than `_CELL_LINE_ENDS` if any cell of the
+    chunk has so many line ends.
+
+    before: The result for the chunks before.
+    """
+    if b'"' not in chunk:
+        return before + chunk.count(b"\n") if before else 0
+    data = np.frombuffer(chunk, np.uint8)
+    marks, ends = np.flatnonzero(data == ord('"')), np.flatnonzero(data == ord("\n"))
+    # Line ends before each mark and at the end of the chunk.
+    passed = np.append(np.searchsorted(ends, marks), len(ends))
+    in_cells = np.diff(passed, prepend=1 - before)[0 if before else 1 :: 2]
+    most = int(in_cells.max(initial=0))
+    is_open = (len(marks) % 2 == 1) != (before > 0)
+    if most > _CELL_LINE_ENDS:
+        return most
+    return int(in_cells[-1]) + 1 if is_open else 0
 
 
 def _unused_name(names: Sequence[str]) -> str:
