@@ -29,6 +29,9 @@ ZERO_CELSIUS: Final = 273.15
 #: Temperature scales that may be written -> what is added to their numbers for K.
 TEMPERATURE_SCALES: Final = {"degC": ZERO_CELSIUS, "°C": ZERO_CELSIUS, "K": 0.0}
 
+#: Lowest and highest temperature at which an accelerometer works, K.
+WORKING_TEMPERATURES: Final = (100.0, 600.0)
+
 #: The dimensions.
 BASES: Final = (
     "[length]",

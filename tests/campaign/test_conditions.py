@@ -138,6 +138,9 @@ def test_a_prior_of_one_accelerometer_s_slope(tmp_path):
     ("line", "message"),
     [
         ('temperature = "21"', "'21' is not a temperature"),
+        ('temperature = "1e4 degC"', "10000 degC is not plausible for an accelerometer"),
+        ('temperature = "20 K"', "20 K is not plausible for an accelerometer; check the unit"),
+        ('temperature = ["20 degC", "1e18 K"]', "1e+18 K is not plausible for an accelerometer"),
         ('time = "12"', "has no unit"),
         ("temprature = 1", 'did you mean "temperature"'),
     ],

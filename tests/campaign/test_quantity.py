@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from counterspin.campaign.quantity import (
@@ -144,8 +144,24 @@ def test_every_unit_of_the_term_table_has_advice():
 
 @given(FINITE, UNCERTAINTY, st.sampled_from(sorted(ADVICE)))
 def test_a_quantity_reads_back_exactly(value, u, unit):
+    assume(max(abs(value), u) < 1e9 or unit not in ("rad", "s"))
     quantity = Quantity(value, u, unit)
     assert parse(str(quantity), unit) == quantity
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "kind"),
+    [
+        ("1e18 rad", "rad", "an angle"),
+        ("6e10 deg", "rad", "an angle"),
+        ("0 ± 1e18 rad", "rad", "an angle"),
+        ("1e18 s", "s", "a time"),
+    ],
+)
+def test_implausible_angles_and_times_are_refused(text, unit, kind):
+    with pytest.raises(ValueError, match=f"implausibly large or small; {kind} is needed"):
+        parse(text, unit)
+    parse(text.replace("e18", "e8").replace("e10", "e9"), unit)
 
 
 @given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(UNITS)))

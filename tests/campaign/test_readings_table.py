@@ -265,6 +265,18 @@ def test_words_are_what_they_are_in_every_encoding(tmp_path, encoding):
     assert [reading.temperature for reading in found] == [(294.65,), (295.15,)]  # K
 
 
+@pytest.mark.parametrize("temperature", ["1e4", "1e18", "-300", "1e18 K"])
+@pytest.mark.parametrize("row", [0, 2])
+def test_an_implausible_temperature_is_refused_with_its_row(tmp_path, row, temperature):
+    lines = ["Lage,Winkel,Strom,Temp", "a,0,1.25,21", "b,90,0,21", "c,180,-1.25,21"]
+    lines[row + 1] = lines[row + 1].removesuffix("21") + temperature
+    (tmp_path / "r.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    columns = 'name = "Lage", attitude = "Winkel", reading = "Strom", temperature = "Temp"'
+    with pytest.raises(CampaignError, match="is not plausible for an accelerometer") as caught:
+        read(tmp_path, f'[readings]\nfile = "r.csv"\ncolumns = {{ {columns} }}\n')
+    assert f"row {row + 2}" in str(caught.value) or f"line {row + 2}" in str(caught.value)
+
+
 def test_a_row_of_units_is_compared_with_what_is_said(tmp_path):
     (tmp_path / "r.csv").write_bytes(GERMAN.encode("latin-1"))
     with pytest.raises(CampaignError, match='column "Strom" is in uA by the row of units, but in '):

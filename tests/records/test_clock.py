@@ -120,6 +120,28 @@ def test_an_outlying_angle_is_dropped(tmp_path, wrapped, size):
     np.testing.assert_allclose(record.angle, RATE * record.time, atol=1e-5)
 
 
+@pytest.mark.parametrize(("suffix", "rows"), [(".csv", 1000), (".parquet", 6000)])
+@pytest.mark.parametrize("place", [0, 1, -2, -1])
+@pytest.mark.parametrize("size", [1e10, -1e18, 1e300])
+def test_an_implausible_angle_is_dropped_wherever_it_stands(tmp_path, suffix, rows, place, size):
+    columns = table(n=rows, step=20.0 / rows)
+    columns[ANGLE][place] = size
+    record = read(write(tmp_path / f"run{suffix}", columns))
+    assert (record.report.block > 1) == (rows > 1000)  # Block means of the longer record.
+    assert record.report.outliers[ANGLE] == 1
+    assert record.report.used == rows - 1
+    np.testing.assert_allclose(record.angle, RATE * record.time, atol=1e-5)
+
+
+def test_an_angle_column_of_implausible_values_is_refused(tmp_path):
+    columns = table()
+    columns[ANGLE][900:951] = 1e18
+    message = refusal(write(tmp_path / "run.csv", columns))
+    assert f"'{ANGLE}' has 51 angles beyond 1e+09 rad in 1000 rows" in message
+    columns[ANGLE] = table()[ANGLE] + 2e9
+    assert "1000 angles beyond" in refusal(write(tmp_path / "run.csv", columns))
+
+
 @pytest.mark.parametrize("noisy", [True, False])
 @pytest.mark.parametrize("size", [0.01, 0.5])
 @pytest.mark.parametrize("place", [100, 500, 990])

@@ -93,6 +93,17 @@ def test_the_threshold_that_an_error_names_takes_the_quietest_stretch() -> None:
     assert len(find_poses(truth.time, truth.values, threshold=1.002 * named).start) >= 1
 
 
+@pytest.mark.parametrize("row", [0, 1, -2, -1])
+@pytest.mark.parametrize("size", [1e9, 1e18, -1e90])
+def test_a_huge_value_at_either_end_changes_no_pose(row: int, size: float) -> None:
+    truth = posed(4.0, 1.5)
+    expected = find_poses(truth.time, truth.values).mean
+    values = truth.values.copy()
+    values[row, 1] = size
+    found = find_poses(truth.time, values)
+    assert found.mean == pytest.approx(expected, abs=NOISE)
+
+
 def test_spikes_and_empty_cells_part_no_rest() -> None:
     truth = posed(4.0, 1.5)
     rng = np.random.default_rng(3)

@@ -43,7 +43,7 @@ from counterspin.campaign.quantity import (
 )
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.formats import RECORD_FORMATS
-from counterspin.units import TEMPERATURE_SCALES, unit_factor
+from counterspin.units import TEMPERATURE_SCALES, WORKING_TEMPERATURES, ZERO_CELSIUS, unit_factor
 
 #: Written as the unit of time stamps in ISO 8601.
 STAMPS: Final = "iso"
@@ -298,13 +298,25 @@ def _in_folder(name: object, info: ValidationInfo) -> Path:
 def a_temperature(value: object) -> float:
     """Return a temperature, K."""
     if isinstance(value, Quantity):
-        return value.value + TEMPERATURE_SCALES[value.unit]
+        return _kelvin(value.value, value.unit)
     if not isinstance(value, str):
         raise ValueError("must be text")
     match = _TEMPERATURE.fullmatch(value)
     if match is None:
         raise ValueError(f'{value!r} is not a temperature; write "23.4 degC" or "296.5 K"')
-    return float(match[1]) + TEMPERATURE_SCALES[match[2]]
+    return _kelvin(float(match[1]), match[2])
+
+
+def _kelvin(value: float, scale: str) -> float:
+    """Return a temperature in K; ValueError if no accelerometer works at it."""
+    kelvin = value + TEMPERATURE_SCALES[scale]
+    coldest, warmest = WORKING_TEMPERATURES
+    if not coldest <= kelvin <= warmest:
+        raise ValueError(
+            f"{value:g} {scale} is not plausible for an accelerometer; check the unit "
+            f"({coldest - ZERO_CELSIUS:.5g} to {warmest - ZERO_CELSIUS:.5g} degC are accepted)"
+        )
+    return kelvin
 
 
 def temperatures(value: object) -> tuple[float, ...]:
@@ -329,7 +341,7 @@ def temperature_known(text: str) -> Quantity:
     if match is None:
         raise ValueError(f'{text!r} is not a temperature; write "23.4 ± 0.5 degC" or "296.5 K"')
     number = parse(f"{match[1]} 1", "1")
-    return Quantity(number.value + TEMPERATURE_SCALES[match[2]], number.u, "K")
+    return Quantity(_kelvin(number.value, match[2]), number.u, "K")
 
 
 def date_or_text(value: object) -> str:

@@ -24,6 +24,8 @@ _MAX_CHARACTERS: Final = 500
 
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
 _SIZE_RANGE: Final = (1e-60, 1e60)
+#: Largest plausible sizes in some units. Larger angles do not resolve the fraction of a turn.
+_LARGEST: Final = {"rad": 1e9, "s": 1e12}
 
 #: Units of which none is the likely one of a number alone; of others it is the first accepted.
 _SCALES: Final = {
@@ -140,7 +142,8 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
         raise ValueError(f"{text!r} is not a finite number; {kind} is needed ({accepted})")
     if u < 0.0:
         raise ValueError(f"{text!r} has a negative uncertainty")
-    if any(size and not _SIZE_RANGE[0] < size < _SIZE_RANGE[1] for size in (abs(value), u)):
+    largest = _LARGEST.get(unit, _SIZE_RANGE[1])
+    if any(size and not _SIZE_RANGE[0] < size < largest for size in (abs(value), u)):
         raise ValueError(f"{text!r} is implausibly large or small; {kind} is needed ({accepted})")
     return Quantity(value, u, unit)
 

@@ -38,7 +38,7 @@ from counterspin.records.reading import opened, read_record
 from counterspin.records.record import Record, RecordColumns, RecordReport, StatedMotion
 from counterspin.records.run_file import RunFile
 from counterspin.records.spikes import FEWEST_SAMPLES, find_spikes
-from counterspin.units import ZERO_CELSIUS
+from counterspin.units import WORKING_TEMPERATURES, ZERO_CELSIUS
 
 #: Most stretches of a record whose means tell its noise; fewest samples of one.
 _STRETCHES: Final = 64
@@ -259,9 +259,6 @@ _LONGEST_GAP: Final = 0.25
 #: Weight of a bend of the course beside the values', which decides only where there are none.
 _STIFFNESS: Final = 1e-4
 
-#: Between which no accelerometer works, K.
-_POSSIBLE: Final = (100.0, 600.0)
-
 
 def read_course(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
     """Return the temperature in a record, K, at even times from its first row to its last.
@@ -289,7 +286,8 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
     parts: list[Array] = []
     for piece in in_pieces(file.batches(columns.names), lambda _: piece_rows(1)):
         time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
-        impossible = np.flatnonzero((warm < _POSSIBLE[0]) | (warm > _POSSIBLE[1]))
+        coldest, warmest = WORKING_TEMPERATURES
+        impossible = np.flatnonzero((warm < coldest) | (warm > warmest))
         if len(impossible):
             odd, place = float(warm[impossible[0]]), file.locate(rows + int(impossible[0]))
             raise RecordError(

@@ -31,6 +31,9 @@ _STRAY_SDS = 10.0
 #: are more than this part of all; otherwise up to this size, rad.
 _COMMON_PART = 0.01
 _ENCODER_STEP_RAD = 1e-3
+#: Largest plausible angle, rad, some 10^8 revolutions. Floating-point numbers beyond 1e16 do not
+#: resolve the fraction of a turn, so that no test of the advance rejects them.
+LARGEST_ANGLE = 1e9
 #: A time step longer than this many usual ones is a gap.
 _GAP_STEPS = 1.5
 #: The part of the advance across a gap by which the rate may have changed meanwhile.
@@ -64,6 +67,7 @@ class ClockFindings:
     empty_time: int = 0
     empty_angle: int = 0
     angle_outliers: int = 0
+    implausible_angles: int = 0
     outlier_rows: list[int] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
     gap_count: int = 0
@@ -171,7 +175,7 @@ class Clock:
             return None
         advance = self._differences(angle)
         low, high = float(advance.min()), float(advance.max())
-        if not math.isfinite(low + high):
+        if not (low > -LARGEST_ANGLE and high < LARGEST_ANGLE and abs(angle[0]) < LARGEST_ANGLE):
             return None
         sample = advance[:: max(1, len(advance) // 512)]
         usual = middle(sample)
@@ -230,7 +234,7 @@ class Clock:
         if piece.angle is not None:
             has_number = ~np.isnan(piece.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
-            rows = rows[has_number]
+            rows = self._plausible(first_row, rows[has_number], piece.angle)
             good, unwrapped = self._follow(first_row, rows, time[rows], piece.angle[rows])
             rows = rows[good]
         chosen = piece[rows]
@@ -238,6 +242,15 @@ class Clock:
             chosen = Piece(chosen.time, unwrapped[good], chosen.signals)
         unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
         return UsableRows(rows, chosen, unevenness)
+
+    def _plausible(self, first_row: int, rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        """Return the rows whose angle is plausible; count the others as outliers."""
+        large = np.abs(angle[rows]) > LARGEST_ANGLE
+        if large.any():
+            self.findings.implausible_angles += int(large.sum())
+            self._note_strays(first_row + rows[large])
+        plausible: np.ndarray = rows[~large]
+        return plausible
 
     def _drop_repeats(self, piece: Piece, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)

@@ -216,7 +216,7 @@ def _spikes(values: Array, rows: int, resolutions: Array) -> np.ndarray:
 
     rows: In a stretch whose scatter is one.
     """
-    padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
+    padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
     a, b, c, d, e = (padded[place : place + len(values)] for place in range(5))
     # The median of five is that of the fifth and of the two middle ones of the others.
     low = np.maximum(np.minimum(a, b), np.minimum(d, e))

@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
-from counterspin.records.clock import LISTED, Clock
+from counterspin.records.clock import LARGEST_ANGLE, LISTED, Clock
 from counterspin.records.column_file import (
     ColumnFile,
     Columns,
@@ -359,6 +359,13 @@ class _RecordReader:
                     f"{self._file.path}: column '{name}' has {count} empty cells in "
                     f"{self._rows} rows; at most {MOST_EMPTY:.0%} may be empty."
                 )
+        large = self._clock.findings.implausible_angles
+        if self._columns.angle is not None and large > MOST_EMPTY * self._rows:
+            raise RecordError(
+                f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles beyond "
+                f"{LARGEST_ANGLE:g} rad in {self._rows} rows; at most {MOST_EMPTY:.0%} may be so "
+                "large. Check the unit of the column, or subtract its first value."
+            )
         differing = self._clock.findings.differing
         if differing > MOST_EMPTY * self._rows:
             raise RecordError(

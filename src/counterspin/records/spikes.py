@@ -185,7 +185,9 @@ def _screen(
 def resolution(signal: np.ndarray) -> float:
     """Return the step of a quantised signal: noise below it shows as rare whole steps."""
     part = np.unique(signal[:4096])
-    rounding = 64 * np.finfo(float).eps * float(np.abs(part).max())
+    # A few huge outliers must not determine the rounding.
+    usual_size = float(np.quantile(np.abs(part), 0.99, method="lower"))
+    rounding = 64 * np.finfo(float).eps * usual_size
     steps = np.diff(part)
     steps = steps[steps > rounding]
     return max(float(steps.min()) if len(steps) else 0.0, rounding)
