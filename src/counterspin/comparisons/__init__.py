@@ -1,6 +1,6 @@
 """Comparison of results of different models, methods and campaigns.
 
-- `compare`: values, differences with their uncertainty, whether they agree, what changed
+- `compare`: values, differences with their uncertainty, agreement, changes
 - `estimates`: the estimates of an accelerometer in two results, their shared sources, and the
   covariance of their difference
 - `rerun`: a result's calibration made again, and the differences between several results

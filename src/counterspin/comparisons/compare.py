@@ -36,9 +36,9 @@ _NO_VARIANCE: Final = 1e-9
 def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> ResultComparison:
     """Compare results: values, differences and their uncertainty, changes.
 
-    Each is compared with the first that has the accelerometer. What two have in common is
-    counted: the records, radius, gravity, and what is known beforehand, where it is stated alike.
-    Where it cannot be known, the comparison says what was assumed.
+    Each is compared with the first that has the accelerometer. The covariance of two results
+    includes their common records, radius, gravity, and equal priors. If these are not known, the
+    comparison states its assumptions.
 
     Parameters
     ----------

@@ -159,7 +159,7 @@ class RepeatedCoefficient(ResultPart):
     #: The larger change of the two: of the estimate, in parts of it or of its u, whichever is
     #: larger; of u, in parts of it. None where one has a number that the other lacks.
     relative: float | None
-    in_u: float | None  #: Change of the estimate over `u_before`; None where there is no such u.
+    in_u: float | None  #: Change of the estimate over `u_before`; None without `u_before`.
 
 
 class RepeatedCalibration(ShownResult):
@@ -170,14 +170,14 @@ class RepeatedCalibration(ShownResult):
 
     result: str  #: What was repeated: its file or title.
     same: bool  #: Whether every estimate, u and judgement is the same within `limit`.
-    limit: float  #: Largest `relative` of what counts as the same.
+    limit: float  #: Largest `relative` of equal numbers.
     #: The largest `relative` of all coefficients; None where one has a number that the other lacks.
     largest: float | None
-    largest_in_u: float | None  #: The largest size of `in_u`; None where there is no u.
+    largest_in_u: float | None  #: The largest size of `in_u`; None without u.
     coefficients: list[RepeatedCoefficient]  #: All that either result has.
     state_before: str | None  #: Whether the result may be relied on, as it was judged.
     state_now: str | None  #: The same now.
-    #: What is not the same beside the numbers: inputs by their checksums, versions,
+    #: Differences other than in the numbers: inputs by their checksums, versions,
     #: environment.
     changes: list[Change]
     #: Inputs that were found under another name: name in the result -> where.

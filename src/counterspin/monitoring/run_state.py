@@ -259,9 +259,11 @@ def shown_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     return list(dict.fromkeys([*squares, *requested, *goals]))
 
 
-def goal_states(goals: Mapping[str, float], found: Sequence[ReachedCoefficient]) -> list[GoalState]:
+def goal_states(
+    goals: Mapping[str, float], reached: Sequence[ReachedCoefficient]
+) -> list[GoalState]:
     """Return the state of each goal."""
-    by_name = {c.name: c for c in found}
+    by_name = {c.name: c for c in reached}
     return [
         GoalState(
             name=name,
@@ -283,17 +285,17 @@ _MOST_MISSING: Final = 12
 
 
 def poses_state(
-    campaign: Campaign, record: PoseRecord, found: Sequence[FoundPose], fit: FitSoFar | None
+    campaign: Campaign, record: PoseRecord, found_poses: Sequence[FoundPose], fit: FitSoFar | None
 ) -> RunState:
     """Return the state of a record of poses.
 
-    found: Its poses, at least one.
+    found_poses: Its poses, at least one.
     fit: Fit with the record; None without a fit.
     """
-    pose_record = found[0].record
+    pose_record = found_poses[0].record
     assert pose_record is not None
     poses, report = pose_record.poses, pose_record.report
-    names = {found_pose.pose[0].name for found_pose in found}
+    names = {found_pose.pose[0].name for found_pose in found_poses}
     residuals = [size for name, size in _pose_residuals(fit) if name in names] if fit else []
     return RunState(
         run=record.name,
@@ -302,7 +304,7 @@ def poses_state(
         **report_fields(report, poses.time),
         nominal_rate=0.0,
         poses=PosesState(
-            count=len(found),
+            count=len(found_poses),
             threshold=poses.threshold,
             rms=campaign.gravity.value * float(np.sqrt(np.mean(np.square(residuals))))
             if residuals
@@ -313,14 +315,16 @@ def poses_state(
                 for far_off in part.outlying()
                 if far_off.name in names
             ],
-            missing=missing_directions(campaign, found, fit),
+            missing=missing_directions(campaign, found_poses, fit),
         ),
     )
 
 
-def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[list[str], bool]:
+def remarks_of_poses(
+    found_poses: Sequence[FoundPose], fit: FitSoFar | None
+) -> tuple[list[str], bool]:
     """Return remarks on a record of poses, in sentences, and True if it may be kept."""
-    pose_record = found[0].record
+    pose_record = found_poses[0].record
     assert pose_record is not None
     findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
     odd = [*pose_record.poses.doubts, *pose_record.poses.left_out, *pose_record.report.notes()]
@@ -329,7 +333,7 @@ def remarks_of_poses(found: Sequence[FoundPose], fit: FitSoFar | None) -> tuple[
 
 
 def missing_directions(
-    campaign: Campaign, found: Sequence[FoundPose], fit: FitSoFar | None
+    campaign: Campaign, found_poses: Sequence[FoundPose], fit: FitSoFar | None
 ) -> list[str]:
     """Return the directions in which one pose would be more informative than all existing poses.
 
@@ -339,7 +343,7 @@ def missing_directions(
     """
     model = fit.estimate.fit.model if fit else model_of(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
-    group = one_group(campaign, [found_pose.pose for found_pose in found])
+    group = one_group(campaign, [found_pose.pose for found_pose in found_poses])
     ups = every_up(group.accelerometers)
     known = [
         {
@@ -349,7 +353,7 @@ def missing_directions(
         }
         for name in group.accelerometers
     ]
-    further = pointing_up(one_group(campaign, [found[0].pose] * len(ups)), ups, known)
+    further = pointing_up(one_group(campaign, [found_poses[0].pose] * len(ups)), ups, known)
     requested = [place for place, u in enumerate(model.asked) if u.owner in group.accelerometers]
     rows = group.linearised(model, point).design[:, requested]
     possible = further.linearised(model, point).design[:, requested]

@@ -10,7 +10,7 @@
 - `design`: plans, their limits and their criterion
 - `possibilities`: information and cost of possible observations, and their best numbers, which
   need not be whole
-- `optimisation`: the best plan of records, and what no plan can better
+- `optimisation`: the best plan of records, and a bound on any plan
 - `search`, `limits`: solution of the plan's problem, feasibility of its goal; active limits
 - `stations`, `reading_plan`: the same for readings: possible readings, their numbers and order
 - `faults`: shifts by undetected faults, and the largest tolerable size of each fault

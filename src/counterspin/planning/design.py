@@ -159,7 +159,7 @@ class Limits:
         chosen: list[int] = []
         for index in np.argsort(-rate, kind="stable"):
             limit = math.inf if not chosen else float(rate[chosen[-1]]) / self.apart
-            # Settings differ by what they differ; other rates by the ratio, but for rounding.
+            # Settings may have any ratio; other rates need the least ratio, except for rounding.
             limit *= 1.0 - 1e-9 if self.settings else 1.0 + _ROUNDING
             if len(chosen) < self.fewest_rates and rate[index] <= limit:
                 chosen.append(int(index))
@@ -207,8 +207,8 @@ class Criterion:
 def order_of(types: Sequence[RunType]) -> list[int]:
     """Return the places of runs in the order in which to make them.
 
-    Attitude after attitude, and inside it the senses in turn, so that what changes slowly
-    with time is not taken for what changes with the sense.
+    Attitude after attitude, and inside it the senses in turn, so that slow changes
+    with time are not confused with changes with the sense.
     """
     order: list[int] = []
     for attitude in dict.fromkeys(run_type.attitude for run_type in types):

@@ -42,7 +42,7 @@ _TOLERABLE_PART_OF_U: Final = math.sqrt(1.05**2 - 1.0)
 #: Probability of failing the test of the residuals above which a fault counts as noticed.
 _DETECTION_PROBABILITY: Final = 0.95
 
-#: The inputs of which something is required.
+#: The inputs with a requirement.
 _INPUTS: Final = ("centrifuge.radius", TIMING)
 
 #: No centrifuge has larger faults; a length is a part of the radius.
@@ -61,7 +61,7 @@ class Requirement(ResultPart):
 
 
 class FaultEffect(ResultPart):
-    """Something assumed to be perfect that would move K_II by more than its u."""
+    """A term assumed to be perfect that would move K_II by more than its u."""
 
     #: As in the table of terms, or as it would stand there; what it is called.
     symbol: str
@@ -194,7 +194,7 @@ class Fault:
     #: Whether the parts are independent (each run has its own); else they are cosine and sine of
     #: one amplitude, the worst phase of which is taken.
     random: bool = False
-    #: What an observation shows of one unit, shape (n,), of what is no term and has no parts.
+    #: Column of an observation per unit, shape (n,), for a fault that is not a term.
     shown: Callable[[Observation], Array] | None = None
 
 
@@ -245,7 +245,7 @@ def mean_square(name: str) -> Fault:
     return Fault("K_II", "", 1.0, "g/g^2", (), shown=shown)
 
 
-#: Columns of faults that are there at once; of one that each run has anew there is one a run.
+#: Number of fault columns in memory at once; a fault of each run has a column for each run.
 _PARTS_AT_ONCE: Final = 16
 
 
@@ -294,8 +294,8 @@ def effects_of(
 ) -> list[FaultSensitivity]:
     """Return the effects of faults on a campaign's fit, each fault separately.
 
-    expected: Values of the fit's unknowns, minus nominal, on which inputs act; None: what
-        `expected_values` says.
+    expected: Values of the fit's unknowns, minus nominal, on which inputs act; None: those of
+        `expected_values`.
     """
     fit = prediction.fit
     if expected is None:

@@ -55,7 +55,7 @@ class Forecast:
     fit: JointFit
 
     def __repr__(self) -> str:
-        """Return the u of what the campaign asks for, a line each."""
+        """Return the u of the parameters of interest, a line each."""
         requested = self.fit.model.asked
         width = max((len(unknown.name) for unknown in requested), default=0)
         lines = []
@@ -101,10 +101,10 @@ def forecast(
         Samples a second, Hz, or those of each run by name; None: that of the campaign's
         [simulation].
     model
-        What is estimated and considered; None: what the campaign says.
+        The estimated and considered terms; None: those of the campaign.
     expected
-        Values of the model's unknowns, minus nominal, on which uncertain inputs act; None: what
-        `expected_values` says.
+        Values of the model's unknowns, minus nominal, on which uncertain inputs act; None: those
+        of `expected_values`.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     step = 1.0 / sampling_rate
     block = block_size(step, run.rate)
     samples = sample_count(run.duration, sampling_rate)
-    # As the reduction of a record does it: what is left at the end is a shorter block.
+    # As in the reduction of a record: the remainder at the end is a shorter block.
     first = np.arange(0, samples, block)
     count = np.minimum(block, samples - first).astype(np.float64)
     time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)

@@ -273,7 +273,7 @@ def _sum_rows(samples: EvenSamples, run: np.intp, even: Array, odd: Array, harmo
     x = t / samples.half[run]
     m = np.arange(1, harmonics + 1)
     cos, sin = np.cos(t[:, None] * m), np.sin(t[:, None] * m)
-    # Start errors first: what the triangle has below their rows is free of them.
+    # Start errors first: the rows of the triangle below theirs are free of them.
     first = np.column_stack([np.ones(rows_needed), x])
     rest = np.column_stack([x**2, cos, x[:, None] * sin, x**3, sin, x[:, None] * cos])
     rows = np.hstack([first, rest])

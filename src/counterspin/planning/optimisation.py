@@ -121,7 +121,7 @@ def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> 
     totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
     totals |= {limits.runs} if relaxed.price > 0.0 else set()
     shares = [_share(weight, count) for count in sorted(totals, reverse=True)]
-    # A group that gets parts of a run may be what tells terms apart: then it needs a whole one.
+    # A group with a fraction of a run may separate terms: then it needs a complete run.
     shares += [_at_least_one(weight, share) for share in shares]
     for runs in shares:
         count = int(runs.sum())
@@ -137,7 +137,7 @@ def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> 
         types, count = even.types, len(even.types)
         if count < 2:
             continue
-        # Some optima have one long run that finds what drifts and many short ones.
+        # Some optima have one long run that determines drifts, and many short ones.
         for index in np.unique(chosen, return_index=True)[1]:
             longer = even.revolutions.copy()
             longer[index] *= 3.0

@@ -83,7 +83,7 @@ class PlannedCampaign:
         **changes
             Keys of ``[limits]`` and ``[goal]``, such as ``total_time`` or ``target``, the names
             that `Campaign.change` knows, a section, or any key with dots,
-            ``**{"noise.displacement": "5 mm"}``: what to write there. A mapping changes the keys
+            ``**{"noise.displacement": "5 mm"}``: new value. A mapping changes the keys
             it has; None takes a key away. ``target`` takes the place of ``minimise``, and the other
             way round.
 
@@ -120,14 +120,14 @@ def plan(
     Parameters
     ----------
     where
-        The plan's file, or what it says as nested mappings.
+        The plan's file, or its content as nested mappings.
     curves
-        Whether the figures' curves are computed too, which takes some seconds more.
+        True: compute the figures' curves too, which takes some seconds more.
     progress
         Called before each point of the curves with the number of those that are computed, and of
         all.
     file
-        The file as whose content nested mappings are read: what they name lies beside it.
+        The file whose content nested mappings are; files that they name are in its folder.
 
     Returns
     -------
@@ -221,8 +221,8 @@ def check(
 ) -> PlanResult:
     """Forecast the uncertainties of a campaign without its records.
 
-    What a forecast needs and the description does not say (lengths, sampling rates, noise) is taken
-    from the records where all of them are there.
+    Data missing in the description (lengths, sampling rates, noise) are taken from the records if
+    all records exist.
 
     Parameters
     ----------
@@ -231,13 +231,13 @@ def check(
     sampling_rate
         Hz; None: that of its [simulation], or of the records.
     revolutions
-        Of runs for which the campaign says neither duration nor revolutions; None: the records
-        must.
+        Length of runs without duration and revolutions in the campaign; None: the length of
+        the records.
 
     Raises
     ------
     CampaignError
-        If the description is wrong, or does not say what a forecast needs.
+        If the description is wrong, or lacks data that a forecast needs.
     """
     campaign = with_pose_noise(read_campaign(where))
     lacking = [run for run in campaign.runs if run.duration is None]

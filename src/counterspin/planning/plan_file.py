@@ -58,7 +58,7 @@ class Plan:
     """A plan's description, checked and resolved."""
 
     path: Path  #: Of the file, absolute.
-    #: The campaign to be, as a document without runs; what is expected stands in ``truth``.
+    #: The campaign to be, as a document without runs; ``truth`` has the expected values.
     document: Mapping[str, Any]
     stand_in: Campaign  #: The campaign with one run for each attitude, named as the attitude is.
     attitudes: Mapping[str, Any]  #: Name -> attitude as it is written in a campaign.

@@ -1,4 +1,4 @@
-"""Possible observations: their information and cost, and their best numbers, not nec. whole.
+"""Possible observations: their information, cost and best numbers, which need not be whole.
 
 An observation is a run of an attitude, sense, rate and length, or a reading at a station. With
 weights n_x >= 0 the information is M = M_0 + sum of n_x M_x, the limits on the cost and on the
@@ -8,7 +8,7 @@ observation phi(x) = -d(criterion)/d(n_x) there are prices of the cost and of an
 
     phi(x) <= price_cost * cost(x) + price_one      for every x, equality where n_x > 0.
 
-What is left of the inequality bounds what any plan at all could do better.
+The remainder of the inequality bounds the possible improvement by any plan.
 
 Considered terms are taken as estimated there, with their priors: the best estimator is no worse
 than one that leaves them out, so the bound holds, and the problem stays convex.
@@ -168,7 +168,7 @@ _GAP_OF_U: Final = 3e-4
 class Possibilities:
     """The information and the cost of each of n possible observations."""
 
-    #: Rows of unit variance: columns of the unknowns and of what is considered, each of the latter
+    #: Rows of unit variance: columns of the unknowns and of considered terms, each of the latter
     #: times its standard uncertainty, shapes (n, b, p) and (n, b, q).
     design: Array
     fixed: Array

@@ -33,7 +33,7 @@ from counterspin.results import ResultPart, ShownResult, draw_pictures
 
 
 class PlannedRun(ResultPart):
-    """One run: rad/s (its sign is the sense), centripetal force in g, s; `start` of the record."""
+    """A planned run: rad/s (signed by sense), centripetal force in g, s; `start` of the record."""
 
     name: str
     rate: float
@@ -45,9 +45,9 @@ class PlannedRun(ResultPart):
 
 
 class PlannedReading(ResultPart):
-    """One reading: rad/s, centripetal force in g, u in g; `time` of its middle, s.
+    """A planned reading: rad/s, centripetal force in g, u in g; `time` of its middle, s.
 
-    `axes` says where input and pendulous axis point in the frame of the motion.
+    `axes`: directions of input and pendulous axis in the frame of the motion.
     """
 
     name: str
@@ -74,9 +74,9 @@ class PredictedCoefficient(ResultPart):
 
 
 class PlannedAccelerometer(ResultPart):
-    """What is expected of one accelerometer.
+    """The expected result of an accelerometer.
 
-    `harmonic_share` is the part of K_II's estimate that rests on the second harmonic of the
+    `harmonic_share` is the part of K_II's estimate that comes from the second harmonic of the
     revolution, the rest being the mean of a_I^2, and None where there are readings; `faults`, the
     largest first; both only where K_II is estimated and determined.
     """
@@ -90,11 +90,11 @@ class PlannedAccelerometer(ResultPart):
 
 
 class GoalResult(ResultPart):
-    """What a plan is for, and how nearly it is the best.
+    """The goal of a plan, and its efficiency.
 
     `sizes`: unknown, such as ``Qx.K_II``, -> the size of u that counts as 1, or the target.
     `efficiency` is the least u (or, for a target, time) that any plan within the limits could
-    have, over this plan's; None where no theorem says it.
+    have, over this plan's; None where no theorem gives it.
     """
 
     #: ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
@@ -123,7 +123,7 @@ class OtherPlan(ResultPart):
 
 
 class LimitResult(ResultPart):
-    """One limit: whether the plan touches it, and what it gains if the limit gives way.
+    """A limit of the plan: binding or not, and the gain from relaxing it.
 
     `gain` is the relative decrease of u (mean over the goal's coefficients), or of the time.
     """
@@ -142,7 +142,7 @@ class Curve(ResultPart):
 
 
 class Curves(ResultPart):
-    """What the figures show.
+    """The curves of the figures.
 
     `time` and `rate`: the best plan's u against total time, s, and against the highest rate,
     rad/s; `sources`: by source its contribution to u against the highest rate of this plan's runs,

@@ -131,7 +131,7 @@ class RunInformation:
     def _made_tables(self) -> list[list[InformationTable | None]]:
         """Return the interpolation tables for each instrument and kind; None: a closed form exists.
 
-        Noise of the time stamps goes with the slope of what this very kind of run records.
+        The effect of time-stamp noise depends on the slope of the record of this kind of run.
         """
         tables: dict[tuple[PlannedInstrument, object], InformationTable] = {}
         chosen: list[list[InformationTable | None]] = []
@@ -276,7 +276,7 @@ class RunInformation:
 def _project_out_first(rows: Array, prior: Array) -> Array:
     """Project the first unknown, with the prior 1/u, shape (n, 1, 1), out of rows.
 
-    What is left of the information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y minus a
+    The remaining information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y minus a
     part of its component along x: exact, and no product is formed of which a root must be taken.
     """
     x, others = rows[:, :, :1], rows[:, :, 1:]
@@ -386,12 +386,12 @@ class Predictor:
         moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._scale_considered(types, blocks)
         q = self.common.size
         common = moments[..., :q].sum(axis=-3)
-        own = np.moveaxis(moments[..., q:], -3, -2)
-        own = own.reshape(*lead, p, own.shape[-2] * own.shape[-1])
-        columns = np.concatenate([common, own], axis=-1)
+        of_runs = np.moveaxis(moments[..., q:], -3, -2)
+        of_runs = of_runs.reshape(*lead, p, of_runs.shape[-2] * of_runs.shape[-1])
+        columns = np.concatenate([common, of_runs], axis=-1)
         spread: Array = -inner @ columns
-        whole: Array = inner + spread @ np.swapaxes(spread, -1, -2)
-        return whole, inner, spread
+        covariance: Array = inner + spread @ np.swapaxes(spread, -1, -2)
+        return covariance, inner, spread
 
     def _scale_considered(self, types: Sequence[RunType], blocks: Array) -> Array:
         """Return the considered columns of blocks, each times its standard uncertainty."""

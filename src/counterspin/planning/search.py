@@ -260,7 +260,7 @@ def not_determined(
 ) -> tuple[list[str], str]:
     """Return the undetermined unknowns of a goal, and the beginning of a sentence about them.
 
-    by, where: Words: what does not determine it; in what.
+    by, where: Words: the data that do not determine the goal; their campaign or plan.
     """
     missing = [name for name in goal if not assessment.determined[name]]
     if not missing:
@@ -276,7 +276,7 @@ def words_of_missed_target(
 ) -> str:
     """Return the beginning of a sentence on the target missed most, its excess and the reason.
 
-    none, best: Words: what does not reach it; the best of these, whose forecast this is.
+    none, best: Words: the plans that do not reach the target; the best of them, with this forecast.
     """
     u = prediction.u
     name = max(goal, key=lambda key: u[key] / goal[key])

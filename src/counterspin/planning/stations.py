@@ -71,7 +71,7 @@ class ReadingPlan:
     stand_in: Campaign  #: The campaign with existing observations and each possible reading once.
     possible: tuple[PossibleReading, ...]  #: The possible readings.
     poses: tuple[tuple[Reading, ...], ...]  #: Those that it has already, with their u.
-    #: Most of them, and s; infinite where there is no such limit.
+    #: Most of them, and s; infinite without a limit.
     readings: float
     total_time: float
     order: str  #: ``mirrored``, ``random`` or ``listed``.

@@ -133,7 +133,7 @@ _RESIDUAL_OF_KINK: Final = 5e-4
 #: Nodes in the rate: the weights are polynomials of the tenth degree (a_I^4 goes as w^8).
 _RATE_NODES: Final = 13
 
-#: Owner and symbol of a term, the latter with an ending for what it adds in each second.
+#: Owner and symbol of a term; an ending marks the change of its effect in each second.
 Key = tuple[str, str]
 A_SECOND: Final = " in a second"
 
@@ -227,7 +227,7 @@ class TermWeights:
         forces: Of the terms, as of `_forces`.
         """
         residual, least = (_combination(forces, tried)[1] for tried in (harmonics, _HARMONICS[-1]))
-        # Integration divides what the first harmonics leave by their number at least.
+        # Integration divides the remainder after the first harmonics by at least their number.
         of_kink = _RESIDUAL_OF_KINK * (harmonics + 1.0) ** instrument.order
         kinked = [_has_kink(symbol.removesuffix(A_SECOND)) for _, symbol in keys]
         allowed = np.where(kinked, of_kink, np.maximum(_RESIDUAL, 1.1 * least))
@@ -332,9 +332,9 @@ def _combination(columns: Array, harmonics: int) -> tuple[Array, Array]:
     return weights, residual.reshape(-1, columns.shape[-1]).max(axis=0)
 
 
-def key_of(one: Unknown, ending: str = "") -> Key:
+def key_of(unknown: Unknown, ending: str = "") -> Key:
     """Return the key of an unknown's weights."""
-    return one.owner, one.symbol + ending
+    return unknown.owner, unknown.symbol + ending
 
 
 def _has_kink(symbol: str) -> bool:

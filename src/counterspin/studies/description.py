@@ -1,4 +1,4 @@
-"""[study]: what varies from trial to trial, and which analyses compete.
+"""[study]: quantities that vary from trial to trial, and competing analyses.
 
 It is a section of ``campaign.toml``, next to [truth], or of a file that names the campaign:
 

@@ -152,7 +152,7 @@ _VALID_SDS: Final = 4.5
 
 @frozen
 class VariedQuantity:
-    """One quantity that varies from trial to trial."""
+    """A quantity that varies from trial to trial."""
 
     owner: str  #: The accelerometer of a term of its own, the recorder of a clock; else empty.
     symbol: str  #: A term of the tables or a key of `OTHERS`.

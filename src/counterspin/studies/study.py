@@ -57,23 +57,23 @@ def study(
     where
         A campaign's folder or description, a study's file, or a campaign or study already read.
     trials, seed
-        In place of the study's own.
+        Values that replace those of the study.
     engine
         ``auto`` takes the fastest that is valid; ``surrogate``, ``exact`` and ``full`` are as
         docs/study.md describes them.
     workers
         Processes, or the workers of a Dask cluster.
     output
-        Folder for ``study.json``, ``trials.parquet`` and what a resumption needs; None: nothing
-        is written.
+        Folder for ``study.json``, ``trials.parquet`` and the files for a resumption; None: write
+        nothing.
     progress
         Called with (trials done, trials in all).
 
     Returns
     -------
     StudyResult
-        The same, whatever the number of workers. If it was interrupted from the keyboard it says
-        so, and holds what was done.
+        The result does not depend on the number of workers. After an interruption from the
+        keyboard it states this, and has the finished trials.
 
     Raises
     ------

@@ -85,7 +85,7 @@ class JointRequest:
 
 @frozen
 class ReportedCoefficient:
-    """One coefficient of one analysis."""
+    """A coefficient of an analysis."""
 
     #: Names; the owner of a platform term is empty.
     analysis: str
