@@ -41,7 +41,7 @@ _WORDS: Final = {
 
 
 def folder_overview(desk: Desk) -> dict[str, Any]:
-    """Return the folder's campaigns and those of its results that are no campaign's."""
+    """Return the folder's campaigns, and its results that belong to no campaign."""
     campaigns, others = [], []
     plans: list[dict[str, str]] = []
     labs: list[str] = []
@@ -69,7 +69,7 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
 
 
 def _toml_kind(desk: Desk, path: Path) -> tuple[str, str]:
-    """Return whether a file is a ``plan`` or the laboratory's data, ``lab``, and its title."""
+    """Return the kind of a file, ``plan`` or ``lab`` (the laboratory's data), and its title."""
     if path.suffix.lower() != ".toml" or path.name == DESCRIPTION_NAME:
         return "", ""
     if not desk.folder.holds(path):
@@ -99,7 +99,7 @@ def _results(desk: Desk, folder: Path, files: list[str]) -> Iterator[dict[str, A
 
 
 def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
-    """Return what a list says of a result; None of a file that is none, or is damaged."""
+    """Return a result's entry for a list; None if the file is damaged or not a result."""
     from counterspin.calibration.findings import judge_result
 
     name = desk.folder.name(path)
@@ -131,7 +131,7 @@ def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
 
 
 def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what the list of campaigns says of one."""
+    """Return a campaign's entry for the list of campaigns."""
     path = desk.description(name)
     line: dict[str, Any] = {
         "name": name,
@@ -162,10 +162,10 @@ def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any
 
 
 def _rank(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
-    """Return what sorts a campaign's results: the first is the one that speaks for it.
+    """Return the key that sorts a campaign's results, its representative result first.
 
-    That is ``result.json``; without it, the newest by the joint method, then the newest. Whoever
-    tries another method or fewer runs writes another file, and the campaign keeps its result.
+    That is ``result.json``; without it, the newest by the joint method, then the newest. Another
+    method or fewer runs are written to another file, and the campaign keeps its result.
     """
     return (
         result["state"] == "damaged",
@@ -176,7 +176,7 @@ def _rank(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
 
 
 def _state(desk: Desk, path: Path, line: dict[str, Any]) -> str:
-    """Return where a campaign stands."""
+    """Return the state of a campaign."""
     if line["mistakes"]:
         return "mistakes"
     result = next((r for r in line["results"] if r["state"] != "damaged"), None)
@@ -191,7 +191,7 @@ def _state(desk: Desk, path: Path, line: dict[str, Any]) -> str:
 
 
 def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
-    """Return all that the page of one campaign needs."""
+    """Return the data for the page of one campaign."""
     path = desk.description(name)
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
     line = _line(desk, name, list(_results(desk, path.parent, files)))
@@ -209,7 +209,7 @@ def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def _runs(desk: Desk, name: str, path: Path) -> list[dict[str, Any]]:
-    """Return the runs of a description, also of one with mistakes."""
+    """Return the runs of a description, even if it has mistakes."""
     try:
         campaign = desk.campaign(name)
     except CounterspinError:
@@ -237,7 +237,7 @@ def begin_calibration(
     method: Method = "joint",
     accept_misfit: str | None = None,
 ) -> dict[str, Any]:
-    """Begin to calibrate a campaign; return the job.
+    """Start a campaign's calibration; return the job.
 
     name: The campaign's folder.
     output: Name of the result's file in it.
@@ -267,9 +267,9 @@ def begin_campaign(desk: Desk, name: str, test: Test = "double-turntable") -> di
 
 
 def as_json(value: Any) -> str:
-    """Return an answer as JSON; what is infinite or no number becomes null.
+    """Return an answer as JSON; infinite values and NaN become null.
 
-    In ASCII: a file may have a name that is no text, of which UTF-8 cannot be made.
+    The text is ASCII, because a file's name may have bytes without an encoding in UTF-8.
     """
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))

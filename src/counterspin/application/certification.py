@@ -1,4 +1,4 @@
-"""Certificates and reports from the page, and files to be saved elsewhere."""
+"""Certificates and reports from the page, and downloads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WRITTEN_SUFFIXES: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".
 
 
 class BroughtFile(BaseModel):
-    """A file that is used for one request, and written nowhere."""
+    """An uploaded file that is used for one request, and never written."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
 
@@ -30,12 +30,12 @@ class BroughtFile(BaseModel):
     content: Base64Bytes
 
     def read(self) -> KeyFile:
-        """Return it as those on the command line are read."""
+        """Return its content, read in the same way as a file of the command line."""
         return KeyFile(self.name, self.content)
 
 
 class Signing(BaseModel):
-    """With what a certificate is signed."""
+    """The material for signing a certificate."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
 
@@ -45,7 +45,7 @@ class Signing(BaseModel):
     password: SecretStr | None = None  #: Of the key.
 
     def signer(self, desk: Desk) -> Signer:
-        """Return who signs; CounterspinError if key, certificate and password do not fit."""
+        """Return the signer; CounterspinError if key, certificate and password do not fit."""
         if self.key is None:
             if desk.signer is None:
                 raise CounterspinError(
@@ -61,7 +61,7 @@ class Signing(BaseModel):
 
 
 def _while_others_draw(desk: Desk, data: bytes) -> bytes:
-    """Return what the server's command signs: somebody may have to type the PIN of a card first."""
+    """Return the signature by the server's command; a person may have to type a PIN first."""
     assert desk.signer is not None
     desk.drawing.release()
     try:
@@ -78,9 +78,9 @@ def begin_certificate(
     both: bool = False,
     signing: Signing | None = None,
 ) -> dict[str, Any]:
-    """Issue the certificate of a result; return what it is known by, and what to check.
+    """Issue the certificate of a result; return its identifier and the notes to check.
 
-    both: The other of XML and PDF is written beside it too.
+    both: The other of XML and PDF is written next to it too.
     """
     files = desk.file(result), desk.file(lab)
     place = desk.folder.path(output)
@@ -104,7 +104,7 @@ def begin_certificate(
 
 
 def _options(desk: Desk, signing: Signing | None) -> dict[str, str]:
-    """Return the options of the command line that sign so."""
+    """Return the options of the command line for this signature."""
     if signing is None:
         return {}
     if signing.key is None:
@@ -114,7 +114,7 @@ def _options(desk: Desk, signing: Signing | None) -> dict[str, str]:
 
 
 def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tuple[str, bytes]:
-    """Return a report's own name and what is in it; nothing is written into the folder."""
+    """Return a report's file name and content; nothing is written into the folder."""
     from counterspin.reports.publication import report
 
     found = desk.result(result)
@@ -124,7 +124,7 @@ def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tu
 
 
 def taken_file(desk: Desk, name: str) -> tuple[str, bytes]:
-    """Return a file's own name and what is in it; OutsideError of what is not made here."""
+    """Return a file's name and content; OutsideError for files that are not made here."""
     path: Path = desk.file(name)
     if path.suffix.lower() not in _WRITTEN_SUFFIXES:
         raise OutsideError(f"{name}: only files that counterspin writes can be saved from here")

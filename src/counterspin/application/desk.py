@@ -1,7 +1,7 @@
-"""What all requests share: the folder, the jobs, what was read; a click as a command's words.
+"""The state that all requests share: folder, jobs, cached files; each action's command line.
 
-The one place of the application that knows the options of the command line; a test has the
-command line read every one of them back.
+This module alone knows the options of the command line within the application; a test has the
+command line parse every one of them.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def certificate_command(
 ) -> str:
     """Return the command that issues a result's certificate.
 
-    signing: Options that say who signs, such as `key`, and their values.
+    signing: Options for the signer, such as `key`, and their values.
     """
     words = ["certificate", str(result), str(lab), "--output", str(output)]
     if both:
@@ -74,12 +74,12 @@ def plan_command(file: Path, folder: Path | None) -> str:
 
 
 def forecast_command(campaign: Path) -> str:
-    """Return the command that says what a campaign will tell."""
+    """Return the command that predicts a campaign's uncertainties."""
     return _typed(["plan", "--check", str(campaign)])
 
 
 def study_command(campaign: Path, trials: int, output: Path) -> str:
-    """Return the command that studies a campaign and writes what it finds."""
+    """Return the command that studies a campaign and writes the result."""
     words = ["study", str(campaign), f"--trials={trials}", "--json", str(output), "--overwrite"]
     return _typed(words)
 
@@ -119,7 +119,7 @@ _MAX_REMEMBERED: Final = 300
 
 
 class FileCache:
-    """What was made of files, which takes long, until one of them changes."""
+    """A cache of values computed from files; an entry expires when one of its files changes."""
 
     def __init__(self, most: int = _MAX_REMEMBERED) -> None:
         self._most = most
@@ -127,12 +127,12 @@ class FileCache:
         self._lock = threading.Lock()
 
     def get(self, key: Any, files: Sequence[Path], make: Callable[[], T]) -> T:
-        """Return what `make` returns, or returned for these very files before."""
+        """Return the cached value of `make`, or its new value if a file has changed."""
         found, keep = self.find(key, files)
         return keep(make()) if found is None else found
 
     def find(self, key: Any, files: Sequence[Path]) -> tuple[Any, Callable[[T], T]]:
-        """Return what is remembered, or None, and what remembers what is made of the files."""
+        """Return the cached value or None, and a function that stores a new one."""
         stamp = tuple(map(_identity, files))
 
         def keep(made: T) -> T:
@@ -156,7 +156,7 @@ def _identity(file: Path) -> FileIdentity | None:
 
 
 class Desk:
-    """The folder that is served, what is being worked on, and what was read before."""
+    """The served folder, the jobs, and the cached files."""
 
     def __init__(
         self,
@@ -177,17 +177,17 @@ class Desk:
         self.drawing = threading.Lock()
 
     def close(self) -> None:
-        """End all that goes on."""
+        """End all jobs and processes."""
         self.jobs.close()
         self.live.close()
 
     def result(self, name: str) -> Result:
-        """Return a result by the name of its file; RecordError if it is none."""
+        """Return a result by the name of its file; RecordError if it is not a result."""
         path = self.file(name)
         return self.remembered.get(("result", path), [path], lambda: Result.read(path))
 
     def file(self, name: str) -> Path:
-        """Return where a file is; NotThereError if there is none of that name."""
+        """Return the path of a file; NotThereError if no file has the name."""
         path = self.folder.path(name)
         if not path.is_file():
             raise NotThereError(f"{name}: there is no such file in this folder")
@@ -198,7 +198,7 @@ class Desk:
         return self.file(f"{name}/{DESCRIPTION_NAME}" if name else DESCRIPTION_NAME)
 
     def campaign(self, name: str) -> Campaign:
-        """Return the campaign of a folder, none of whose files lies outside of what is served."""
+        """Return the campaign of a folder; all of its files must be in the served folder."""
         from counterspin.campaign.description import read_campaign
 
         path = self.description(name)
@@ -209,7 +209,7 @@ class Desk:
         return self.remembered.get(("campaign", path), files, lambda: read_campaign(path))
 
     def place(self, name: str) -> Path:
-        """Return where new files go, in a folder that may be there already."""
+        """Return the path for new files, in a folder that may exist already."""
         path = self.folder.path(name)
         if path.is_dir():
             for file in path.iterdir():
@@ -220,7 +220,7 @@ class Desk:
     def require_inside(self, folder: Path, document: Mapping[str, Any]) -> None:
         """Raise CampaignError if a document names files that are not in the folder.
 
-        Every text is taken for the name of a file, at whichever key it stands: none is missed.
+        Every string in the document is checked as if it were a path.
 
         document: A campaign's description, a plan, the laboratory's data.
         """

@@ -1,7 +1,7 @@
-"""Files edited as a form and as a text, which always say the same.
+"""Edit a file as a form and as a text, which always agree.
 
-The text is what counts: a field that is changed changes the text, comments and order of its keys
-kept (tomlkit), and what is saved is the text.
+The text is the source: a changed field changes the text, with comments and the order of its keys
+kept (tomlkit), and the text is saved.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _OF_TABLES: Final = ("accelerometers", "truth", "model", "specification", "study
 
 @frozen
 class EditedText:
-    """A text, what it says, and what is wrong with it."""
+    """A TOML text with its parsed document and its mistakes."""
 
     text: str  #: Of the file.
     document: dict[str, Any]  #: Its tables; empty where the text is not TOML.
@@ -55,7 +55,7 @@ class EditedText:
     example: tuple[str, ...] = ()
 
     def shown(self) -> dict[str, Any]:
-        """Return what the page is told."""
+        """Return the state for the page."""
         return {
             "text": self.text,
             "document": json.loads(json.dumps(self.document, default=str)),
@@ -117,7 +117,7 @@ def _document(text: str) -> dict[str, Any]:
 
 
 def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return mistakes as key and words; a mistake of the whole has no key."""
+    """Return a mistake's key and words; a mistake of the whole document has no key."""
     split = []
     for problem in problems:
         key, colon, words = problem.partition(": ")
@@ -127,9 +127,9 @@ def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def with_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
-    """Return a text with another value at a key; all else stays as it is written.
+    """Return a text with another value at a key; the rest stays as it is written.
 
-    value: The new value; None takes the key, or the list's entry, out.
+    value: The new value; None removes the key, or the list's entry.
     """
     if not path:
         raise CounterspinError("no key is named")
@@ -156,7 +156,7 @@ _NOT_HERE: Final = "This field cannot change the file as it is written; edit the
 
 
 def _with(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
-    """Return what the changed text must say."""
+    """Return the document that the changed text must parse to."""
     wanted = copy.deepcopy(document)
     place: Any = wanted
     for part, following in pairwise(path):
@@ -166,7 +166,7 @@ def _with(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]
 
 
 def _set(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
-    """Change a document that keeps how it is written."""
+    """Change a document and keep its formatting."""
     place: Any = document
     new: list[tuple[Any, str]] = []
     for depth, (part, following) in enumerate(pairwise(path)):
@@ -192,10 +192,11 @@ def _set(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
 
 
 def _move_up(table: Any, new: str) -> None:
-    """Move a key that was put at a table's end above the comments there that are of what follows.
+    """Move a key from a table's end above the comments that belong to the next table.
 
-    Of the table are comments right below its last key; not those after a blank line, or from a
-    heading on, such as ``# [specification]``: uncommented, it would take the key away.
+    Comments directly below the table's last key belong to the table. Those after a blank line, or
+    from a heading on, such as ``# [specification]``, do not: uncommented, the heading would take
+    the key.
     """
     if not isinstance(table, Table | Container):
         return
@@ -216,14 +217,14 @@ _HEADING: Final = re.compile(r"#\s*\[")
 
 
 def _is_headed(place: Any, path: KeyPath) -> bool:
-    """Tell whether a table that is put there gets a heading of its own."""
+    """Return whether a table at this place gets its own heading."""
     if isinstance(path[-1], int):
         return isinstance(place, AoT)
     return len(path) <= (2 if path[0] in _OF_TABLES else 1)
 
 
 def _inside(place: Any, part: str | int, empty: Any) -> Any:
-    """Return what stands at a key or place; where nothing does, an empty one that is put there."""
+    """Return the value at a key or place; create an empty one if there is none."""
     if isinstance(part, int):
         if part == len(place):
             place.append(empty)
@@ -243,7 +244,7 @@ def _put(place: Any, last: str | int, value: Any) -> None:
 
 
 def description(desk: Desk, name: str) -> dict[str, Any]:
-    """Return a campaign's description: text, version, form, what it says, what is wrong."""
+    """Return a campaign's description: text, version, form, values and mistakes."""
     path = desk.description(name)
     seen = desk.folder.read(desk.folder.name(path))
     told = checked_campaign(desk, path, seen.text).shown()
@@ -255,7 +256,7 @@ def description(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def plan_text(desk: Desk, name: str) -> dict[str, Any]:
-    """Return a plan's text, version and form, what it says and what is wrong; name: its file."""
+    """Return a plan's text, version, form, values and mistakes; name: its file."""
     path = desk.file(name)
     document = load_document(path)
     if not is_plan(document):
@@ -269,7 +270,7 @@ def plan_text(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
-    """Return the laboratory's data in a file, or the example where there is none yet."""
+    """Return the laboratory's data in a file, or the example if the file does not exist yet."""
     seen = desk.folder.read(file)
     text = seen.text or _example()
     told = checked_lab(text, desk.result(result)).shown()
@@ -290,7 +291,7 @@ def _example() -> str:
 
 
 def check_text(desk: Desk, file: str, text: str, result: str | None = None) -> dict[str, Any]:
-    """Return what a text would say in the place of a file, and what is wrong with it."""
+    """Return the values and mistakes of a text that would replace a file's."""
     return _checked(desk, file, text, result).shown()
 
 
@@ -323,7 +324,7 @@ def _checked(desk: Desk, file: str, text: str, result: str | None) -> EditedText
 def save_text(
     desk: Desk, file: str, text: str, version: str, result: str | None = None
 ) -> dict[str, Any]:
-    """Write a text, mistakes and all, if the file still is what its editor had seen."""
+    """Write a text, even with mistakes, if the file has not changed since its editor read it."""
     path, told = _place(desk, file), _checked(desk, file, text, result)
     if result is None and path.name != DESCRIPTION_NAME and not is_plan(told.document):
         raise CounterspinError(f"{file}: a plan has [limits] and [goal]; nothing was saved")
@@ -331,7 +332,7 @@ def save_text(
 
 
 def _place(desk: Desk, file: str) -> Path:
-    """Return where a text stands; OutsideError of what is no TOML file."""
+    """Return the path of a text; OutsideError unless it is a TOML file."""
     path = desk.folder.path(file)
     if path.suffix.lower() != ".toml":
         raise OutsideError(f"{file}: only files in TOML are edited here")

@@ -1,7 +1,7 @@
-"""The files of the folder that is served, and no others.
+"""The files of the served folder, and no others.
 
 No name leads out of the folder: not by ``..``, not as an absolute name, not by a link. Hidden
-files, temporary ones among them, do not count as the folder's.
+files, including temporary ones, are excluded.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ NO_FILE: Final = ""
 
 
 class OutsideError(CounterspinError):
-    """A name that leads out of the folder, or is no name of a file."""
+    """The error for a name that leads out of the folder, or is not a file's name."""
 
 
 class NotThereError(CounterspinError):
-    """There is no such file."""
+    """The error for a file that does not exist."""
 
 
 class ChangedMeanwhileError(CounterspinError):
-    """A file is no longer what its editor had seen; `now` is what it holds."""
+    """The error for a file that changed since its editor read it; `now` is its present content."""
 
     def __init__(self, name: str, now: FileVersion) -> None:
         self.now = now
@@ -54,16 +54,16 @@ class ChangedMeanwhileError(CounterspinError):
 
 @frozen
 class FileVersion:
-    """A text, and by what it is known: its SHA-256; both empty where there is no file."""
+    """A text and its SHA-256; both are empty without a file."""
 
     text: str
     version: str
 
 
 class ServedFolder:
-    """The folder that is served.
+    """The served folder.
 
-    root: The folder; CounterspinError if it is none.
+    root: The folder; CounterspinError if it is not one.
     """
 
     def __init__(self, root: Path) -> None:
@@ -74,7 +74,7 @@ class ServedFolder:
         self._writing = threading.Lock()
 
     def path(self, name: str) -> Path:
-        """Return where a name leads; OutsideError if that is out of the folder.
+        """Return the path of a name; OutsideError if it is out of the folder.
 
         name: Relative to the folder, with slashes; empty: the folder itself.
         """
@@ -90,16 +90,16 @@ class ServedFolder:
         return path
 
     def holds(self, path: Path) -> bool:
-        """Tell whether a path leads, links and all, to something in the folder."""
+        """Return whether a path, with links resolved, is in the folder."""
         try:
             return path.resolve().is_relative_to(self.root)
         except (OSError, RuntimeError, ValueError):
             return False  # a link to itself, a name that is too long
 
     def holds_named(self, folder: Path, name: str) -> bool:
-        """Tell whether a text, taken for the name of a file beside a document, stays in the folder.
+        """Return whether a text, as a file's name relative to a document, stays in the folder.
 
-        folder: The document's, in the folder that is served.
+        folder: The document's, in the served folder.
         """
         parts = PurePath(name).parts
         if not parts:
@@ -110,7 +110,7 @@ class ServedFolder:
         return self.holds(folder / name)
 
     def name(self, path: Path) -> str:
-        """Return a path's name within the folder; one outside keeps its own."""
+        """Return a path's name within the folder; a path outside is unchanged."""
         try:
             name = path.relative_to(self.root).as_posix()
         except ValueError:
@@ -118,7 +118,7 @@ class ServedFolder:
         return "" if name == "." else name
 
     def spoken(self, message: str) -> str:
-        """Return a message with names within the folder in place of whole paths."""
+        """Return a message with names within the folder instead of whole paths."""
         return message.replace(f"{self.root}{os.sep}", "").replace(str(self.root), "this folder")
 
     def folders(self) -> Iterator[tuple[Path, list[str]]]:
@@ -133,7 +133,7 @@ class ServedFolder:
             yield path, sorted(name for name in files if name[0] != ".")
 
     def read(self, name: str, most: int = TEXT_BYTES) -> FileVersion:
-        """Return a file's text and version; an empty one where there is no file."""
+        """Return a file's text and version; an empty one without a file."""
         path = self.path(name)
         try:
             content = read_file(path, most)
@@ -146,7 +146,7 @@ class ServedFolder:
             raise CounterspinError(f"{name}: cannot be read: {error.strerror}") from error
 
     def write(self, name: str, text: str, seen: str) -> FileVersion:
-        """Write a text, whole or not at all, if the file still is what its editor had seen.
+        """Write a text atomically if the file has not changed since its editor read it.
 
         seen: The version that was edited; empty: there was no file.
         """

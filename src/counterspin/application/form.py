@@ -1,4 +1,4 @@
-"""A form's sections and fields, made of the models that check the file: no second list of keys."""
+"""The sections and fields of forms, made of the models that check the file."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def lab_form() -> tuple[Field, ...]:
 
 @cache
 def plan_form(of_readings: bool) -> tuple[Field, ...]:
-    """Return the sections of a plan: those of a campaign, and those of its own."""
+    """Return the sections of a plan: those of a campaign, and those of plans only."""
     known = {section["key"]: section for section in campaign_form()}
     document = ReadingPlanDocument if of_readings else PlanDocument
     sections = []
@@ -114,7 +114,7 @@ def plan_form(of_readings: bool) -> tuple[Field, ...]:
 
 
 def run_kinds(document: Mapping[str, Any]) -> list[str]:
-    """Return of each run of a document whether it is a ``record`` or a ``reading``."""
+    """Return the kind of each run of a document, ``record`` or ``reading``."""
     runs = document.get("runs")
     some = runs if isinstance(runs, list) else []
     return ["reading" if is_reading(run) else "record" for run in some]
@@ -137,7 +137,7 @@ def _limits() -> list[Field]:
 
 
 def _section(key: str, model: type[BaseModel], page: str) -> Field:
-    """Return a section; page: of the documentation, where the class has no table of its own."""
+    """Return a section; page: of the documentation, if the class has no table in it."""
     words = (model.__doc__ or "").partition("\n")[0]
     # "[site]: where the centrifuge stands."
     said = words.partition("]: ")[2]
@@ -189,13 +189,13 @@ def _field(key: str, field: FieldInfo, page: str) -> Field:
 
 
 def _links(said: str, page: str) -> list[tuple[str, str]]:
-    """Return words of a help, one after the other, and the page that they lead to."""
+    """Return the words of a help in order, and the page of its link."""
     found = ((words.replace("`", ""), address(to, page)) for words, to in _LINK.findall(said))
     return [(words, to) for words, to in found if to is not None]
 
 
 def _label(key: str) -> str:
-    """Return a key in words: those of a term, with its symbol."""
+    """Return a key in words: a term's description with its symbol."""
     if key in OWN_TERMS:
         words = OWN_TERMS[key].words
         return f"{words[:1].upper()}{words[1:]} ({key})"
@@ -207,7 +207,7 @@ def _label(key: str) -> str:
 
 @cache
 def _term_rows() -> tuple[Field, ...]:
-    """Return what a list of terms may name, each with what it does: terms, families of them."""
+    """Return the names that a list of terms may have, with descriptions: terms and families."""
     rows = {symbol: row.words for symbol, row in OWN_TERMS.items()}
     for family, of_family in BARE_NAMES.items():
         if family.count(".") == 1:
@@ -219,7 +219,7 @@ def _term_rows() -> tuple[Field, ...]:
 
 
 def _unwrapped(annotation: Any, metadata: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return what is annotated, without "or none", and all that is said beside it."""
+    """Return the type inside Annotated and Optional, and the collected metadata."""
     said = list(metadata)
     while True:
         origin = typing.get_origin(annotation)
@@ -240,7 +240,7 @@ def _a_table(some: Sequence[Any]) -> bool:
 
 
 def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
-    """Return how a value is asked for: its choices or suggestions, its unit and others of it."""
+    """Return the input of a value: its choices or suggestions, its unit and other properties."""
     if typing.get_origin(base) is Literal:
         return {"kind": "choice", "choices": list(typing.get_args(base))}
     readers = [said for said in metadata if isinstance(said, PlainValidator)]
@@ -266,7 +266,7 @@ def _kind(base: Any, metadata: Sequence[Any], page: str) -> Field:
 
 
 def _parts(written: Any) -> Sequence[Any]:
-    """Return what a value may be written as, one by one."""
+    """Return the alternatives of a value's type, in order."""
     return typing.get_args(written) if _is_union(written) else [written]
 
 
@@ -283,7 +283,7 @@ def _is_number(written: Any, base: Any) -> bool:
 
 
 def _units_wanted(check: Any) -> tuple[str, ...]:
-    """Return units of the dimensions that a check of a unit's name lets pass."""
+    """Return units of the dimensions that a unit's validator accepts."""
     if isinstance(check, partial):
         return tuple(check.args)
     return _UNITS_WANTED.get(check, ())

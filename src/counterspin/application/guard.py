@@ -1,17 +1,17 @@
-"""Who may ask the application, how much, and what a browser may do with the answer.
+"""Access control of the application, limits of requests, and the browser's permissions.
 
-A page of this machine is within reach of every other page in the same browser, and of every user
-of the same machine. So nothing is answered that was not asked from the application's own page:
+Every other page in the same browser, and every user of the same machine, can reach the server.
+Therefore only requests of the application's own page are answered:
 
-- the Host is this machine's own name with the port (a foreign name that was made to lead here, DNS
-  rebinding, gets 403), and so is the Origin where there is one;
-- what is asked of the folder carries the key in a header, which no browser adds by itself (cookies
-  know no ports: every other server of this machine gets them). The page has it for the token in
-  the link that `counterspin serve` prints; the token counts once, and stands in the link's
+- the Host is this machine's name with the port (a foreign name that was made to lead here, DNS
+  rebinding, gets 403), and so is the Origin if there is one;
+- requests about the folder carry the key in a header, which no browser adds by itself (cookies
+  ignore ports: every other server of this machine gets them). The page receives the key for the
+  token in the link that `counterspin serve` prints; the token is valid once, and is in the link's
   fragment, which no browser sends;
-- what a browser fetches by itself, a file to be saved, has an address that counts once;
-- what changes something says its Origin;
-- no request is larger than its limit, and a small one is the limit of who shows no key.
+- a file that a browser fetches by itself, to save it, has an address that is valid once;
+- requests that change something state their Origin;
+- no request exceeds its limit of size; the limit is small without the key.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ _HEADERS: Final[Mapping[str, str]] = {
 
 
 class Door:
-    """The secrets of one server, and the names by which it is reached."""
+    """The secrets of one server, and its host names."""
 
     def __init__(
         self,
@@ -99,37 +99,37 @@ class Door:
 
     @property
     def link(self) -> str:
-        """What opens the page, once."""
+        """The link that opens the page, once."""
         return f"http://{_HOST_NAMES[0]}:{self.port}/#token={self._token}"
 
     @property
     def hosts(self) -> frozenset[str]:
-        """What a request's Host may be."""
+        """The valid values of a request's Host."""
         return frozenset(f"{name}:{self.port}" for name in _HOST_NAMES)
 
     def key_for(self, token: str) -> str | None:
-        """Return the key for the link's token, of which there is another then; None for others."""
+        """Exchange the link's token for the key and issue a new token; None for any other token."""
         if not secrets.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
             return None
         self._token = secrets.token_urlsafe(24)
         return self._key
 
     def admits(self, headers: Headers) -> bool:
-        """Tell whether a request carries the key."""
+        """Return whether a request carries the key."""
         said = headers.getlist("authorization")
         known = f"Bearer {self._key}"
         return len(said) == 1 and secrets.compare_digest(said[0].encode(), known.encode())
 
 
 class Tickets(Generic[T]):
-    """Addresses that count once, and not for long, each for what it was asked for."""
+    """Addresses that are valid once and for a short time, each for one request."""
 
     def __init__(self) -> None:
         self._held: dict[str, tuple[float, T]] = {}
         self._lock = threading.Lock()
 
     def issue(self, target: T) -> str:
-        """Return a ticket for something; the oldest no longer counts where there are too many."""
+        """Return a ticket for a request; the oldest expires if there are too many."""
         ticket = secrets.token_urlsafe(24)
         with self._lock:
             self._held[ticket] = (time.monotonic(), target)
@@ -138,14 +138,14 @@ class Tickets(Generic[T]):
         return ticket
 
     def take(self, ticket: str) -> T | None:
-        """Return what a ticket is for; None if it counts no longer."""
+        """Return the request of a ticket; None if it is not valid."""
         with self._lock:
             issued, target = self._held.pop(ticket, (-_TICKET_SECONDS, None))
         return target if time.monotonic() - issued < _TICKET_SECONDS else None
 
 
 class Guard:
-    """Lets through what the application's own page asks, and answers all else itself."""
+    """Passes on the requests of the application's own page, and refuses all others."""
 
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self._app = app
@@ -179,7 +179,7 @@ class Guard:
         await self._limited(scope, receive, send_guarded, most)
 
     def _refusals(self, scope: Scope, *, known: bool, most: int) -> Iterator[tuple[int, str]]:
-        """Yield why a request is refused, with the status; the first reason counts."""
+        """Yield the reasons to refuse a request, with the status; the first one is used."""
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
         if len(hosts) != 1 or hosts[0] not in self._door.hosts:
@@ -200,7 +200,7 @@ class Guard:
             yield 413, _too_large(most)
 
     async def _limited(self, scope: Scope, receive: Receive, send: Send, most: int) -> None:
-        """Pass a request on; one that turns out to be too large ends there."""
+        """Pass a request on; stop it if its body exceeds the limit."""
         taken = 0
         begun = waited = False
 
@@ -238,7 +238,7 @@ class Guard:
 
 
 class _TooLargeError(Exception):
-    """A request brought more than its limit."""
+    """The error for a request whose body exceeds its limit."""
 
 
 def _most(path: str) -> int:

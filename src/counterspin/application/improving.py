@@ -1,4 +1,4 @@
-"""Records less their reference with the fit, and what an uncertainty would be if more was known."""
+"""Records minus their reference with the fit, and the uncertainty with better inputs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SeenRecord:
 
 
 def begin_fit(desk: Desk, name: str) -> dict[str, Any]:
-    """Begin to fit a campaign's records for their pictures; return the job.
+    """Start to fit a campaign's records for their pictures; return the job.
 
     name: The campaign's folder.
     """
@@ -71,7 +71,7 @@ def _key(desk: Desk, name: str) -> tuple[tuple[str, Path], list[Path]]:
 
 
 def fit_into(there: Connection, campaign: Path) -> None:
-    """Fit a campaign's records; `there` is told as of `processes.report_progress`."""
+    """Fit a campaign's records; report to `there` as `processes.report_progress` does."""
 
     def work(_: Progress) -> dict[str, SeenRecord]:
         from counterspin.calibration.joint import estimate_campaign
@@ -97,14 +97,14 @@ def fit_into(there: Connection, campaign: Path) -> None:
 
 
 def less_polynomial(time: Array, values: Array, degree: int) -> Array:
-    """Return values less their best polynomial: that of a bias has as many powers as integrals."""
+    """Return values minus their best polynomial, of the degree of the bias's effect."""
     scaled = time / max(float(np.max(np.abs(time))), 1e-300)
     powers = np.vander(scaled, degree + 1)
     return np.asarray(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0])
 
 
 def _together(parts: list[tuple[str, str, Array, Array, Array]]) -> SeenRecord:
-    """Return data and fit of all accelerometers at the times of any."""
+    """Return data and fit of all accelerometers at the union of their times."""
     from counterspin.campaign.settings import OBSERVABLES
 
     taken = {"displacement": "parabola", "velocity": "line", "specific_force": "mean"}
@@ -130,7 +130,7 @@ _WORTH: Final = 0.95
 def uncertainty_if(
     desk: Desk, name: str, accelerometer: str, known: dict[str, FiniteFloat] | None = None
 ) -> dict[str, Any]:
-    """Return the u of the coefficient that is asked for first, and what it consists of.
+    """Return u of the first requested coefficient, and its budget.
 
     name: The result's file.
     known: Source -> its standard uncertainty, SI or g-units; others stay as they are.
@@ -165,7 +165,7 @@ def uncertainty_if(
 
 
 def ways(desk: Desk, name: str, result: str) -> dict[str, Any]:
-    """Return by accelerometer the cheapest ways to a smaller uncertainty, as far as they are known.
+    """Return for each accelerometer the cheapest known ways to a smaller uncertainty.
 
     name: The campaign's folder.
     result: The result's file.
@@ -187,7 +187,7 @@ def ways(desk: Desk, name: str, result: str) -> dict[str, Any]:
 
 
 def _has_records(desk: Desk, name: str) -> bool:
-    """Return whether a campaign can be read, and has runs beside which others may be made."""
+    """Return whether a campaign can be read, and has runs that further runs can follow."""
     try:
         return bool(desk.campaign(name).runs)
     except CounterspinError:
@@ -195,7 +195,7 @@ def _has_records(desk: Desk, name: str) -> bool:
 
 
 def _stated(result: Result, owner: str) -> Iterator[dict[str, Any]]:
-    """Yield what may be stated, the source that would leave least first."""
+    """Yield the priors that may be stated, the one with the smallest remaining u first."""
     found = _accelerometer(result, owner)
     if found.what_if is None or not _symbol(found):
         return
@@ -222,7 +222,7 @@ def _stated(result: Result, owner: str) -> Iterator[dict[str, Any]]:
 
 
 def _is_prior(source: str) -> bool:
-    """Return whether [model.priors] states a source; inputs have keys of their own."""
+    """Return whether [model.priors] states a source; inputs have other keys."""
     return is_term(source) and source not in INPUTS
 
 
@@ -240,7 +240,7 @@ def _shown(further: FurtherRuns | None, found: AccelerometerResult) -> dict[str,
 
 
 def begin_search(desk: Desk, name: str) -> dict[str, Any]:
-    """Begin to look for runs in another attitude that would help; return the job."""
+    """Start a search for helpful runs in another attitude; return the job."""
     path = desk.description(name)
     campaign = desk.campaign(name)
     _, keep = desk.remembered.find(("ways", path), [path, *(run.record for run in campaign.runs)])
@@ -252,7 +252,7 @@ def begin_search(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def search_into(there: Connection, campaign: Path) -> None:
-    """Look for runs that would help; `there` is told as of `processes.report_progress`."""
+    """Search for helpful runs; report to `there` as `processes.report_progress` does."""
 
     def work(progress: Progress) -> dict[str, FurtherRuns | None]:
         from counterspin.calibration.observed import with_recorded_temperatures
@@ -272,7 +272,7 @@ def search_into(there: Connection, campaign: Path) -> None:
 
 
 def _searched(desk: Desk, name: str) -> dict[str, FurtherRuns | None] | None:
-    """Return what was found by accelerometer; None where nothing was searched."""
+    """Return the results of the search by accelerometer; None without a search."""
     path = desk.description(name)
     try:
         files = [path, *(run.record for run in desk.campaign(name).runs)]
@@ -287,11 +287,11 @@ def prepare_way(
 ) -> dict[str, Any]:
     """Copy a campaign and write a way to a smaller uncertainty into the copy; return its name.
 
-    ``key`` beside it is that of the value which is to be replaced; None: there is none.
+    The answer's ``key`` is that of the value to be replaced, or None.
 
     name: The campaign's folder.
     result: The result's file.
-    way: A prior, whose value is to be replaced by what is measured; or runs to be recorded.
+    way: A prior, whose value is to be replaced by a measured one; or runs to be recorded.
     """
     source = desk.description(name)
     before = desk.folder.read(desk.folder.name(source))
@@ -317,7 +317,7 @@ def prepare_way(
 
 
 def _prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
-    """Return the key and the text of the prior that would help most, and its term."""
+    """Return the key and the text of the most helpful prior, and its term."""
     stated = next(_stated(result, accelerometer), None)
     if stated is None:
         raise NotThereError(f"{accelerometer}: stating one thing more would not reduce its u")
@@ -342,7 +342,7 @@ def _accelerometer(result: Result, name: str) -> AccelerometerResult:
 
 
 def _symbol(found: AccelerometerResult) -> str:
-    """Return the coefficient that is asked for first; empty if none is determined."""
+    """Return the first requested coefficient; empty if none is determined."""
     names = found.what_if.names if found.what_if else []
     asked = [symbol for symbol in found.budget if symbol in names and symbol in found.coefficients]
     return "K_II" if "K_II" in asked else next(iter(asked), "")

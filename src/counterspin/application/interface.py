@@ -1,6 +1,6 @@
-"""What the page may ask, by name, and what answers it.
+"""The requests of the page, by name, and the functions that answer them.
 
-What a request must say is the signature of the function that answers: its parameters after `desk`.
+The signature of a function states its request: the parameters after `desk`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _STATUS: Final = {ChangedMeanwhileError: 409, NotThereError: 404, OutsideError: 
 
 @frozen
 class Answer:
-    """What is answered: status, content, what it is, and under which name it is to be saved."""
+    """An answer: status, content, media type, and the file name for saving."""
 
     status: int
     content: Any
@@ -69,7 +69,7 @@ def _file(desk: Desk, name: str) -> Answer:
 
 
 def _ticket(desk: Desk, name: Literal["report", "file"], said: dict[str, str]) -> Any:
-    """Return an address that counts once for a file, which the browser fetches by itself."""
+    """Return an address, valid once, of a file that the browser fetches by itself."""
     return {"ticket": desk.tickets.issue((name, said))}
 
 
@@ -132,7 +132,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
 
 @cache
 def form_of(respond: Callable[..., Any]) -> type[BaseModel]:
-    """Return what a request must say, and nothing else may: a function's parameters after desk."""
+    """Return the form of a request: exactly a function's parameters after desk."""
     hints = get_type_hints(respond, include_extras=True)
     parameters = list(inspect.signature(respond).parameters.values())[1:]
     fields: dict[str, Any] = {
@@ -144,7 +144,7 @@ def form_of(respond: Callable[..., Any]) -> type[BaseModel]:
 
 
 def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:
-    """Answer one request; whatever goes wrong is an answer, too."""
+    """Answer one request, also if it fails."""
     if (method, name) not in ENDPOINTS:
         return Answer(404, {"error": "There is nothing with that name."})
     respond = ENDPOINTS[method, name]
@@ -159,7 +159,7 @@ def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) 
 
 
 def ticket_answer(desk: Desk, ticket: str) -> Answer:
-    """Answer what a ticket was issued for, the first time that it is shown."""
+    """Answer the request of a ticket; a ticket is valid once."""
     target = desk.tickets.take(ticket)
     if target is None:
         return Answer(404, {"error": "This address works once; click again on the page."})
@@ -167,7 +167,7 @@ def ticket_answer(desk: Desk, ticket: str) -> Answer:
 
 
 def answer_of(desk: Desk, work: Callable[[], T]) -> T | Answer:
-    """Return what some work makes, or the answer that says what went wrong."""
+    """Return the answer of some work, or the answer for its error."""
     try:
         return work()
     except CounterspinError as error:
@@ -177,7 +177,7 @@ def answer_of(desk: Desk, work: Callable[[], T]) -> T | Answer:
 
 
 def _refused(desk: Desk, error: CounterspinError) -> Answer:
-    """Return the answer for what is wrong with a file or a request, in its words."""
+    """Return the answer for an error of a file or a request, in its words."""
     told: dict[str, Any] = {"error": desk.folder.spoken(str(error))}
     status = next((status for kind, status in _STATUS.items() if isinstance(error, kind)), 422)
     if isinstance(error, ChangedMeanwhileError):
@@ -188,7 +188,7 @@ def _refused(desk: Desk, error: CounterspinError) -> Answer:
 
 
 def _failed(error: Exception) -> Answer:
-    """Return the answer for what nobody has foreseen, and for requests of another form."""
+    """Return the answer for unforeseen errors, and for requests of another form."""
     match error:
         case ValidationError():
             first = error.errors(include_url=False)[0]

@@ -1,4 +1,4 @@
-"""What goes on in processes of its own while the page is used, and says by a pipe how far it is.
+"""Long work in processes of its own, which report progress by a pipe.
 
 A page that is loaded again finds its job; a process that is ended leaves no half result.
 """
@@ -32,7 +32,7 @@ Progress = Callable[[int, int], None]
 
 
 class Worker:
-    """A process at work, with a memory of its own, which can be ended at any time."""
+    """A process with its own memory, which can be ended at any time."""
 
     def __init__(self, work: Callable[..., None], *words: Any) -> None:
         self._here, there = SPAWNING.Pipe()
@@ -47,18 +47,18 @@ class Worker:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it is still at work."""
+        """True while it is at work."""
         return self._process.is_alive()
 
     def ask(self, question: Any) -> None:
-        """Ask it something; one that is dead by now hears nothing."""
+        """Send it a question; a dead process ignores it."""
         with suppress(OSError):
             self._here.send(question)
 
     def hear(self, seconds: float = 0.0) -> tuple[Any, ...] | None:
-        """Return what it reports next; None if it reports nothing in so many seconds.
+        """Return its next report; None without a report within a time, s.
 
-        That it died is told as a failure.
+        The death of the process is reported as a failure.
         """
         try:
             told: tuple[Any, ...] | None = self._here.recv() if self._here.poll(seconds) else None
@@ -67,7 +67,7 @@ class Worker:
         return told
 
     def end(self) -> None:
-        """End it, whatever it does."""
+        """End it in any state."""
         self._process.terminate()
         self._process.join(5.0)
         if self._process.is_alive():
@@ -76,7 +76,7 @@ class Worker:
 
 
 def report_progress(there: Connection, work: Callable[[Progress], Any]) -> None:
-    """Do something in a process of its own, and tell how far it is and how it ended."""
+    """Run some work in its own process; report its progress and its end."""
     # Ctrl-C in the terminal is for the server, which ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # What a result warns of stands in it.
@@ -104,7 +104,7 @@ JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
 @dataclass
 class Job:
-    """Work that takes longer than a moment."""
+    """Work in the background."""
 
     number: int  #: By which it is known.
     campaign: str  #: The campaign's name in the folder.
@@ -121,16 +121,16 @@ class Job:
 
     @property
     def aim(self) -> tuple[str, ...]:
-        """What no two jobs may be at work on at once."""
+        """The object of the job; no two jobs with the same one run at once."""
         return (self.output,) if self.output else (self.kind, self.campaign)
 
     def shown(self) -> dict[str, Any]:
-        """Return what the page is told."""
+        """Return the state for the page."""
         return {key: value for key, value in vars(self).items() if key != "stop"}
 
 
 class Jobs:
-    """The jobs of one server; two at once would only take each other's time."""
+    """The jobs of one server; they run one after the other."""
 
     def __init__(self) -> None:
         self._jobs: dict[int, Job] = {}
@@ -140,7 +140,7 @@ class Jobs:
         self._closed = False
 
     def all(self) -> list[Job]:
-        """Return all that are known, the newest first."""
+        """Return all known jobs, the newest first."""
         with self._lock:
             return sorted(self._jobs.values(), key=lambda job: -job.number)
 
@@ -151,10 +151,10 @@ class Jobs:
         *words: Any,
         then: Then = lambda _: None,
     ) -> Job:
-        """Begin a job, or return the one that is at work on the same result already.
+        """Start a job, or return the one that is at work on the same result already.
 
-        then: Called here, in the server, with what the process has made; a CounterspinError is why
-            the job failed. Of a job that is stopped nothing is made.
+        then: Called in the server with the output of the process; a CounterspinError makes the job
+            fail. It is not called for a job that is stopped.
         """
         with self._lock:
             if self._closed:
@@ -177,7 +177,7 @@ class Jobs:
         threading.Thread(target=self._work, args=(job, work, words, then), daemon=True).start()
 
     def stop(self, number: int) -> Job:
-        """End a job; CounterspinError if there is none of that number."""
+        """End a job; CounterspinError if no job has the number."""
         with self._lock:
             if number not in self._jobs:
                 raise CounterspinError(f"there is no job {number}")
@@ -186,7 +186,7 @@ class Jobs:
         return job
 
     def close(self) -> None:
-        """End all jobs, and begin no more."""
+        """End all jobs, and start no more."""
         with self._lock:
             self._closed = True
             running = list(self._jobs.values())
@@ -283,7 +283,7 @@ class LiveViews:
         self._lock = threading.Lock()
 
     def look(self, campaign: Path, goal: str) -> dict[str, Any]:
-        """Return the newest state of a campaign, which is followed from the first look on.
+        """Return the newest state of a campaign, which is followed from the first call on.
 
         goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
         """
@@ -307,7 +307,7 @@ class LiveViews:
     def ask(self, file: Path, work: Callable[..., None], question: Hashable) -> Any:
         """Return a process's answer to a question about a file; None while it works on it.
 
-        The process is begun with the first question, and kept for the next.
+        The process starts with the first question, and is kept for the next.
         """
         until = time.monotonic() + _PATIENCE
         while True:
@@ -331,7 +331,7 @@ class LiveViews:
             time.sleep(0.02)
 
     def end(self, file: Path) -> None:
-        """End what is done about a file."""
+        """End the process of a file."""
         with self._lock:
             for key in [key for key in self._views if key[0] == file]:
                 self._views.pop(key).worker.end()
@@ -358,7 +358,7 @@ class LiveViews:
         return view
 
     def _forget(self) -> None:
-        """End what nobody looks at, until nothing is left."""
+        """End the views that no page requests any longer, until none is left."""
         while True:
             time.sleep(UNSEEN_SECONDS / 5.0)
             with self._lock:
@@ -369,7 +369,7 @@ class LiveViews:
                     return
 
     def close(self) -> None:
-        """End all of them."""
+        """End all processes."""
         with self._lock:
             for view in self._views.values():
                 view.worker.end()
@@ -377,7 +377,7 @@ class LiveViews:
 
 
 def reached_uncertainties(state: WatchState) -> dict[str, Any]:
-    """Return how many minutes are recorded, and the u of each coefficient by then."""
+    """Return the recorded time in minutes, and the u of each coefficient by then."""
     units = {c.name: field_unit(c.unit) for c in state.coefficients}
     return {
         "minutes": sum(run.seconds or 0.0 for run in state.runs) / 60.0,
@@ -392,7 +392,7 @@ def reached_uncertainties(state: WatchState) -> dict[str, Any]:
 
 
 def follow_into(there: Connection, campaign: Path, goal: str) -> None:
-    """Follow a campaign's records, and tell each new state."""
+    """Follow a campaign's records, and report each new state."""
 
     def work(_: Progress) -> None:
         from counterspin.monitoring.watch import watch

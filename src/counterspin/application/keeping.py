@@ -1,4 +1,4 @@
-"""Campaigns as folders: made of exports, copied, renamed, put away; nothing is ever lost."""
+"""Campaign folders: make, copy, rename and move to the trash; nothing is ever lost."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Arrival:
     folders: tuple[Path, ...]  #: Those that were made for it, the innermost first.
 
     def end(self) -> None:
-        """Remove what an incomplete upload has left."""
+        """Remove the remains of an incomplete upload."""
         self.part.unlink(missing_ok=True)
         for folder in self.folders:
             with suppress(OSError):  # something is in it
@@ -60,7 +60,7 @@ def place_for(desk: Desk, name: str) -> Arrival:
 
 
 def complete_upload(desk: Desk, arrival: Arrival) -> dict[str, Any]:
-    """Give a complete upload its name; CounterspinError if a file of other content has it."""
+    """Rename a complete upload; CounterspinError if a file with other content has the name."""
     size = arrival.part.stat().st_size
     if arrival.path.is_file() and filecmp.cmp(arrival.part, arrival.path, shallow=False):
         arrival.part.unlink()  # brought once more, after a mistake
@@ -86,9 +86,9 @@ def draft_overview(
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> dict[str, Any]:
-    """Return what files show, in sentences and columns, what may be answered, and what is wrong.
+    """Return the contents of files in sentences and columns, the questions and the mistakes.
 
-    Columns of words are among them where it may be answered what they are.
+    Columns of words are included if a question asks for their role.
     """
     found, test = _draft(desk, names, answers, test)
     asked = {question.key for question in found.questions}
@@ -109,7 +109,7 @@ def draft_overview(
 
 
 def _preview(column: FileColumn) -> dict[str, Any]:
-    """Return a column's first values, and least and greatest value of each part of it."""
+    """Return a column's first values, and the least and greatest value of each part of it."""
     parts = np.array_split(column.values, min(_PREVIEW_PARTS, len(column.values)))
     known = [part[np.isfinite(part)] for part in parts]
     return {
@@ -126,7 +126,7 @@ def begin_drafted(
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> dict[str, Any]:
-    """Write the campaign that files and answers make; return its name and the command."""
+    """Write the campaign from files and answers; return its name and the command."""
     place = desk.place(folder)
     found, test = _draft(desk, names, answers, test)
     write_description(found, place)
@@ -168,7 +168,7 @@ def rename_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:
 
 
 def put_away(desk: Desk, name: str) -> dict[str, Any]:
-    """Move a campaign's folder to the trash; return where it then is."""
+    """Move a campaign's folder to the trash; return its new path."""
     source = _idle(desk, name)
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
     place = desk.folder.root / TRASH / f"{moment}-{source.name}"
@@ -178,9 +178,9 @@ def put_away(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def add_records(desk: Desk, name: str, files: list[str]) -> dict[str, Any]:
-    """Make a run of each record that was brought to a campaign; return what was added, in words.
+    """Make a run of each record that was added to a campaign; return sentences on the runs.
 
-    files: Their names, from the folder that is served.
+    files: Their names, relative to the served folder.
     """
     description = desk.description(name)
     before = desk.folder.read(desk.folder.name(description))
@@ -204,7 +204,7 @@ def add_records(desk: Desk, name: str, files: list[str]) -> dict[str, Any]:
 
 
 def _source(desk: Desk, name: str) -> Path:
-    """Return a campaign's folder; OutsideError of what would lead out of the folder served."""
+    """Return a campaign's folder; OutsideError if it is outside the served folder."""
     source = desk.description(name).parent
     if source == desk.folder.root:
         raise CounterspinError("this campaign is the served folder itself; move it by hand")
@@ -226,7 +226,7 @@ def _idle(desk: Desk, name: str) -> Path:
 
 
 def _new_place(desk: Desk, name: str, to: str) -> Path:
-    """Return where a campaign may go: a free place, from which its records are found."""
+    """Return a free folder for a campaign, from which its records can be found."""
     place = desk.folder.path(to)
     if place == desk.folder.root or place.exists():
         raise CounterspinError(f"{to or 'this folder'} exists, and is not replaced")

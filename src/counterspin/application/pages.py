@@ -1,6 +1,6 @@
 """Pages of other rooms' blocks, and of the documentation.
 
-Which page explains a table of keys stands in the page itself: `<!-- keys: CLASS -->` above it.
+A page marks the table of keys that it explains: `<!-- keys: CLASS -->` above the table.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _FORMULA: Final = re.compile(r"\$([^$\n]+)\$")
 
 
 def anchor(heading: str) -> str:
-    """Return how a heading is linked to, as Git hosts have it."""
+    """Return the anchor of a heading, as Git hosts write it."""
     return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")
 
 
@@ -84,7 +84,7 @@ def _texts() -> Mapping[str, str]:
 
 @cache
 def _places() -> Mapping[str, str]:
-    """Return name of a class -> the page, and the heading in it, under which its keys stand."""
+    """Return class name -> the page, and the heading in it, with the table of its keys."""
     found: dict[str, str] = {}
     for name, text in _texts().items():
         here = name
@@ -102,7 +102,7 @@ def page_explaining(model: type) -> str | None:
 
 
 def address(link: str, page: str) -> str | None:
-    """Return where a link of a page leads to; None: to nothing that is shown here."""
+    """Return the address of a page's link; None if its target is not shown here."""
     name, mark, heading = link.partition("#")
     name = name.removesuffix(".md") or page
     return f"{name}{mark}{heading}" if name in _texts() else None
@@ -139,7 +139,7 @@ def _html(name: str) -> str:
 
 
 def _inside(tokens: list[Token], name: str) -> Iterator[Token]:
-    """Yield what a paragraph consists of: links to where they lead here, and no pictures."""
+    """Yield the parts of a paragraph: links to pages shown here, and no pictures."""
     for token in tokens:
         if token.type == "link_open":
             to = address(str(token.attrs["href"]), name)
@@ -153,7 +153,7 @@ Kind = Literal["result", "comparison", "history", "plan", "forecast", "study"]
 
 @frozen
 class Calculation:
-    """A page that takes longer than a moment, and is made of what a job tells."""
+    """A page that takes long, and is made from the report of a job."""
 
     kind: Literal["plan", "forecast"]  #: Of the job.
     #: What its process does, and with which file; it tells a `PlanResult`.
@@ -217,7 +217,7 @@ def _forecast(desk: Desk, names: Sequence[str], _: str) -> Calculation:
 
 
 def plan_result_into(there: Connection, file: Path) -> None:
-    """Find the best plan, and report on it through `processes.report_progress`."""
+    """Find the best plan, and report it through `processes.report_progress`."""
 
     def work(progress: Progress) -> PlanResult:
         from counterspin.planning.plan import plan
@@ -228,7 +228,7 @@ def plan_result_into(there: Connection, file: Path) -> None:
 
 
 def forecast_into(there: Connection, file: Path) -> None:
-    """Forecast a campaign, and tell what it will say, as of `processes.report_progress`."""
+    """Forecast a campaign, and report as `processes.report_progress` does."""
 
     def work(_: Progress) -> PlanResult:
         from counterspin.planning.plan import check
@@ -302,7 +302,7 @@ def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: i
 
 
 def _page(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> Page | Job:
-    """Return a page that is remembered or made at once, or the job that makes it."""
+    """Return a cached page or a quickly made one, or the job that makes it."""
     files: list[Path] = [desk.file(name) for name in names]
     known, keep = desk.remembered.find(("page", kind, *files, term), files)
     if known is not None:

@@ -1,4 +1,4 @@
-"""Plans of records or readings whose limits are moved, and whose uncertainty answers at once."""
+"""Plans of records or readings with movable limits and immediate uncertainties."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class MovableLimit:
     factor: float
 
     def shown(self) -> dict[str, Any]:
-        """Return what the page is told."""
+        """Return the state for the page."""
         return {
             "key": self.key,
             "words": self.how.words,
@@ -110,7 +110,7 @@ class MovableLimit:
         }
 
     def written(self, value: float) -> str | int | float:
-        """Return a value, in SI, as the file states it."""
+        """Return a value, in SI, in the unit of the file."""
         if self.how.whole:
             return round(value)
         number = float(f"{value / self.factor:.6g}")
@@ -136,7 +136,7 @@ def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def begin_plan(desk: Desk, name: str, example: Example = "records") -> dict[str, Any]:
-    """Write an example of a plan; CounterspinError if there is a file already."""
+    """Write an example of a plan; CounterspinError if the file exists already."""
     path = desk.folder.path(name)
     if path.suffix.lower() != ".toml":
         raise CounterspinError(f"{name}: name the plan's file, such as PLAN.toml")
@@ -179,7 +179,7 @@ def _limits_of(described: Plan | ReadingPlan, document: Mapping[str, Any]) -> li
 
 
 def _values(described: Plan | ReadingPlan) -> dict[str, float]:
-    """Return the limits that a plan states and that can be moved, in SI."""
+    """Return the movable limits that a plan states, in SI."""
     if isinstance(described, Plan):
         limits = described.limits
         return {
@@ -194,7 +194,7 @@ def _values(described: Plan | ReadingPlan) -> dict[str, float]:
 
 
 def _unit_of(said: Any, unit: str) -> tuple[str, float]:
-    """Return the unit in which a quantity is written, and how much of `unit` one of it is."""
+    """Return the unit in which a quantity is written, and its size in `unit`."""
     text = said.strip() if isinstance(said, str) else ""
     number = re.match(BARE, text)
     own = text[number.end() :].strip() if number else ""
@@ -202,7 +202,7 @@ def _unit_of(said: Any, unit: str) -> tuple[str, float]:
 
 
 def _rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the unit in which a plan writes rates, and how many rad/s one of it is."""
+    """Return the unit in which a plan writes rates, and its size in rad/s."""
     said = table_of(document, "limits")
     some = said.get("rates")
     stated = [said.get("highest_rate"), *(some if isinstance(some, list) else ())]
@@ -211,7 +211,7 @@ def _rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
 
 
 def _reach(described: Plan) -> dict[str, float]:
-    """Return how far time and rate can be moved: less far where runs become too long."""
+    """Return the range of time and rate; it is smaller if runs become too long."""
     limits = described.limits
     turns = min(limits.longest_run, limits.total_time) * limits.rate[1] / (2.0 * math.pi)
     room = MOST_ROWS / BLOCKS_PER_REVOLUTION / (turns * LIMIT_FACTORS[0] * LIMIT_FACTORS[1])
@@ -226,7 +226,7 @@ def _reach(described: Plan) -> dict[str, float]:
 def _moved(
     described: Plan | ReadingPlan, document: Mapping[str, Any], moved: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the limits, in SI, with those that were moved; none is out of its range."""
+    """Return the limits, in SI, with the moved ones; none is out of its range."""
     limits = {limit.key: limit for limit in _limits_of(described, document)}
     for key in moved:
         if key not in limits:
@@ -242,9 +242,9 @@ def _moved(
 def tried_plan(
     desk: Desk, name: str, moved: dict[str, FiniteFloat] | None = None
 ) -> dict[str, Any]:
-    """Return what the best plan within other limits would tell, and its runs or readings.
+    """Return the uncertainties of the best plan within other limits, and its runs or readings.
 
-    It is searched in a process that is kept while it is asked, as `LiveViews.ask` has it.
+    A process that is kept between requests searches it, as `LiveViews.ask` does.
 
     name: The plan's file.
     """
@@ -261,13 +261,13 @@ def tried_plan(
 
 
 def end_trying(desk: Desk, name: str) -> dict[str, Any]:
-    """End the process that searches a plan; the next question begins another."""
+    """End the process that searches a plan; the next question starts another."""
     desk.live.end(desk.file(name))
     return {"name": name}
 
 
 def search_into(there: Connection, file: Path) -> None:
-    """Search plans within the limits that are asked for; `there` is told as of `LiveViews.ask`."""
+    """Search plans within requested limits; report to `there` as `LiveViews.ask` expects."""
 
     @one_blas_thread()
     def work(_: Progress) -> None:
@@ -290,7 +290,7 @@ def search_into(there: Connection, file: Path) -> None:
 
 
 def _records_within(described: Plan) -> Callable[[Mapping[str, float]], dict[str, Any]]:
-    """Return what finds the best plan of records within limits: what it tabulates is kept."""
+    """Return a function that finds the best plan of records within limits; it keeps its tables."""
     reach = _reach(described)
     usual = Search(described, (reach["total_time"], reach["highest_rate"]))
 
@@ -304,7 +304,7 @@ def _records_within(described: Plan) -> Callable[[Mapping[str, float]], dict[str
 
 
 def _longer(described: Plan, total: float, reach: float) -> Search:
-    """Return a search that has more time than a usual one reaches."""
+    """Return a search that covers more time than a usual one."""
     limits = described.limits
     longest = limits.longest_run if limits.longest_run < limits.total_time else total
     limits = replace(limits, total_time=total, longest_run=longest)
@@ -350,7 +350,7 @@ def _best_records(search: Search, limits: Limits) -> dict[str, Any]:
 
 
 def _readings_within(described: ReadingPlan, values: Mapping[str, float]) -> dict[str, Any]:
-    """Return the best plan of readings within limits: each reading, and how often it is taken."""
+    """Return the best plan of readings within limits: each reading, and its repeats."""
     number = values.get("readings", math.inf)
     number = round(number) if math.isfinite(number) else number
     limited = replace(described, readings=number, total_time=values.get("total_time", math.inf))
@@ -384,9 +384,9 @@ def _lines(names: Mapping[str, float], u: Mapping[str, float]) -> Iterator[dict[
 def begin_planned(
     desk: Desk, name: str, folder: str, moved: dict[str, FiniteFloat] | None = None
 ) -> dict[str, Any]:
-    """Begin to plan within other limits; return the job.
+    """Start to plan within other limits; return the job.
 
-    When it is done, the limits stand in the plan's file, and the campaign in a new folder.
+    When it is done, the limits are in the plan's file, and the campaign in a new folder.
 
     name: The plan's file.
     """
@@ -417,5 +417,5 @@ def begin_planned(
 
 
 def plan_into(there: Connection, document: Mapping[str, Any], file: Path) -> None:
-    """Find the best plan, and tell it; `there` is told as of `processes.report_progress`."""
+    """Find the best plan; report to `there` as `processes.report_progress` does."""
     report_progress(there, lambda progress: plan(document, progress=progress, file=file))

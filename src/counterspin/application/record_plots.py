@@ -1,8 +1,7 @@
-"""Records as they are seen and judged, and what a campaign would tell before it is recorded.
+"""Plots and judgements of records; studies and simulations before recording.
 
-A screen has some thousand columns of pixels. Of more rows than that, each part of the window is
-shown by its least and its greatest value, so that no outlier is lost and a million rows are as
-quickly drawn as a thousand.
+A screen has some thousand columns of pixels. With more rows, each part of the window is drawn by
+its least and greatest value: no outlier is lost, and a million rows take no longer than a thousand.
 """
 
 from __future__ import annotations
@@ -48,10 +47,10 @@ _RECORDS: Final = FileCache(_MAX_RECORDS)
 
 
 def record_overview(desk: Desk, name: str, run: str, fit: bool = False) -> dict[str, Any]:
-    """Return a record's columns, rows, first and last time, and what is used of it.
+    """Return a record's columns, rows, first and last time, and its used part.
 
-    fit: Whether its columns are data and fit of each accelerometer, as of `improving.begin_fit`;
-        before that ``fitted`` is false, and nothing else is told.
+    fit: Return data and fit of each accelerometer as the columns, as of `improving.begin_fit`;
+        before that ``fitted`` is false, and nothing else is returned.
     """
     campaign, found = _run(desk, name, run)
     try:
@@ -105,10 +104,10 @@ def record_window(
 
 
 def least_and_greatest(values: Array, edges: np.ndarray) -> Array:
-    """Return the least and the greatest value of each part, NaN where it has none.
+    """Return the least and the greatest value of each part, NaN for an empty part.
 
-    values: Shape (n,); NaN where there is none.
-    edges: Where parts begin, and where the last one ends; increasing; shape (m + 1,).
+    values: Shape (n,); NaN for missing values.
+    edges: The start of each part, and the end of the last; increasing; shape (m + 1,).
     """
     taken, begins = values[: edges[-1]], edges[:-1]
     least, greatest = np.fmin.reduceat(taken, begins), np.fmax.reduceat(taken, begins)
@@ -124,7 +123,7 @@ def _shown(time: Array, columns: list[Array], *, whole: bool) -> dict[str, Any]:
 
 
 def _rounded(value: float) -> float | None:
-    """Return a value to what any screen shows."""
+    """Return a value rounded to the resolution of a screen."""
     return float(f"{value:.7g}") if math.isfinite(value) else None
 
 
@@ -198,9 +197,9 @@ STUDY_NAME: Final = "study.json"
 
 
 def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
-    """Begin to study a campaign; return the job.
+    """Start to study a campaign; return the job.
 
-    name: The campaign's folder; its ``study.json`` takes the result, in place of an earlier one.
+    name: The campaign's folder; the result replaces its ``study.json``.
     """
     from counterspin.studies.description import read_study
 
@@ -217,7 +216,7 @@ def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
 
 
 def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> None:
-    """Study a campaign and write its result; `there` is told as of `processes.report_progress`."""
+    """Study a campaign and write its result; report to `there` as `report_progress` does."""
 
     def work(progress: Progress) -> None:
         from counterspin.output import reserve
@@ -231,7 +230,7 @@ def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> 
 
 
 def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
-    """Begin to make the records of a campaign, in another folder; return the job.
+    """Start to make the records of a campaign, in another folder; return the job.
 
     name: The campaign's folder.
     """
@@ -252,7 +251,7 @@ def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
 
 
 def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
-    """Make a campaign's records in a folder; `there` is told as of `processes.report_progress`."""
+    """Make a campaign's records in a folder; report to `there` as `report_progress` does."""
 
     def work(progress: Progress) -> None:
         from counterspin.simulation.simulate import simulate

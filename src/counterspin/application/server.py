@@ -1,8 +1,8 @@
-"""`counterspin serve`: a folder as a page of this machine alone.
+"""`counterspin serve`: a folder as a page for this machine only.
 
-Every user of this machine can connect. So of connections without the key there are few, the oldest
-giving way to a new one; a request without the key is there within seconds or not at all, and is
-read in small parts. The page, which has the key, is answered whatever others do.
+Every user of this machine can connect. Therefore connections without the key are limited in number
+(the oldest is closed first), in time (a few seconds) and in buffer size. The page, which has the
+key, is always answered.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _WAITING: Final = 1024
 
 
 class Connection(H11Protocol, asyncio.BufferedProtocol):
-    """A connection, closed where what comes is no HTTP after an answer, or does not come.
+    """A connection; it is closed if its data are not HTTP after an answer, or do not come.
 
     words: As of uvicorn's protocols.
     """
@@ -76,7 +76,7 @@ class Connection(H11Protocol, asyncio.BufferedProtocol):
         self._end: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin; the oldest strangers end where there are too many."""
+        """Register a connection; close the oldest without the key if there are too many."""
         super().connection_made(transport)
         self._born = self.loop.time()
         self._wait()
@@ -89,20 +89,20 @@ class Connection(H11Protocol, asyncio.BufferedProtocol):
             min(strangers, key=lambda one: one._born).transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End."""
+        """Unregister a closed connection."""
         self._wait_no_longer()
         super().connection_lost(exc)
 
     def get_buffer(self, _: int) -> bytearray:
-        """Return what takes the next bytes."""
+        """Return the buffer for the next bytes."""
         return self._space
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Read what has come."""
+        """Process the bytes in the buffer."""
         self.data_received(bytes(self._space[:nbytes]))
 
     def data_received(self, data: bytes) -> None:
-        """Read what has come; nothing more of who has not shown the key, until it is asked for."""
+        """Process bytes; without the key, pause until the request needs more."""
         try:
             super().data_received(data)
         except h11.LocalProtocolError:
@@ -133,10 +133,10 @@ class Connection(H11Protocol, asyncio.BufferedProtocol):
 
 
 class Server(uvicorn.Server):
-    """A server that takes a few connections in each turn, and has the system keep the others."""
+    """A server that accepts a few connections in each turn; the system queues the others."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen."""
+        """Start to listen."""
         asyncio.get_running_loop().set_exception_handler(_complain)
         await super().startup(sockets)
         for listener in sockets or ():
@@ -145,7 +145,7 @@ class Server(uvicorn.Server):
 
 
 def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Tell what nobody has foreseen; that the system refuses a connection is no news."""
+    """Log unforeseen errors, except a connection that the system refuses."""
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
 
@@ -169,7 +169,7 @@ _KINDS: Final = {
 
 
 def application(desk: Desk, door: Door) -> Starlette:
-    """Return what answers requests for a folder."""
+    """Return the application that answers requests for a folder."""
 
     async def session(request: Request) -> Response:
         try:
@@ -279,8 +279,8 @@ def serve(
 ) -> None:
     """Serve a folder to this machine's browser until Ctrl-C.
 
-    port: Where to listen; 0: any that is free.
-    browser: Whether the page is opened.
+    port: Where to listen; 0: any free port.
+    browser: Open the page.
     signing: A command that signs, and the certificate of its key, for certificates of the page.
     """
     if signing is None:
@@ -333,7 +333,7 @@ def _private_place() -> Path:
 def _leading(folder: Path, link: str) -> str:
     """Return the address of a file that leads to a link, which only its owner can read.
 
-    What is given to a browser to open stands in the machine's list of processes, for all to see.
+    The address that a browser opens is in the machine's list of processes, which all can see.
     """
     file, shown = folder / "open.html", escape(link)
     file.touch(0o600, exist_ok=False)
@@ -347,9 +347,9 @@ def _leading(folder: Path, link: str) -> str:
 
 
 def _load(desk: Desk, ended: threading.Event) -> None:
-    """Load, while nothing is asked yet, what the first records, words and pictures need.
+    """Load the modules for the first records, words and pictures before any request.
 
-    Fonts and templates are had only by drawing and writing something once.
+    Drawing and writing once fills the caches of fonts and templates.
     """
     pages = "counterspin.calibration.pages.document"
     for name in ("polars", "scipy.special", "counterspin.calibration.observed", pages):
@@ -367,7 +367,7 @@ def _load(desk: Desk, ended: threading.Event) -> None:
 
 
 def server_of(desk: Desk, door: Door) -> Server:
-    """Return the server of a folder, which is run with a socket that listens at the door."""
+    """Return the server of a folder, to be run with a listening socket."""
     config = uvicorn.Config(
         application(desk, door),
         # Called as the class is.
@@ -385,7 +385,7 @@ def server_of(desk: Desk, door: Door) -> Server:
 
 
 def listening(port: int) -> socket.socket:
-    """Return a socket that listens to this machine alone; CounterspinError if it cannot be had."""
+    """Return a socket that listens to this machine only; CounterspinError if unavailable."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         if sys.platform == "win32":  # where another process may take a port that is reused
