@@ -152,7 +152,7 @@ class Accelerometer(SettingsSection):
 
     @property
     def observable(self) -> str:
-        """What it records: ``displacement``, ``velocity`` or ``specific_force``."""
+        """The recorded quantity: ``displacement``, ``velocity`` or ``specific_force``."""
         return self._observable
 
     @property
@@ -278,7 +278,7 @@ class AccelerometersReader:
         return {n: table.own_priors if table else {} for n, table in self.tables.items()}
 
     def observables(self) -> dict[str, str]:
-        """Return what each accelerometer records."""
+        """Return the recorded quantity of each accelerometer."""
         observables = {}
         for name, table in self.raw.items():
             if not isinstance(table, dict):

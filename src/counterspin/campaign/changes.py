@@ -97,7 +97,7 @@ def _set(document: dict[str, Any], path: KeyPath, value: Any, problems: Problems
 
 
 def _patch(value: Any, path: KeyPath, problems: Problems) -> Any:
-    """Return a value as TOML would be read, None staying in tables, where it takes keys away."""
+    """Return a value as TOML would be read; None stays in tables, where it removes keys."""
     if not isinstance(value, Mapping):
         return plain(value, path, problems.add)
     return {
@@ -107,7 +107,7 @@ def _patch(value: Any, path: KeyPath, problems: Problems) -> Any:
 
 
 def _forget_priors(document: dict[str, Any], priors: Mapping[str, Any]) -> None:
-    """Take away the priors of terms that the accelerometers' own tables state."""
+    """Remove the priors of terms that the accelerometers' own tables state."""
     tables = {}
     for name, table in document["accelerometers"].items():
         own = {key.removeprefix(f"{name}.") for key in priors}
@@ -180,7 +180,7 @@ def _change_by_name(
 
 
 def _keep_accelerometers(document: dict[str, Any], names: Sequence[str]) -> None:
-    """Take the other accelerometers out of every section that names them."""
+    """Remove the other accelerometers from every section that names them."""
     tables = document["accelerometers"]
     others = [name for name in tables if name not in names]
     document["accelerometers"] = {name: tables[name] for name in names}

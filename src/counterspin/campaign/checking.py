@@ -65,7 +65,7 @@ class Section:
 
     @property
     def written(self) -> Any:
-        """What may stand there."""
+        """The class, or classes, of the table."""
         return load_name(self._written) if isinstance(self._written, str) else self._written
 
     def __get_pydantic_json_schema__(
@@ -162,7 +162,7 @@ class Problems:
 
 
 def _words(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
-    """Return what pydantic says of a mistake in plain words."""
+    """Return pydantic's message on a mistake in plain words."""
     kind, sizes = mistake["type"], mistake.get("ctx", {})
     if kind == "extra_forbidden":
         return "unknown key" + did_you_mean(str(loc[-1]), _known_keys(model, loc[:-1]))
@@ -190,7 +190,7 @@ def _contradictions(made: Any) -> Iterator[Any]:
 def _right_part(
     model: type[M], raw: Mapping[str, Any], wrong: set[str], context: dict[str, object]
 ) -> M | None:
-    """Return a section without its wrong keys, those required as in their examples."""
+    """Return a section without its wrong keys, with required ones as in their examples."""
     examples = {
         field.alias or name: (field.examples or [None])[0]
         for name, field in model.model_fields.items()
@@ -205,9 +205,9 @@ def _right_part(
 
 
 def _told_once(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the mistakes with their places, those of a value that may be of several types as one.
+    """Yield the mistakes with their places; those of a value with alternative types as one.
 
-    Where one of these types fits but for a mistake within, that is the one.
+    If one of these types fits except for a mistake within, report that mistake.
     """
     several: dict[KeyPath, list[Any]] = {}
     for mistake in mistakes:

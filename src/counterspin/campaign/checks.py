@@ -1,7 +1,7 @@
-"""What several tables of ``campaign.toml`` say together: each check names the parts that it needs.
+"""Checks across several tables of ``campaign.toml``: each check names the parts that it needs.
 
-A check runs wherever these are in order, whatever else is wrong, so that all mistakes are told at
-once. What a part is called and is says `counterspin.campaign.resolution`.
+A check runs whenever these parts are valid, whatever else is wrong, and all mistakes are reported
+together. `counterspin.campaign.resolution` defines the parts.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def note_mistakes(parts: Mapping[str, Any], problems: Problems) -> None:
 def _missing_sections(
     document: Mapping[str, Any], listed: Listed, right_readings: Sequence[Reading]
 ) -> Mistakes:
-    """Yield sections that what there is needs."""
+    """Yield sections that the present ones need."""
     entries = [entry for _, entry in listed]
     recorded = any(not is_reading(entry) or "record" in entry for entry in entries)
     turning = any(reading.motion != "static" for reading in right_readings) or any(
@@ -105,7 +105,7 @@ def _files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
 def _is_elsewhere(
     entry: Mapping[str, Any], file: Any, listed: Listed, records: Mapping[str, Any]
 ) -> bool:
-    """Return whether a run uses another part of a file than every other run that names it."""
+    """Return whether a run uses another part of a file than all other runs that name the file."""
     sharing = [
         other
         for _, other in listed

@@ -30,7 +30,7 @@ _BUFFER_BYTES: Final = 1 << 21
 
 
 class Checksums:
-    """SHA-256 of files, each taken once; on leaving, what is not asked for is given up."""
+    """SHA-256 of files, each computed once; on exit, unrequested computations are cancelled."""
 
     def __init__(self) -> None:
         self._workers = ThreadPoolExecutor(_THREADS, initializer=_step_back)
@@ -65,7 +65,7 @@ class Checksums:
         return []
 
     def hurry(self) -> None:
-        """Take several files at a time from now on: nothing else needs all cores."""
+        """Compute several checksums at a time from now on: nothing else needs all cores."""
         if not self._hurried:
             self._hurried = True
             self._turns.release(_THREADS - 1)
@@ -78,7 +78,7 @@ class Checksums:
         return [self._taken[file].result()[0] for file in asked]
 
     def identity(self, file: Path) -> FileIdentity | None:
-        """Return which file the checksum is of; None of one that is unreadable or was changed."""
+        """Return the identity of a file's content; None if it is unreadable or was changed."""
         self._begin([file])
         self.hurry()
         return self._taken[file].result()[1]
@@ -115,7 +115,7 @@ _BEGUN: dict[Path, Checksums] = {}
 
 @contextmanager
 def head_start(where: str) -> Iterator[None]:
-    """Begin with a campaign that is about to be asked for; on leaving, give up what is left."""
+    """Start on a campaign that is about to be requested; on exit, cancel the remaining work."""
     with Checksums() as checksums:
         _begin(checksums, where)
         _BEGUN[Path(where)] = checksums
@@ -127,9 +127,9 @@ def head_start(where: str) -> Iterator[None]:
 
 @contextmanager
 def checksums_of(where: object) -> Iterator[Checksums]:
-    """Return a campaign's checksums, with its files begun.
+    """Return a campaign's checksums, with its files started.
 
-    where: The campaign's folder or its description; of a campaign already read nothing is begun.
+    where: The campaign's folder or its description; nothing is started for a campaign that is read.
     """
     named = Path(where) if isinstance(where, Path | str) else None
     if named is not None and named in _BEGUN:

@@ -246,7 +246,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
 
     @property
     def recording(self) -> Recording:
-        """How every run's file is read, where the run itself says nothing else."""
+        """The recording of every run whose run states no other."""
         fast = 1.0 if self.clock is None else 1.0 + self.clock.value
         time, angle = self.time.spec, None if self.angle is None else self.angle.spec
         if angle is not None and angle.kind == "pulses":
@@ -302,14 +302,14 @@ def with_points(frame: Any) -> Any:
 
 
 def is_empty(value: Any) -> bool:
-    """Return whether a cell holds nothing, or what stands for a value to come."""
+    """Return whether a cell is empty, or has a placeholder for a later value."""
     if isinstance(value, str):
         return value.strip().lower() in ("", "nan", BLANK)
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
 def as_number(value: Any) -> float | None:
-    """Return a cell as a number, None if it holds something else."""
+    """Return a cell as a number, None if it is not a number."""
     if isinstance(value, bool):
         return None
     try:
@@ -327,7 +327,7 @@ def words_of(value: Any) -> str:
 
 
 def mounting_of(value: Any) -> str:
-    """Return a cell as the name of a mounting, in which a dot would part the name of a term."""
+    """Return a cell as the name of a mounting; a dot in it would split the name of a term."""
     return re.sub(r"\.(?=\s|$)", "", words_of(value)).replace(".", ",")
 
 
@@ -344,7 +344,7 @@ SENSE_WORDS: Final[Mapping[str, Sense]] = {
 
 
 def seconds_of(value: Any) -> Any:
-    """Return a date and time in seconds, of which only differences count; else the value."""
+    """Return a date and time in seconds, of which only differences matter; else the value."""
     if isinstance(value, str):
         try:
             value = datetime.datetime.fromisoformat(value.strip())
@@ -370,13 +370,13 @@ class RateSettings(Protocol):
 
 @frozen
 class RateColumn:
-    """How the numbers of the column become rates."""
+    """The conversion of the column's numbers to rates."""
 
     settings: RateSettings  #: The section.
     document: Mapping[str, Any]  #: In which it stands.
 
     def read(self, number: float, u: float | None) -> tuple[float, float, str]:
-        """Return a rate, its standard uncertainty and their unit; ValueError if it is none.
+        """Return a rate, its standard uncertainty and their unit; ValueError if it is not a rate.
 
         u: Standard uncertainty of the number, in its unit; None: that of the section, if any.
         """
@@ -389,7 +389,7 @@ class RateColumn:
         return rate, abs(power * rate * (u or 0.0) / number), unit
 
     def _exact(self, number: float) -> tuple[float, str, float]:
-        """Return a rate, its unit, and the power of the number with which the rate grows."""
+        """Return a rate, its unit, and the exponent of the number in the rate."""
         unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
         if _converts(unit, "s"):
             return 1.0 / (number * unit_factor(unit, "s")), "rev/s", -1.0
@@ -404,7 +404,7 @@ class RateColumn:
         return math.sqrt(acceleration / radius), "rad/s", 0.5
 
     def _stated(self, section: str, key: str, unit: str) -> float:
-        """Return a quantity of another section; what is wrong with it is noted there."""
+        """Return a quantity of another section; its errors are reported there."""
         try:
             return abs(parse(self.document[section][key], unit).value) or 1.0
         except (KeyError, TypeError, ValueError):

@@ -30,14 +30,14 @@ REVERSAL: Final = 2.0
 
 @frozen
 class Origin:
-    """From where the campaign's temperatures (K) and times (s) count."""
+    """The reference of the campaign's temperatures (K) and times (s)."""
 
     temperature: float
     time: float
 
 
 def dated_of(campaign: Campaign) -> list[Run | Reading | PoseRecord]:
-    """Return whatever may state a temperature and a time: runs, readings and records of poses."""
+    """Return all items that may state temperature and time: runs, readings, records of poses."""
     posed = campaign.triad.records if campaign.triad else ()
     return [*campaign.runs, *campaign.all_readings, *posed]
 
@@ -68,13 +68,13 @@ def origin_of(campaign: Campaign) -> Origin:
 def directions_of(
     campaign: Campaign, found: Sequence[Reading] = ()
 ) -> dict[str, tuple[float, ...]]:
-    """Return 1/2 for temperatures that were reached on the way up, -1/2 on the way down.
+    """Return 1/2 for temperatures that were reached while rising, -1/2 while falling.
 
-    They are in the order of the times of runs and readings where all state theirs, else in that of
-    the description. Where the temperature never came back by `REVERSAL`, there is nothing to tell:
-    none is returned.
+    They are in the order of the times of runs and readings if all state theirs, else in the order
+    of the description. Without a reversal by `REVERSAL` nothing is determined, and nothing is
+    returned.
 
-    found: In the place of the records in which they were found.
+    found: Values in the records, instead of the stated ones.
     Returns: By the name of a run, reading or record, for each of its temperatures.
     """
     dated = dated_of(campaign)
@@ -95,7 +95,10 @@ def directions_of(
 
 
 def _ways(temperatures: Sequence[float]) -> list[int]:
-    """Return whether each was reached on the way up (1) or down (-1); the first as the second."""
+    """Return the direction of temperature change at each value (1 rising, -1 falling).
+
+    The first value has the direction of the second.
+    """
     ways, way, begin, extreme = [0] * len(temperatures), 0, 0, 0
     for place, temperature in enumerate(temperatures):
         change = temperature - temperatures[extreme]
@@ -145,9 +148,9 @@ def conditions_of(
 
 
 def _turn(course: Sequence[float], place: int) -> float:
-    """Return where a course turns back whose extreme is at a place, in steps.
+    """Return the reversal of a temperature profile whose extreme is at a place, in steps.
 
-    That is where the lines meet on which it comes and goes, or the place itself near its ends.
+    That is the intersection of the lines before and after it, or the place itself near the ends.
     """
     if not 2 <= place < len(course) - 2:
         return float(place)
@@ -160,7 +163,7 @@ def _turn(course: Sequence[float], place: int) -> float:
 
 
 def _warming(conditions: Mapping[str, RunConditions]) -> dict[str, RunConditions]:
-    """Return conditions with temperatures that nobody took: the same step from run to run."""
+    """Return conditions with assumed temperatures: the same step from run to run."""
     last = len(conditions) - 1
     if last < 1:
         return dict(conditions)
@@ -270,9 +273,9 @@ def all_groups(campaign: Campaign) -> list[Readings | TriadPoses]:
 def poses_together(
     campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float = 0.0
 ) -> list[TriadPoses]:
-    """Return poses by whether their noise was stated, for all three.
+    """Return poses grouped by whether their noise was stated, for all three axes.
 
-    within: What the rows within poses say of the noise of those that state none, g.
+    within: Noise from the rows within poses, for poses that state none, g.
     """
     stated = [all(reading.u is not None for reading in pose) for pose in poses]
     kinds = {
@@ -292,9 +295,9 @@ def one_group(
     within: float = 0.0,
     found: Sequence[Reading] = (),
 ) -> TriadPoses:
-    """Return poses as one group, whose noise is stated if that of all is.
+    """Return poses as one group, whose noise is stated if the noise of all of them is.
 
-    found: One reading of every pose that there is, if these are not all.
+    found: One reading of every existing pose, if these are not all.
     """
     firsts = [pose[0] for pose in poses]
     origin, ways = origin_of(campaign), directions_of(campaign, found or firsts)

@@ -1,4 +1,4 @@
-"""From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes reported together."""
+"""Resolve ``campaign.toml`` to a `Campaign`: check every key, report all mistakes together."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ class Campaign:
 
     @property
     def recording(self) -> Recording:
-        """How records are read of which their run says nothing else."""
+        """The recording of runs that state no other."""
         return Recording(self.time, self.angle, self.dialect, self.temperature, clock=self.clock)
 
     def record_at(self, file: Path) -> Path | MemoryTable:
@@ -316,7 +316,7 @@ class Campaign:
 
     @property
     def posed(self) -> bool:
-        """Whether there are poses of unknown attitude."""
+        """True if there are poses of unknown attitude."""
         return self.triad is not None and self.triad.posed
 
     @property
@@ -418,7 +418,7 @@ def make_campaign(
 def _source(
     description: Mapping[str, Any] | Path | str, folder: Path | str | None
 ) -> tuple[Source, Path]:
-    """Return where a description comes from, and the folder of its files."""
+    """Return the source of a description, and the folder of its files."""
     if isinstance(description, Mapping):
         where = Path(folder if folder is not None else ".").absolute()
         problems = Problems(description)

@@ -88,13 +88,13 @@ def flat_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def table_of(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return a table of a document; an empty one where there is none."""
+    """Return a table of a document; an empty one if it is missing."""
     value = document.get(key)
     return value if isinstance(value, Mapping) else {}
 
 
 def list_of(document: Mapping[str, Any], key: str) -> list[Any]:
-    """Return a list of a document; an empty one where there is none."""
+    """Return a list of a document; an empty one if it is missing."""
     value = document.get(key)
     return value if isinstance(value, list) else []
 
@@ -111,9 +111,9 @@ def load_with_checksum(
 ) -> tuple[dict[str, Any], str]:
     """Return a TOML document and its checksum.
 
-    advice: What to do where it is not there, or another's.
-    kind: What it must be; None: whatever it is. Another kind is refused here, since its reader
-        would find no more than unknown keys and missing ones.
+    advice: Remedy if the file does not exist or is of another kind.
+    kind: The required kind; None: any. Another kind is refused here, because its reader would only
+        report unknown keys and missing ones.
     """
     wanted = advice
     if kind == "campaign":
@@ -139,7 +139,7 @@ def load_with_checksum(
 
 
 def _is_other(file: Path, content: bytes) -> str:
-    """Return what a file is that is no TOML; empty text where it may be."""
+    """Return the type of a file that is not TOML; empty text if it may be TOML."""
     seen = looks_like(content)
     if seen or file.suffix.lower() == ".toml":
         return seen
@@ -149,7 +149,7 @@ def _is_other(file: Path, content: bytes) -> str:
 
 
 def _kind_of(document: Mapping[str, Any]) -> Kind | None:
-    """Return what a document is by the sections that no other kind has; None if they do not say."""
+    """Return the kind of a document by sections that only this kind has; None if there are none."""
     said: set[Kind] = set()
     if "goal" in document:
         said.add("plan")
@@ -370,12 +370,12 @@ class Source:
 
     @property
     def in_memory(self) -> bool:
-        """Whether no file says what the document does."""
+        """True if no file has the document's content."""
         return self.file is None or bool(self.changed)
 
     @property
     def label(self) -> str:
-        """What messages call the description."""
+        """The description's name in messages."""
         if self.file is None:
             return IN_MEMORY
         return f"{self.file}, changed in memory" if self.changed else str(self.file)

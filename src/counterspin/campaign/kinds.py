@@ -104,7 +104,7 @@ def _parsed_truth(unit: str, text: object, info: ValidationInfo) -> float:
 
 
 def _written(unit: str, *, uncertain: bool = False) -> Any:
-    """Return how a quantity in a unit is written, for schemas."""
+    """Return the written form of a quantity in a unit, for schemas."""
     spread = rf"({PLUS_MINUS}{NUMBER})?" if uncertain else ""
     number = f"[+−-]?{NUMBER.removeprefix('[+-]?')}"
     pattern = rf"^\s*{number}{spread}(\s+[^\s±]|[^\d\s.±]).*$"
@@ -112,17 +112,17 @@ def _written(unit: str, *, uncertain: bool = False) -> Any:
 
 
 class Quantities(PlainValidator):
-    """How quantities are read: by a partial function whose first argument is the unit.
+    """The reader of quantities: a partial function whose first argument is the unit.
 
-    A form shows that unit. Pydantic would build a serialiser and the schema of what is written for
-    each of a hundred keys when the first campaign is read, and ask what the function takes: here it
-    takes the `ValidationInfo`, and what is written is asked for by schemas alone.
+    A form shows that unit. Pydantic would build a serialiser and the schema of the written form for
+    each of a hundred keys when the first campaign is read, and inspect the function's arguments.
+    Here the function takes the `ValidationInfo`, and only schemas request the written form.
     """
 
     def __get_pydantic_core_schema__(
         self, source_type: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Return how pydantic reads a value."""
+        """Return pydantic's schema for a value."""
         return core_schema.with_info_plain_validator_function(self.func)  # type: ignore[arg-type]
 
     def __get_pydantic_json_schema__(
@@ -152,7 +152,7 @@ def known(unit: str, usual: str | None = None) -> PlainValidator:
 
 
 def a_part(text: object, info: ValidationInfo) -> Quantity:
-    """Return a part of something; a number alone needs no unit."""
+    """Return a fraction; a number alone needs no unit."""
     try:
         return _parsed("1", text, info)
     except ValueError:
@@ -162,7 +162,7 @@ def a_part(text: object, info: ValidationInfo) -> Quantity:
 
 
 def a_clock(value: Quantity) -> Quantity:
-    """Return by how much of itself a clock is fast, if it is one."""
+    """Return the relative error of a clock's rate, if it is one."""
     if abs(value.value) > 0.01:
         raise ValueError("a clock error above 1 % is not plausible; check the unit of the time")
     return value
@@ -186,7 +186,7 @@ def positive(value: Any) -> Any:
 
 
 def of_earth(value: Any) -> Any:
-    """Return a gravity that a laboratory on Earth may have."""
+    """Return a gravity that is possible on Earth's surface."""
     positive(value)
     size = value.value if isinstance(value, Quantity) else value
     if not _GRAVITY_RANGE[0] < size < _GRAVITY_RANGE[1]:
@@ -268,7 +268,7 @@ def force_or_output(unit: str, info: ValidationInfo) -> str:
 
 
 def file_name(name: str) -> str:
-    """Return a file's name; one whose backslashes TOML has taken for something else is refused."""
+    """Return a file's name; refuse one whose backslashes TOML has read as escapes."""
     if any(ord(character) < 32 for character in name):
         raise ValueError(
             f"{name!r} contains a line break, tab or similar: in double quotation "
@@ -345,7 +345,7 @@ def temperature_known(text: str) -> Quantity:
 
 
 def date_or_text(value: object) -> str:
-    """Return a date as text, or what is written in its place."""
+    """Return a date as text, or the written text instead."""
     if isinstance(value, datetime.date | datetime.datetime):
         return value.isoformat()
     if not isinstance(value, str):
@@ -389,7 +389,7 @@ class SettingsSection(BaseModel):
 
 
 def time_unit(unit: str) -> str:
-    """Return a unit of time, or that of time stamps."""
+    """Return a unit of time, or the unit of time stamps."""
     if unit != STAMPS:
         unit_factor(unit, "s")
     return unit
@@ -404,7 +404,7 @@ def angle_unit(unit: str, info: ValidationInfo) -> str:
 
 
 def is_unit(unit: str, wanted: str) -> bool:
-    """Return whether a unit is of the dimension wanted."""
+    """Return whether a unit has the required dimension."""
     with suppress(ValueError):
         return bool(unit_factor(unit, wanted))
     return False
@@ -421,7 +421,7 @@ def direction_of_zero(value: object) -> float:
 
 
 def an_encoding(name: str) -> str:
-    """Return the name of an encoding that there is."""
+    """Return the name of an existing encoding."""
     try:
         codecs.lookup(name)
     except LookupError:
@@ -449,7 +449,7 @@ def with_units(value: Any, info: ValidationInfo) -> Any:
 
 
 def several(value: Any) -> Any:
-    """Return a text by itself as a list of one."""
+    """Return a single text as a list."""
     return [value] if isinstance(value, str) else value
 
 
@@ -498,6 +498,6 @@ def described(
 
 
 def extra_of(field: FieldInfo) -> dict[str, str]:
-    """Return what `described` says of a field beside its meaning and its example."""
+    """Return the extra data of a field from `described`, besides its meaning and its example."""
     extra: Any = field.json_schema_extra or {}
     return dict(extra)

@@ -60,7 +60,7 @@ def name_records(document: dict[str, Any]) -> None:
 def give_records(
     document: dict[str, Any], records: Mapping[str, Any], folder: Path, problems: Problems
 ) -> dict[Path, MemoryTable]:
-    """Put records into a document's runs; return those in memory by the file each stands for.
+    """Put records into a document's runs; return those in memory by the file that each replaces.
 
     records: Run's name -> frame or file; `AT_REST` -> that of the record at rest.
     folder: Of the document's files.
@@ -130,11 +130,11 @@ class Documented(Protocol):
 
     @property
     def title(self) -> str:
-        """As a report names it."""
+        """The title in reports."""
 
     @property
     def path(self) -> Path:
-        """Its description, or what stands for it."""
+        """The path of its description, or a substitute."""
 
     @property
     def folder(self) -> Path:
@@ -142,7 +142,7 @@ class Documented(Protocol):
 
     @property
     def source(self) -> Source | None:
-        """What it was resolved from."""
+        """The document that it was resolved from."""
 
     @property
     def accelerometers(self) -> Mapping[str, Accelerometer]:
@@ -161,14 +161,14 @@ class Documented(Protocol):
         """The record at rest that says the noise."""
 
     def record_at(self, file: Path) -> Path | MemoryTable:
-        """Return the record in memory that stands in the place of a file, or else the file."""
+        """Return the record in memory that replaces a file, or else the file."""
 
 
 C = TypeVar("C", bound=Documented)
 
 
 def source_of(campaign: Documented) -> Source:
-    """Return what a campaign came from; CounterspinError where nothing is known of it."""
+    """Return the source of a campaign; CounterspinError if it is unknown."""
     if campaign.source is None:
         raise CounterspinError(
             f"{campaign.path}: the campaign was modified without `change`, so that "
@@ -178,9 +178,9 @@ def source_of(campaign: Documented) -> Source:
 
 
 def keep(campaign: C, source: Source) -> C:
-    """Give a campaign that has just been resolved its source, and return it.
+    """Set the source of a campaign that has just been resolved, and return it.
 
-    It is no argument of the class: a copy that `dataclasses.replace` changes has lost it.
+    The source is not an argument of the class: a copy that `dataclasses.replace` changes has none.
     """
     object.__setattr__(campaign, "source", source)
     return campaign
@@ -292,7 +292,7 @@ def _apart(first: Documented, other: Documented, place: int) -> Iterator[str]:
 
 
 def _said(campaign: Documented, key: str) -> str:
-    """Return what a description says at a key."""
+    """Return a description's value at a key."""
     value: Any = source_of(campaign).document
     for part in key.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None
@@ -305,7 +305,7 @@ def _same_simulation(first: Documented, other: Documented) -> bool:
 
 
 def _distinct(name: str, place: int, taken: Sequence[str]) -> str:
-    """Return a run's name that no other has: with the number of its campaign where it must be."""
+    """Return a unique name of a run, with the number of its campaign if necessary."""
     new, number = name, place
     while new in taken:
         new, number = f"{name} ({number})", number + 1
@@ -369,7 +369,7 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
 
 
 class _Files:
-    """Where the files of a campaign go in another folder."""
+    """The names of a campaign's files in another folder."""
 
     def __init__(self, campaign: Documented, folder: Path) -> None:
         self.campaign, self.folder = campaign, folder

@@ -55,9 +55,9 @@ _DEVIATION_PART: Final = 0.5
 
 @frozen
 class ErrorModel:
-    """Which terms are asked for, which are held, and which are taken as perfect.
+    """The terms of a campaign: requested, held, and taken as perfect.
 
-    Everything else that acts is an unknown beside what is asked for.
+    All other effects are nuisance parameters.
     """
 
     #: Symbols asked for, those of mountings with their names; bare names are resolved to the
@@ -79,7 +79,7 @@ class ErrorModel:
     named: bool = False  #: Whether the description names the terms, and not the usual ones count.
 
     def assumes(self, symbol: str) -> bool:
-        """Return whether a term, or an input, is taken as perfect where nothing is stated."""
+        """Return whether a term, or an input, is taken as perfect unless it is stated."""
         names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
         symbols = (symbol, same_for_all(symbol))
         return any(
@@ -89,7 +89,7 @@ class ErrorModel:
 
 @frozen(eq=False)
 class Apparatus:
-    """What is recorded or read in a campaign, on which its terms act."""
+    """The recorded or read apparatus of a campaign, on which its terms act."""
 
     mountings: Mapping[str, Mounting]  #: Accelerometer -> its axes while the platform is level.
     grades: Mapping[str, str]  #: Accelerometer -> grade.
@@ -103,12 +103,12 @@ class Apparatus:
 
     @property
     def read(self) -> bool:
-        """Whether there are readings, at known attitudes or unknown ones."""
+        """True if there are readings, at known attitudes or unknown ones."""
         return bool(self.readings or self.poses or not self.whole)
 
     @cached_property
     def shown(self) -> tuple[str, ...]:
-        """Terms of the machine and slopes that the readings show; none where there are none."""
+        """Terms of the machine and slopes that the readings show; none without readings."""
         shown = symbols_shown(self.readings, recorded=bool(self.attitudes)) if self.read else ()
         if not self.poses:
             return shown
@@ -118,7 +118,7 @@ class Apparatus:
 
     @property
     def usual_terms(self) -> tuple[str, ...]:
-        """What is asked for where [model] names no terms."""
+        """The requested terms if [model] names none."""
         motions = {reading.motion for reading in self.readings}
         if not self.read or self.attitudes or "counter-rotating" in motions:
             return DEFAULT_TERMS
@@ -141,9 +141,9 @@ class Apparatus:
         return shown
 
     def stated(self, asked: Iterable[str]) -> dict[str, Quantity]:
-        """Return what [fixture] and [centrifuge] say of terms, as deviations, SI.
+        """Return the terms that [fixture] and [centrifuge] state, as deviations, SI.
 
-        asked: Symbols that are asked for or held: that of a mounting's own radius knows the
+        asked: Symbols that are requested or held: the prior of a mounting's own radius includes the
             centrifuge's.
         """
         known = dict.fromkeys(expand(POSITION, self.shown), self.setting) if self.setting else {}
@@ -212,7 +212,7 @@ def resolve_model(
 
 
 def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
-    """Return what is taken as perfect; each name stands for a term or for a family of them."""
+    """Return the terms taken as perfect; each name is a term or a family of terms."""
     parts = (s.split(".")[:n] for s in TABLE for n in range(1, s.count(".") + 2))
     families = dict.fromkeys(".".join(part) for part in parts)
     for place, name in enumerate(names):
@@ -225,7 +225,7 @@ def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
 
 
 def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -> tuple[str, ...]:
-    """Return the symbols that a list of names stands for."""
+    """Return the symbols of a list of names."""
     symbols: dict[str, None] = {}
     for index, name in enumerate(names):
         path = ("model", key, index)
@@ -244,7 +244,7 @@ def _listed(names: Iterable[str], key: str, on: Apparatus, problems: Problems) -
 
 
 def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[str, ...]:
-    """Return what a name in a list stands for."""
+    """Return the symbols of a name in a list."""
     if on.read and of_readings(name):
         return _read(name, path, on, problems)
     if name in OWN_TERMS or name in SHARED_TERMS or (name in INPUTS and path[1] != "terms"):
@@ -263,7 +263,7 @@ def _symbols(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tup
 
 
 def _read(name: str, path: KeyPath, on: Apparatus, problems: Problems) -> tuple[str, ...]:
-    """Return what a name of the machine, or of a slope, stands for among what readings show."""
+    """Expand a name of the machine, or of a slope, to the terms that readings show."""
     found = expand(name, on.shown)
     if not found and on.whole:
         problems.add(path, f'no reading depends on "{name}"' + did_you_mean(name, on.shown))

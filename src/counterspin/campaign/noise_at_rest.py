@@ -33,7 +33,7 @@ SI_UNITS: Final[Mapping[str, str]] = {
 
 @frozen
 class SaidNoise:
-    """What is stated of one accelerometer's noise."""
+    """The stated noise of one accelerometer."""
 
     sizes: StatedNoise | None  #: None: nothing.
     #: Of the variances of `COMPONENTS`, as of `Noise`; empty where no record at rest says them.
@@ -75,10 +75,10 @@ def true_noise(campaign: Campaign) -> StatedNoise:
 
 
 def with_sizes_found(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
-    """Return a campaign's noise with the sizes that its record at rest says.
+    """Return a campaign's noise with the sizes from its record at rest.
 
-    Of sizes that each accelerometer has its own the largest: a simulation and a plan have one
-    noise.
+    If the accelerometers have sizes of their own, take the largest: a simulation and a plan have
+    one noise.
     """
     said = said_noise(replace(campaign, noise=noise), 0.0)
     sizes = {name: getattr(noise, name) for name in StatedNoise.model_fields}

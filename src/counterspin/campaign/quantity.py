@@ -73,7 +73,7 @@ class Quantity:
 
     @property
     def written(self) -> str:
-        """The same as a person writes it: without an uncertainty where there is none."""
+        """The quantity as a person writes it: without an uncertainty if it has none."""
         return str(self) if self.u else f"{self.value!r} {self.unit}"
 
 
@@ -149,7 +149,7 @@ def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
 
 
 def _with_unit(number: str, unit: str, usual: str | None) -> str:
-    """Say how a number is written with the unit that it is most likely in."""
+    """Suggest the text of a number with its most likely unit."""
     scales = (usual,) if usual else _SCALES.get(unit, (advice(unit)[1].split(",")[0],))
     *others, last = (f'"{number} {scale}"' for scale in scales)
     return f"{', '.join(others)} or {last}, whichever applies" if others else last
@@ -165,7 +165,7 @@ def last_digit(written: str | Quantity) -> str:
 
 
 def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
-    """Say how ``VALUE UNIT ± U UNIT`` is written with one unit."""
+    """Suggest the text of ``VALUE UNIT ± U UNIT`` with one unit."""
     unit, u, unit_of_u = twice.groups()
     try:
         same = float(u) * unit_factor(unit_of_u or unit, unit, gravity=gravity)
@@ -203,7 +203,7 @@ def read_direction(value: object) -> tuple[float, float, float]:
 
 @frozen(eq=False)
 class Attitude:
-    """Where a platform's axes point, and the dividing head that turned them there."""
+    """The directions of a platform's axes, and the dividing head that turned them."""
 
     rows: Array  #: Of x, y, z in east-north-up, shape (3, 3); the identity when level.
     head: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: Its axis; zero without a turn.
@@ -255,14 +255,14 @@ def of_platform(attitude: Attitude) -> Attitude:
 
 
 def attitude_rows(value: object) -> Array:
-    """Return where the axes of a platform point, shape (3, 3); `value` as of `read_attitude`."""
+    """Return the directions of a platform's axes, shape (3, 3); `value` as of `read_attitude`."""
     return of_platform(read_attitude(value)).rows
 
 
 def attitude_words(rows: Array) -> str:
     """Return an attitude in words.
 
-    rows: Where the platform's axes point, shape (3, 3).
+    rows: Directions of the platform's axes, shape (3, 3).
     """
     if np.allclose(rows, np.eye(3)):
         return "level"

@@ -1,4 +1,4 @@
-"""What a description says that may well be a slip: not wrong by itself, but to be asked about.
+"""Questions about statements of a description that may be slips, although they are valid.
 
 A calibration reports each question as a finding, `simulate` and `plan` as a warning.
 """
@@ -37,7 +37,7 @@ class Question:
 
 
 def questions(campaign: Campaign) -> list[Question]:
-    """Return what a campaign's description is to be asked about."""
+    """Return the questions about a campaign's description."""
     return [
         *_gravity(campaign),
         *_removed_gravity(campaign),
@@ -47,7 +47,7 @@ def questions(campaign: Campaign) -> list[Question]:
 
 
 def _gravity(campaign: Campaign) -> Iterator[Question]:
-    """Ask about a gravity that no laboratory at the latitude has."""
+    """Ask about a gravity that is impossible at the latitude."""
     low, high = gravity_range(campaign.site.latitude)
     margin = 3.0 * math.hypot(campaign.gravity.u, _slope(campaign) * campaign.latitude.u)
     degrees = math.degrees(campaign.site.latitude)
@@ -69,7 +69,7 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
 
 
 def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
-    """Ask what was taken away of a gravity that is not known exactly, where it shows."""
+    """Ask for the subtracted gravity if gravity is not known exactly, where it matters."""
     if campaign.site.removed_gravity is not None or campaign.gravity.u == 0.0:
         return
     for name, accelerometer in campaign.accelerometers.items():
@@ -92,7 +92,7 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
 
 
 def _own_velocity(campaign: Campaign) -> Iterator[Question]:
-    """Ask for what is not recorded of the velocity that a computer has taken for its own."""
+    """Ask for the unrecorded part of the velocity that a computer has used as its own."""
     if not campaign.own_velocity:
         return
     none = np.empty(0)

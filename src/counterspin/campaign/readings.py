@@ -90,12 +90,12 @@ def resolve_readings(
 ) -> tuple[Reading, ...]:
     """Return the readings of runs, one for each accelerometer that was read.
 
-    runs: With where each stands.
+    runs: With their places.
     mountings: Accelerometer -> its axes in the level attitude; None where they are a mistake.
-    outputs: Accelerometer -> what its readings are in, None: g; not where that is a mistake.
+    outputs: Accelerometer -> unit of its readings, None: g; absent where that is a mistake.
     gravity: Of the site, m/s^2.
-    turns: Revolutions of a record that is simulated on a machine; None where nothing is simulated,
-        so that every reading has its value.
+    turns: Revolutions of a record that is simulated on a machine; None without a simulation, in
+        which case every reading has its value.
     """
     readings: list[Reading] = []
     blank: list[KeyPath] = []
@@ -128,7 +128,7 @@ def resolve_readings(
 
 
 def _with_length(reading: Reading, turns: float | None) -> Reading:
-    """Return a reading with the length of its record, where it is simulated on a machine."""
+    """Return a reading with the length of its record, if it is simulated on a machine."""
     if reading.duration is not None or not reading.rate or turns is None:
         return reading
     return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
@@ -156,7 +156,7 @@ def _read(
 
 
 def _reading(run: Run, name: str, read: _Value, axes: Mounting) -> Reading:
-    """Return what was read of one accelerometer."""
+    """Return the reading of one accelerometer."""
     return Reading(
         name=run.name,
         accelerometer=name,
@@ -208,7 +208,7 @@ def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
 
 
 def _position(run: Run) -> str:
-    """Return what two readings have in common that are taken at one position of the fixture."""
+    """Return the key that two readings at one position of the fixture share."""
     if run.motion != "static":
         return ""
     if run.axes is not None:
@@ -230,7 +230,7 @@ class _Value:
 
 
 def _value(repeats: Sequence[str | Quantity], output: Output | None, gravity: float) -> _Value:
-    """Return what repeats of one reading say."""
+    """Return the value of one reading from its repeats."""
     unit, size, zero = "g", 1.0, 0.0
     if output is not None:
         unit, size, zero = output.unit, output.sensitivity, output.zero

@@ -193,9 +193,9 @@ def read_table(
 
 
 def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
-    """Return a table, where its rows stand, and its checksum; ValueError if it is none.
+    """Return a table, the places of its rows, and its checksum; ValueError if it is not a table.
 
-    Where it is said that decimals are parted by commas, its numbers have points.
+    With a stated decimal comma, its numbers are returned with points.
     """
     from counterspin.records.formats import is_workbook, read_small_table
 
@@ -245,7 +245,7 @@ def take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> N
 
 
 def _output(table: Any) -> Output | None:
-    """Return what an accelerometer's readings are in, as far as its unit tells."""
+    """Return the unit of an accelerometer's readings, if it is known."""
     output = table.get("output") if isinstance(table, Mapping) else None
     unit = output.get("unit") if isinstance(output, Mapping) else None
     return Output.model_construct(unit=unit) if isinstance(unit, str) else None
@@ -253,7 +253,7 @@ def _output(table: Any) -> Output | None:
 
 @frozen
 class ReadingsTable:
-    """How the columns of a table make runs."""
+    """The conversion of a table's columns to runs."""
 
     settings: ReadingsSettings  #: The section.
     accelerometers: Mapping[str, Output | None]  #: Names, and what their readings are in.
@@ -266,10 +266,10 @@ class ReadingsTable:
         rows: Iterable[Mapping[str, Any]],
         places: Sequence[str] | None = None,
     ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-        """Yield the rows of a table as runs, with where each stands.
+        """Yield the rows of a table as runs, with their places.
 
         names: Of the table's columns.
-        places: Where the rows stand; None: they are counted.
+        places: Of the rows; None: they are counted.
         """
         problems = self.problems
         before = len(problems.lines)
@@ -302,9 +302,9 @@ class ReadingsTable:
                 yield from ((run, path) for run in made)
 
     def has(self, row: Mapping[str, Any]) -> bool:
-        """Return whether a row has a reading, or says where one is to be taken.
+        """Return whether a row has a reading, or requests one.
 
-        Rows without anything in them stand below many a table, and remarks.
+        Many tables end with empty rows or remarks.
         """
         stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
         readings = {
@@ -352,7 +352,7 @@ class ReadingsTable:
         return {name: [c] if isinstance(c, str) else c for name, c in given.items()}
 
     def check(self, names: Sequence[str]) -> None:
-        """Note what is wrong with the columns that are asked for."""
+        """Note errors of the columns that are requested."""
         path: KeyPath = ("readings", "columns")
         given, problems = self.settings.columns, self.problems
         for key, value in given.items():
@@ -384,7 +384,7 @@ class ReadingsTable:
         self._check_there(wanted, names)
 
     def _check_beside(self, names: Sequence[str]) -> None:
-        """Note what is wrong where mountings stand side by side."""
+        """Note errors of tables with a column for each mounting."""
         columns = [own.reading for own in self.settings.mountings.values()]
         if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
             said = (
@@ -447,7 +447,7 @@ class ReadingsTable:
                 )
 
     def run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
-        """Return a row as a run would be written; mistakes are noted."""
+        """Return a row in the form of a run; note its mistakes."""
         settings, columns = self.settings, self.columns
 
         def cell(key: str) -> Any:
@@ -490,7 +490,7 @@ class ReadingsTable:
         return run
 
     def _moved(self, cell: Callable[[str], Any], path: KeyPath) -> tuple[str, Quantity | None]:
-        """Return how a row moves, and its rate; None where it has none."""
+        """Return the motion of a row, and its rate; None for a row at rest."""
         stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
         if rate := self._number(stated, path):
             sense = words_of(cell("sense")).lower() or self.settings.sense
@@ -514,7 +514,7 @@ class ReadingsTable:
         return settings.mountings.get(mounting) or at_rest or settings.axes
 
     def _rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
-        """Return a rate by its cell and that of its uncertainty; ValueError if it is none."""
+        """Return a rate from its cell and that of its uncertainty; ValueError if it is not one."""
         size, spread, unit = RateColumn(self.settings, self.document).read(number, u)
         return Quantity(-size if sense == "clockwise" else size, spread, unit)
 
@@ -559,7 +559,7 @@ class ReadingsTable:
         return number
 
     def _refuse_comma(self, value: Any, path: KeyPath) -> bool:
-        """Note a number whose decimals are parted by a comma, which nobody has said."""
+        """Note a number with a decimal comma that is not stated."""
         comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
         if comma:
             said = 'has a decimal comma; write decimal = "," in [readings]'

@@ -168,7 +168,7 @@ class DescriptionReader:
         self.table_checksums: dict[Path, str] = {}
 
     def _read(self, key: str, model: type[BaseModel], **context: object) -> None:
-        """Read a section; that one which must be there is absent is noted already."""
+        """Read a section; a missing required section has already been reported."""
         value = self.raw.get(key)
         if key not in self.raw:
             self.parts[key] = None
@@ -178,7 +178,7 @@ class DescriptionReader:
                 self.parts[key] = made
 
     def attributes(self) -> dict[str, Any] | None:
-        """Return what a `Campaign` is made of, or None if there are problems."""
+        """Return the attributes of a `Campaign`, or None if there are problems."""
         problems, gravity, parts, raw = self.problems, self.gravity, self.parts, self.raw
         listed, centrifuge, records = parts["listed"], parts.get("centrifuge"), parts.get("records")
         fixture = parts.get("fixture") or FixtureSettings()
@@ -283,7 +283,7 @@ class DescriptionReader:
         )
 
     def _numbered_readings(self) -> list[tuple[Any, KeyPath]]:
-        """Return the runs that are readings, rows of the table too, with where each stands."""
+        """Return the runs that are readings, including rows of the table, with their places."""
         runs: list[tuple[Any, KeyPath]] = [
             (raw, ("runs", index)) for index, raw in self.parts["listed"] if is_reading(raw)
         ]
@@ -311,7 +311,7 @@ class DescriptionReader:
         readings: Sequence[Reading] | None,
         truths: Mapping[str, tuple[Mapping[str, Any], KeyPath]],
     ) -> Simulation | None:
-        """Return how records are simulated; parameters as of `DescribedRuns`."""
+        """Return the settings of simulated records; parameters as of `DescribedRuns`."""
         if not self.simulated:
             return None
         truth_reader = load_name(f"{_TRUTH_READER}:TruthReader")

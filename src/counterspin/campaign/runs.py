@@ -235,7 +235,7 @@ class Run(SettingsSection):
 
     @property
     def recording(self) -> Recording | None:
-        """How its record is read; None: as the campaign's others."""
+        """The recording of its record; None: the same as the campaign's others."""
         return self._recording
 
     @property
@@ -261,14 +261,14 @@ class Run(SettingsSection):
 
     @property
     def length(self) -> float | None:
-        """Of its record, s, where that is stated."""
+        """The length of its record, s, if it is stated."""
         if self.revolutions is None or not self.rate:
             return self.duration
         return 2.0 * math.pi * self.revolutions / abs(self.rate)
 
     @property
     def part(self) -> tuple[float, float]:
-        """From where to where its record is used, s in its own time."""
+        """The start and end of the used part of its record, s in the record's time."""
         start = -math.inf if self.start is None else self.start
         return start, math.inf if self.stop is None else self.stop
 
@@ -427,7 +427,7 @@ def resolve_runs(
 
     folder: Of the record files.
     records: The section [records], as it stands.
-    turns: Revolutions of a run that is simulated; None where nothing is.
+    turns: Revolutions of a run that is simulated; None without a simulation.
     """
     resolved: dict[int, Run] = {}
     for index, raw in runs:
@@ -441,7 +441,7 @@ def resolve_runs(
 def _completed(
     run: Run, records: Mapping[str, Any], turns: float | None, path: KeyPath, problems: Problems
 ) -> Run:
-    """Return a run with its length, where its revolutions tell it, and how its record is read."""
+    """Return a run with its length, if its revolutions determine it, and its recording."""
     turns = run.revolutions or turns
     if run.duration is None and turns is not None and run.rate:
         run = run.model_copy(update={"duration": turns * 2.0 * math.pi / abs(run.rate)})
@@ -454,7 +454,7 @@ def _completed(
 def _own_recording(
     own: Mapping[str, Any], common: Mapping[str, Any], path: KeyPath, problems: Problems
 ) -> Recording | None:
-    """Return how a run's record is read, where that differs from the others.
+    """Return the recording of a run's record, if it differs from the others.
 
     own, common: The run's `records`, and the section.
     """

@@ -188,7 +188,7 @@ class Output(SettingsSection):
         return (reading - self.zero) / self.sensitivity
 
     def of_g(self, force: Any) -> Any:
-        """Return what is read at forces in g, by the nominal sensitivity and zero."""
+        """Return the outputs at forces in g, by the nominal sensitivity and zero."""
         return self.zero + self.sensitivity * force
 
 
@@ -208,7 +208,7 @@ def term_keys(
 
 
 def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
-    """Return how a term is written: what is known of it, or its true value."""
+    """Return the written form of a term: its prior, or its true value."""
     if reader is known:
         return f"{row.nominal:g} ± {row.typical:g} {row.unit}".replace("e-0", "e-")
     return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
@@ -259,7 +259,7 @@ class StatedNoise(SettingsSection):
 
     @property
     def wanders(self) -> bool:
-        """Whether the bias wanders, or may."""
+        """True if the bias wanders, or may."""
         return self.flicker != 0.0 or self.bias_walk != 0.0
 
 

@@ -61,7 +61,7 @@ class RunTruth:
 
 @frozen
 class SimulatedTruth:
-    """What is true of a simulated campaign; no calibration reads it."""
+    """The truth of a simulated campaign; no calibration reads it."""
 
     #: Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
     coefficients: Mapping[str, Mapping[str, float]]
@@ -101,7 +101,7 @@ class Simulation(SettingsSection):
 
     @property
     def truth(self) -> SimulatedTruth:
-        """What the records are made from."""
+        """The truth that the records are made from."""
         return self._truth
 
 
@@ -119,7 +119,7 @@ class DescribedRuns:
     truths: Mapping[str, tuple[Mapping[str, Any], KeyPath]]
 
     def truth_of(self, reading: Reading) -> tuple[Mapping[str, Any], KeyPath]:
-        """Return what differs in the run of a reading, and where that is."""
+        """Return the deviations in the run of a reading, and their place."""
         return self.truths.get(reading.name, ({}, ("truth", "spindle")))
 
 
@@ -143,7 +143,7 @@ class TruthReader:
         self._take_stretch()
 
     def _machine(self) -> dict[str, Any]:
-        """Return what is said of terms that readings show."""
+        """Return the truth of the machine's terms that readings show."""
         if not isinstance(self.raw.get(_MACHINE, {}), Mapping):
             self.problems.add(("truth", _MACHINE), "must be a table")
         return flat_keys(table_of(self.raw, _MACHINE))
@@ -255,7 +255,7 @@ class TruthReader:
     def _of_machine(
         self, readings: Sequence[Reading] | None, centrifuge: CentrifugeSettings | None
     ) -> dict[str, float]:
-        """Return term of the machine -> true value less nominal, SI."""
+        """Return term of the machine -> true value minus nominal, SI."""
         if readings is None:
             return {}
         known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
@@ -314,7 +314,7 @@ class TruthReader:
 
 
 def _stated(table: Any, keys: Sequence[str]) -> float | None:
-    """Return what stands in nested tables, or None."""
+    """Return the value in nested tables, or None."""
     for key in keys:
         table = None if table is None else getattr(table, key)
     value: float | None = table

@@ -144,7 +144,7 @@ def resolve_specifications(
     problems: Problems,
     gravity: float | None,
 ) -> Specifications | None:
-    """Return what the table [specification] says, or None with its mistakes noted.
+    """Return the contents of [specification], or None with its mistakes noted.
 
     gravity: The site's, m/s^2.
     """

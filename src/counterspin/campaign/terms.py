@@ -110,16 +110,16 @@ def _axis_of(turn: Turn, attitude: Array) -> Array:
 
 
 def _leans(turn: Turn, input_axis: Array, attitude: Array) -> bool:
-    """Return whether gravity leaks into the input axis as the platform turns by a term."""
+    """Return whether gravity leaks into the input axis as a term turns the platform."""
     return abs(float(np.cross(_axis_of(turn, attitude), input_axis) @ _UP)) > _ROUNDING
 
 
 def rows_of(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
 ) -> tuple[Term[Turn | PathError], ...]:
-    """Return what a bare name stands for.
+    """Return the components that a bare name names.
 
-    Of the platform these are the components that leave an acceleration, in any run that starts at
+    For the platform these are the components that leave an acceleration, in any run that starts at
     angle zero, in any accelerometer: one that does not average out and that depends on the run.
 
     mountings, attitudes: Of the campaign's accelerometers and runs.
@@ -161,7 +161,7 @@ def _leaves_a_mean(turn: Turn, input_axis: Array, attitude: Array, start: Array 
 
 
 def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tuple[str, ...]:
-    """Return every term of the machine that these readings can show, and records beside them."""
+    """Return every term of the machine that these readings, and records with them, can show."""
     motions = {str(reading.motion) for reading in readings}
     motions |= {"counter-rotating"} if recorded else set()
     mounted = dict.fromkeys((r.mounting, r.motion, r.accelerometer) for r in readings if r.mounting)
@@ -190,7 +190,7 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
 
 
 def of_readings(name: str) -> bool:
-    """Return whether a name is of what readings show: of the machine, or of a slope."""
+    """Return whether a name is that of a term shown by readings: of the machine, or of a slope."""
     whole = "." in name and any(symbol.startswith(f"{name}.") for symbol in READING_TERMS)
     if whole or shown_by_readings(name):
         return True
@@ -199,9 +199,9 @@ def of_readings(name: str) -> bool:
 
 
 def expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
-    """Return the terms that a name stands for: itself, or all that begin with it.
+    """Return the terms that a name names: itself, or all that begin with it.
 
-    The slope of a coefficient is one term, whatever goes with a power of the same condition.
+    The slope of a coefficient is one term, for all powers of the same condition.
     """
     if name in CONDITION_TERMS:
         return tuple(s for s in known if s == name)

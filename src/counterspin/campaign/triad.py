@@ -73,19 +73,19 @@ class Triad:
 
     @property
     def count(self) -> int:
-        """How many poses there are; of a record as many as nobody asks for."""
+        """The number of poses; `MANY` for records, in which nobody counts them yet."""
         return len(self.poses) if not self.records else MANY
 
     @property
     def posed(self) -> bool:
-        """Whether there are poses of unknown attitude."""
+        """True if there are poses of unknown attitude."""
         return bool(self.poses or self.records)
 
 
 def with_usual_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, Any]:
-    """Return the tables of accelerometers, with the axes of a triad in which nobody states any.
+    """Return the tables of accelerometers, with the axes of a triad if none are stated.
 
-    triad: The section; whatever is wrong with it is told elsewhere.
+    triad: The section; its errors are reported elsewhere.
     """
     named = triad.get("accelerometers") if isinstance(triad, Mapping) else None
     names = [n for n in named if isinstance(n, str)] if isinstance(named, list) else []

@@ -34,7 +34,7 @@ _STATED: Final = "as stated"
 
 
 def _clocks(value: object) -> dict[str, float]:
-    """Return by how much of itself each recorder's clock is fast; of all of them under ``*``."""
+    """Return the relative rate error of each recorder's clock; that of all of them under ``*``."""
     named = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
     clocks = {str(name): a_ratio(part) for name, part in named.items()}
     if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
@@ -155,7 +155,7 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
 def _truth_table(
     name: str, family: str, base: type[SettingsSection] = SettingsSection
 ) -> type[SettingsSection]:
-    """Return a table with a key for each term of a family; of a name with dots, tables in it."""
+    """Return a table with a key for each term of a family; nested tables for names with dots."""
     within = {
         symbol.removeprefix(f"{family}."): row
         for symbol, row in SHARED_TERMS.items()
@@ -223,7 +223,7 @@ class TrueNoise(StatedNoise):
 
     @property
     def of_records(self) -> StatedNoise:
-        """What is true of records."""
+        """The truth of records."""
         return StatedNoise.model_construct(**self.model_dump(exclude={"reading"}))
 
 

@@ -42,7 +42,7 @@ from counterspin.errors import (
 
 
 def _shown_default(value: object) -> str | None:
-    """Return a default as the help shows it; nothing where leaving an option out says it."""
+    """Return a default as the help shows it; nothing if omission of the option explains it."""
     if value is None or value is False or value == ():
         return None
     return "on" if value is True else str(value)
@@ -87,7 +87,7 @@ for _command in (
 
 
 def _unforeseen(error: Exception) -> str:
-    """Return in words what nothing before has caught: mostly, but not always, our own fault."""
+    """Return a message about an unforeseen error, usually but not always a defect of ours."""
     if isinstance(error, MemoryError):
         return "not enough memory"
     if isinstance(error, OSError) and error.errno == ENOSPC:

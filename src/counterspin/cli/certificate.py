@@ -44,7 +44,7 @@ class SigningOptions:
     both: bool = False
 
     def who_signs(self) -> Callable[[], Signer] | None:
-        """Return what reads the key; None if none is given."""
+        """Return a function that reads the key; None without a key."""
         from counterspin.certificates.signers import command_signer
 
         key, command, cert = self.key, self.signer, self.cert

@@ -112,7 +112,7 @@ def _answers(given: list[str]) -> dict[str, str]:
 
 
 def _asked(question: ExportQuestion) -> str:
-    """Return what a person answers, asking again as long as it is no answer."""
+    """Return a person's answer; repeat the question until the answer is valid."""
     hint = " or ".join(question.choices) or f"such as {question.example}"
     say(f"{question.text} ({hint})")
     while True:

@@ -81,7 +81,7 @@ def report(
 
 
 def _kind_of(path: Path) -> type[ShownResult]:
-    """Return the class whose file this is; a calibration's where it is none's, to say what."""
+    """Return the class that a file belongs to; a calibration's for the error message if unknown."""
     from counterspin.calibration.result import Result
 
     if Result.file_kind().recognises(path):

@@ -32,9 +32,9 @@ OnOff = Annotated[bool, Parameter(negative_bool="no-")]
 
 
 def in_one_line(docstring: str) -> str:
-    """Return a docstring with each paragraph of it, and each parameter's, in a line of its own.
+    """Return a docstring with each paragraph, and each parameter's, on one line.
 
-    The help breaks lines itself, and would keep the breaks of the source beside its own.
+    The help breaks lines itself, and would keep the breaks of the source in addition to its own.
     """
     lines: list[str] = []
     sections = False
@@ -73,7 +73,7 @@ class SaveOptions:
     overwrite: bool = False
 
     def reserve(self, kind: Callable[[], FileType]) -> None:
-        """Refuse a place where a file would be lost, before there is a result to lose."""
+        """Refuse a path at which a file would be lost, before there is a result to lose."""
         if self.json is not None:
             reserve(self.json, kind, overwrite=self.overwrite)
 
@@ -111,7 +111,7 @@ _ARGUMENT: Final = re.compile(
 
 
 def shell_word(path: Path) -> str:
-    """Return a path as it may be typed into a shell, blanks and all."""
+    """Return a path as a user may type it into a shell, with quotes around blanks."""
     return quote_word(str(path))
 
 

@@ -1,7 +1,7 @@
-"""Applying a result: indicated specific force, corrected.
+"""Apply a result: correct an indicated specific force.
 
 - `apply`: in memory
-- `related`: what an applied result needs beside it: how warm it was, and how errors are related
+- `related`: further inputs of a correction: temperature differences, and correlations of errors
 - `apply_file`: a column of a file, corrected in a new file
-- `page`: what was done, as a person reads it
+- `page`: a correction, as a person reads it
 """

@@ -76,7 +76,7 @@ class Correction:
     others: Mapping[str, Correction] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return how many samples there are, and the largest u."""
+        """Return a text with the number of samples and the largest u."""
         largest = float(np.nanmax(self.u)) if np.isfinite(self.u).any() else math.nan
         warned = f", {len(self.warnings)} warnings" if self.warnings else ""
         unit = self.unit
@@ -264,7 +264,7 @@ def _require_determined(result: Result, names: Iterable[str]) -> None:
 
 @frozen
 class _Scale:
-    """How a column becomes a specific force, g: times a factor, less what is read at none."""
+    """The conversion of a column to a specific force, g: a factor, and an offset to subtract."""
 
     factor: float
     zero: float = 0.0
@@ -313,7 +313,7 @@ def _not_carried(name: str, symbols: Sequence[str]) -> Iterator[str]:
 
 
 def _not_applied(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    """Return a warning of what changes with something that a record does not say."""
+    """Return a warning about terms that vary with a quantity that a record does not state."""
     known = {**accelerometer.known, **accelerometer.coefficients}
     others = [
         symbol
@@ -338,7 +338,7 @@ def _accepted(result: Result) -> list[str]:
 
 
 def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    """Return a warning where the result states a covariance that no coefficients could have."""
+    """Return a warning if the result states a covariance that no coefficients could have."""
     if is_possible(covariance_of(accelerometer, determined_terms(accelerometer))):
         return []
     return [
@@ -404,7 +404,7 @@ def _left_out(name: str, accelerometer: AccelerometerResult) -> list[str]:
 
 
 def _stretched(result: Result, name: str, indicated: Array) -> list[str]:
-    """Return a warning where the indication goes beyond what the calibration has seen."""
+    """Return a warning if the indication exceeds the range of the calibration."""
     fastest = max((abs(run.rate) for run in result.runs.values()), default=0.0)
     # At rest on a side an accelerometer sees 1 g, however slowly the centrifuge turns.
     seen = max(1.0, result.inputs.radius * fastest**2 / result.inputs.gravity)

@@ -49,7 +49,7 @@ class Level:
 
 @frozen
 class CorrectedFile:
-    """What was written."""
+    """The files and samples that were written."""
 
     path: Path  #: The file.
     column: str  #: The column that was corrected.
@@ -193,7 +193,7 @@ def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
 
 
 def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
-    """Return a column of temperatures in degC, in which it is where its file says no unit."""
+    """Return a column of temperatures in degC, which is the unit if its file states none."""
     if unit == "K":
         return values - ZERO_CELSIUS
     if unit in ("", *TEMPERATURES):
@@ -220,7 +220,7 @@ def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[s
 
 
 def _constant(name: str, text: str, columns: list[str]) -> str:
-    """Return a text that is to be a quantity, if it looks like one."""
+    """Return a text that looks like a quantity."""
     if not any(mark.isdigit() for mark in text):
         raise CampaignError(
             "apply",
@@ -259,7 +259,7 @@ def _report(output: Path, column: str, correction: Correction, gravity: float) -
 
 
 def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], object]:
-    """Return what writes a table; new numbers of a file of text as its others are written."""
+    """Return a function that writes a table; new numbers in text have the others' format."""
     separator = _SEPARATORS[suffix]
     if separator is None:
         typed = pl.DataFrame([_typed(column, decimal) for column in frame.get_columns()])
@@ -271,7 +271,7 @@ def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], 
 
 
 def _typed(column: pl.Series, decimal: str) -> pl.Series:
-    """Return a column of text as numbers where it holds nothing else; CSV cells are text so far."""
+    """Return a column of text as numbers if it has only numbers; CSV cells are text so far."""
     if column.dtype != pl.String:
         return column
     clean = column.str.strip_chars().replace("", None)

@@ -1,4 +1,4 @@
-"""What `counterspin apply` did, as a person reads it."""
+"""The outcome of `counterspin apply`, as a person reads it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from counterspin.reports.text import Report
 
 
 def render_application(done: CorrectedFile) -> Report:
-    """Return what was corrected, by how much, and how sure that is."""
+    """Return the corrected values, the size of the correction, and its uncertainty."""
     blocks: list[Block] = [Heading(f"Wrote {done.path}")]
     for one in (done, *done.more):
         blocks += _column_blocks(one)

@@ -1,4 +1,4 @@
-"""What an applied result needs beside it: how warm it was, and how errors are related."""
+"""Further inputs of a correction: temperature differences, and correlations of errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _BEYOND: Final = 1.0
 def warmth_of(
     result: Result, instruments: Sequence[CalibratedAccelerometer], temperature: Temperature
 ) -> Warmth:
-    """Return by how much a record was warmer than where the result's coefficients count.
+    """Return a record's temperature minus the reference temperature of the result's coefficients.
 
     Raises
     ------

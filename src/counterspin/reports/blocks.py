@@ -1,10 +1,10 @@
-"""What a report is made of: blocks of words, cells and curves, in characters that may be shown.
+"""The blocks of a report: words, cells and curves, in characters that may be shown.
 
-Names and words come from other people's files and can hold anything. Every text of a block passes
-`escape_controls` when the block is made, and so does every other text that a face shows.
+Names and words come from other people's files and can contain anything. Every text of a block
+passes `escape_controls` when the block is made, and so does every other text that a renderer shows.
 
-A face draws those that it can: the terminal and Markdown leave pictures out, whose numbers stand
-in tables beside them. Whatever a text holds, it is visible once it stands in a block
+A renderer draws the blocks that it can: the terminal and Markdown leave pictures out, whose numbers
+are also in tables. Every character of a text is visible once it is in a block
 (`counterspin.reports.blocks`).
 """
 
@@ -25,7 +25,7 @@ ANSWERS: Final[tuple[Style, ...]] = ("answer", "reserved")
 
 
 class _Words:
-    """What is said in words: attributes that are text, or rows of it, are made visible."""
+    """A block of words: attributes that are text, or rows of it, are made visible."""
 
     def __post_init__(self) -> None:
         """Make all words visible."""
@@ -134,10 +134,10 @@ class Plot(_Words):
 
 @frozen
 class Bars(_Words):
-    """Horizontal bars, the first on top; `texts` stand at their ends.
+    """Horizontal bars, the first on top; `texts` are at their ends.
 
-    Where `stacked`, each begins where the one above it ends: a stacked bar with a row for each
-    part. `colours` are places in the row of colours; absent: the first for all.
+    If `stacked`, each begins at the end of the one above it: a stacked bar with a row for each
+    part. `colours` are indices in the row of colours; absent: the first for all.
     """
 
     title: str

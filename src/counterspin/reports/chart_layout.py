@@ -1,4 +1,4 @@
-"""How much room a chart's words take, and how many of its points are seen.
+"""The space of a chart's words, and the visible points of a series.
 
 Margins come from the widths of words instead of matplotlib's layout engines, which draw twice.
 """
@@ -52,7 +52,7 @@ def text_width(text: str, weight: str = "normal") -> float:
 
 
 def shorten_words(text: str, room: float) -> str:
-    """Return the words as far as there is room for them, in points."""
+    """Return words shortened to a width, in points."""
     if text_width(text) <= room:
         return text
     fitting = bisect(range(len(text)), room, key=lambda length: text_width(f"{text[:length]}…"))
@@ -72,7 +72,7 @@ def in_lines(text: str, room: float) -> str:
 
 
 def legend_columns(labels: Sequence[str]) -> int:
-    """Return how many labels stand beside each other above a drawing, at least one."""
+    """Return the number of labels in a row above a drawing, at least one."""
     room = WIDTH - 60.0
     widest = max(map(text_width, labels), default=0.0) + 32.0
     return max(1, min(len(labels), int(room / widest)))
@@ -124,7 +124,7 @@ def margins(
 
 
 def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
-    """Give a figure its size and put its axes below each other, their left ends in one line."""
+    """Give a figure its size and put its axes below each other, with their left ends aligned."""
     total = sum(room.height for _, room in panels)
     figure.set_size_inches(WIDTH / 72.0, total / 72.0)
     left = max(room.left for _, room in panels)
@@ -222,9 +222,9 @@ def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
 def thinned(
     series: PlotSeries, *, log_x: bool, log_y: bool
 ) -> tuple[Array, Array, Array | None, Array | None]:
-    """Return what of a series is seen: of each column of the drawing its lowest and highest.
+    """Return the visible points of a series: the lowest and highest in each column of the drawing.
 
-    log_x, log_y: Whether the axes are logarithmic; what is not positive is then left out.
+    log_x, log_y: True for logarithmic axes; values that are not positive are then left out.
     Returns: equal lengths; gaps are NaN; low and high are None where the series has none.
     """
     x = np.asarray(series.x, dtype=float)

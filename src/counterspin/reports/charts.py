@@ -65,7 +65,7 @@ def reserve_figures(paths: Iterable[Path], kind: str, *, overwrite: bool = False
 
 
 def check_format(path: Path) -> str:
-    """Return the format that a figure's name asks for; CounterspinError if there is no such one."""
+    """Return the format that a figure's name asks for; CounterspinError if it does not exist."""
     kind = path.suffix.lower()
     if kind not in _METADATA:
         raise CounterspinError(
@@ -161,7 +161,7 @@ _STEPS: Final = 2e4
 
 
 def can_zoom(plot: Plot) -> bool:
-    """Tell whether a plot is worth a closer look and has an axis of numbers to look along."""
+    """Return whether a plot is worth zooming and has an axis of numbers to zoom along."""
     return (
         plot.zoom and not plot.x_names and len({x for series in plot.series for x in series.x}) > 1
     )

@@ -138,7 +138,7 @@ def settings(palette: Palette) -> Iterator[None]:
 def draw_pictures(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Figure:
     """Draw pictures below each other, within `settings`.
 
-    titled: Whether each title stands above its picture, because nobody else writes it.
+    titled: True to draw each title above its picture, if nothing else shows it.
     """
     from matplotlib.figure import Figure
 
@@ -233,7 +233,7 @@ def colours_in_row(rows: Sequence[PlotSeries]) -> list[int | None]:
 
 
 def _same_axis(plot: Plot, below: Picture | None) -> bool:
-    """Return whether the picture below shows what is along the axis, so that this one need not."""
+    """Return whether the picture below has the same axis, so that this one may omit the labels."""
     return (
         isinstance(below, Plot)
         and bool(plot.x_range or plot.x_names)

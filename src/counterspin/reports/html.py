@@ -33,9 +33,9 @@ def html(
     version: str,
     kind: str = "a page",
 ) -> str:
-    """Return blocks as one HTML file that needs nothing else; the same blocks give the same text.
+    """Return blocks as one self-contained HTML file; the same blocks give the same text.
 
-    title: Of the window; the heading too, where the blocks hold none of level 1.
+    title: Of the window; the heading too, if the blocks have none of level 1.
     """
     title, identifier = escape_controls(title), escape_controls(identifier)
     page = _Page()
@@ -115,7 +115,7 @@ def _uplot() -> str:
 
 
 def _css_text(text: str) -> str:
-    """Return a CSS string; whatever is no letter or digit is written by its number."""
+    """Return a CSS string; every character except letters and digits is written by its number."""
     plain = re.compile(r"[A-Za-z0-9]")
     return '"' + "".join(c if plain.match(c) else f"\\{ord(c):x} " for c in text) + '"'
 
@@ -168,7 +168,7 @@ class _Page:
         return items
 
     def item(self, block: Block, label: str) -> dict[str, Any]:
-        """Return what the template needs for a block; `label` is the heading it stands under."""
+        """Return the template's data for a block; `label` is the heading above it."""
         match block:
             case Heading():
                 return {"block": block, "id": self.name(block.text)}
@@ -209,7 +209,7 @@ def _kind(block: Block) -> str:
 
 
 def _answer(text: str) -> dict[str, str]:
-    """Return what is found and, for smaller letters, the same in other units and remarks."""
+    """Return a value and, for smaller letters, its other units and remarks."""
     estimate, *remarks = re.split(r" {2,}", text, maxsplit=1)
     name, *values = estimate.split(" = ")
     more = [f"= {value}" for value in values[1:]]

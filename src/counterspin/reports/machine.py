@@ -163,7 +163,7 @@ def accelerometer() -> Canvas:
 
 
 def _turned(axis: Array, vector: Array, angle: float) -> Array:
-    """Return a vector after a right-handed turn about an axis of length 1."""
+    """Return a vector after a right-handed rotation about an axis of length 1."""
     cos, sin = math.cos(angle), math.sin(angle)
     return (
         cos * vector

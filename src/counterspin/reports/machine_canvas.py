@@ -44,7 +44,7 @@ class Arrow:
 
 @frozen
 class View:
-    """How the frame is seen from the south and above, without perspective."""
+    """The view of the frame from the south and above, without perspective."""
 
     centre: Point  #: Where the origin is drawn.
     scale: float  #: px of a length of 1.
@@ -52,7 +52,7 @@ class View:
     azimuth: float = math.radians(-22.0)  #: By how much the eye stands west of south, rad.
 
     def at(self, place: npt.ArrayLike) -> Point:
-        """Return where a place (east, north, up) is drawn."""
+        """Return the position in the drawing of a point (east, north, up)."""
         east, north, up = np.asarray(place, dtype=float)
         cos, sin = math.cos(self.azimuth), math.sin(self.azimuth)
         right, away = east * cos - north * sin, east * sin + north * cos
@@ -133,9 +133,9 @@ class Canvas:
         colour: str = "ink",
         aside: Point = (0.0, 0.0),
     ) -> None:
-        """Draw an arrow that points some way in the frame, with words at its head.
+        """Draw an arrow along a direction in the frame, with words at its head.
 
-        aside: Where the words stand from the head, px; they lead away from it to the side.
+        aside: Position of the words relative to the head, px; they extend away from it to the side.
         """
         unit = np.asarray(direction, dtype=float)
         unit = unit / np.linalg.norm(unit)
@@ -157,7 +157,7 @@ class Canvas:
         *,
         bold: bool = False,
     ) -> None:
-        """Write words, of which ``_x`` after a letter stands lower."""
+        """Write words, with ``_x`` after a letter as a subscript."""
         x, y = point
         weight = ";font-weight:600" if bold else ""
         style = f"fill:{{{colour}}};font-size:{SIZE}px{weight}"

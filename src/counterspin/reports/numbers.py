@@ -1,7 +1,7 @@
 """Numbers as a person reads them: rounded to their uncertainty, in the units of the field.
 
-The one rule is GUM 7.2.6: the uncertainty keeps two significant digits, and the value is rounded
-to the same decimal place. What has no uncertainty keeps as many digits as it is asked for.
+The one rule is GUM 7.2.6: the uncertainty keeps two significant digits, and the value is rounded to
+the same decimal place. A number without uncertainty keeps a requested number of digits.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def format_interval(value: float, u: float, half_width: float, unit: str = "") -
 
 
 def format_uncertainty(u: float) -> str:
-    """Write an uncertainty by itself, to two significant digits as beside a value (GUM 7.2.6)."""
+    """Write an uncertainty by itself, to two significant digits as with a value (GUM 7.2.6)."""
     mantissa, mark, exponent = f"{u:#.2g}".partition("e")
     return mantissa.rstrip(".") + (f"e{int(exponent)}" if mark else "") if u else "0"
 
@@ -150,7 +150,7 @@ def format_number(value: float, digits: int = 3) -> str:
 
 
 def format_apart(value: float, other: float) -> str:
-    """Return a number with three digits, or with as many as tell it from another one."""
+    """Return a number with three digits, or with as many as distinguish it from another one."""
     texts = ((f"{value:.{digits}g}", f"{other:.{digits}g}") for digits in range(3, 18))
     return next((text for text, there in texts if text != there), f"{value:.3g}")
 
@@ -195,7 +195,7 @@ def _exactly(number: float) -> Decimal:
 
 
 def _steps(number: Decimal, place: int) -> Decimal:
-    """Return how many steps of 10^place the number rounds to."""
+    """Return the number in steps of 10^place, rounded."""
     # By way of an integer: a Decimal such as 2E+1 would keep its missing zeros missing.
     return Decimal(int(number.scaleb(-place).to_integral_value(ROUND_HALF_EVEN)))
 

@@ -24,7 +24,7 @@ FORMATS: Final = (".html", ".pdf", ".md")
 
 
 def check_format(path: Path) -> str:
-    """Return the format that a file's name asks for; CampaignError if there is no such format."""
+    """Return the format that a file's name asks for; CampaignError if it does not exist."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise CampaignError("report", [f"{path}: name the file .html, .pdf or .md"])
@@ -43,7 +43,7 @@ class Publication:
     version: str = __version__  #: Of the program that computed what they show.
 
     def text(self, suffix: str, issued: datetime) -> str:
-        """Return it as ``.html`` or ``.md``, made at a time with its zone."""
+        """Return the report as ``.html`` or ``.md``, with a time of issue that has a time zone."""
         if suffix == ".html":
             from counterspin.reports.html import html
 
@@ -62,7 +62,7 @@ class Publication:
         return f"{markdown(self.blocks)}\n<!-- {mark(self.kind)} -->\n\n{markdown([end])}"
 
     def pdf(self, issued: datetime) -> bytes:
-        """Return it as a PDF, made at a time with its zone."""
+        """Return the report as a PDF, with a time of issue that has a time zone."""
         from counterspin.reports.pdf import pdf
 
         return pdf(
@@ -74,9 +74,9 @@ class Publication:
         )
 
     def write(self, path: Path, issued: datetime, *, overwrite: bool = False) -> None:
-        """Write it, whole or not at all.
+        """Write the report atomically.
 
-        overwrite: Whether an earlier one of this kind may be replaced; nothing else is.
+        overwrite: Replace an earlier one of this kind; nothing else is ever replaced.
         """
         suffix, kind = check_format(path), partial(marked, self.kind)
         reserve(path, kind, overwrite=overwrite)

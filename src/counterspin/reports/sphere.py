@@ -65,7 +65,7 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
 
 
 def _projected(points: Array, sign: float) -> Array:
-    """Return where points of a half are drawn, shape (n, 2): equal areas stay equal (Lambert)."""
+    """Return the drawn positions of a half's points, shape (n, 2), by Lambert's equal-area map."""
     across = np.hypot(points[:, 0], points[:, 1])
     reach = np.sqrt(np.maximum(1.0 - np.abs(points[:, 2]), 0.0))
     scale = np.divide(reach, across, out=np.zeros_like(reach), where=across > 0.0)

@@ -1,7 +1,7 @@
-"""A result in the terminal, and a sign of life there while work goes on.
+"""Results in the terminal, and the progress of work there.
 
-Numbers are never broken: columns of words wrap first, then titles, and where a terminal is still
-too narrow the columns stand in several tables below each other.
+Numbers are never broken: columns of words wrap first, then titles. If the terminal is still too
+narrow, the columns are printed in several tables below each other.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def progress(
     patience: float = QUIET_SECONDS,
     words: tuple[str, str, str] = ("Reading runs", "Reading runs", "Estimating"),
 ) -> Iterator[Callable[[int, int], None] | None]:
-    """Show how much is done, on standard error, and wipe it out at the end.
+    """Show the progress of work on standard error, and erase it at the end.
 
-    console: Where to show it; None: standard error.
+    console: Console to show it; None: standard error.
     """
     if console is None and not _is_watched():
         yield None
@@ -169,8 +169,8 @@ def report_console(file: TextIO | None = None) -> Console:
 class Report:
     """Blocks of a report as rich prints them, in the width and characters of its console.
 
-    Pictures are left out; what they show stands in the tables. On a terminal numbers and units are
-    as in print; where the output is piped, as one can type them.
+    Pictures are left out; their numbers are in the tables. On a terminal numbers and units are as
+    in print; in piped output, as one can type them.
     """
 
     def __init__(self, blocks: list[Block]) -> None:
@@ -202,9 +202,9 @@ def _stand_apart(before: Block, block: Block) -> bool:
 
 
 def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
-    """Yield the table; several, with the names again, where the columns have no room side by side.
+    """Yield the table; several, with the names repeated, if the columns do not fit side by side.
 
-    So no number is ever broken, but where even one column beside the names is too wide.
+    A number is broken only if a single column next to the names is too wide.
     """
     titles = [encodable(column.title, options.encoding) for column in block.columns]
     rows = [[encodable(cell, options.encoding) for cell in row] for row in block.rows]

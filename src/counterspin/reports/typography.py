@@ -42,7 +42,7 @@ def typeset(text: str) -> str:
 
 
 def with_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
-    """Return prose with its symbols as a face sets them.
+    """Return prose with its symbols as a renderer sets them.
 
     index: Takes a symbol's letter and its index.
     """
@@ -64,7 +64,7 @@ def _typeset_cell(cell: str) -> str:
 
 
 def typeset_block(block: Block) -> Block:
-    """Return a block with all of its words typeset; commands are left to be typed."""
+    """Return a block with all of its words typeset; commands keep the characters to type."""
     match block:
         case Heading():
             return replace(block, text=typeset(block.text))
