@@ -12,7 +12,7 @@ from campaigns import SMALL, campaign_of, changed, without, write
 from scipy.special import chdtrc, stdtrit
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.diagnosis import noise
+from counterspin.calibration.checks import residuals
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import TwoStageOptions, command_words
@@ -292,7 +292,7 @@ def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
     known = qx(result_of(tmp_path / "known")).coefficients["K_II"].u
     share = 1.0 - (known / u) ** 2
     for part, count in ((0.9, 1), (1.1, 0)):
-        monkeypatch.setattr(noise, "_HIDDEN_SHARE", part * share)
+        monkeypatch.setattr(residuals, "_HIDDEN_SHARE", part * share)
         result = calibrate(folder, method="two-stage")
         remarks = [
             remark for remark in result.warnings if "of K_II comes from white noise" in remark
@@ -418,6 +418,24 @@ def test_what_nothing_states_is_in_u_at_its_typical_size(tmp_path):
     assert c.u_unstated > 2e-6
 
 
+def test_requested_term_that_strobes_do_not_determine_is_in_u(tmp_path):
+    """A simulated K_III of typical size moves K_II by the share that K_III has in u of K_II."""
+    requested = modelled('terms = ["K_F", "K_I", "K_II", "K_III"]')
+    ripple = ("ratio = 1e-5", "ratio = 1e-3")
+    ideal, cubic = (
+        qx(result_of(tmp_path / size, requested, ripple, ("3e-6 g/g^3", f"{size} g/g^3")))
+        for size in ("0", "1e-6")
+    )
+    assert (ideal.coefficients["K_III"].value, ideal.findings) == (None, [])
+    moved = cubic.coefficients["K_II"].value - ideal.coefficients["K_II"].value
+    (line,) = (line for line in ideal.budget["K_II"] if line.source == "K_III")
+    assert (line.kind, line.u) == ("held", 1e-6)
+    assert line.contribution == pytest.approx(abs(moved), rel=1e-3)
+    prior = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nK_III = "0 ± 5e-7 g/g^3"')
+    stated = qx(result_of(tmp_path / "stated", requested, ripple, prior)).coefficients["K_II"]
+    assert stated.u_stated == pytest.approx(abs(moved) / 2.0, rel=1e-3)
+
+
 def test_combination_holds_what_the_simulation_put_into_its_terms(tmp_path):
     truth = (
         'K_II = "2.7e-5 g/g^2"',
@@ -500,21 +518,6 @@ def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
     assert drift.value == pytest.approx(1e-6, abs=4 * drift.u + 2e-9)
     assert any("no angle" in warning for warning in result.warnings)
     assert any("K_F and spindle.drift" in warning for warning in qx(result).warnings)
-
-
-def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path):
-    model = modelled('terms = ["K_F", "K_II", "K_III"]\ntypical = { K_III = "1e-4 g/g^3" }')
-    strong = ("ratio = 1e-5", "ratio = 1e-2")
-    (warning,) = qx(result_of(tmp_path / "a", model, strong)).warnings
-    assert warning.startswith("Qx: K_III is neither estimated nor given a prior")
-    assert "ug/g^3, it moves K_II by " in warning
-    assert not re.search(r"\de-?0|[ \d]g/g", warning)
-    assert "Give it a prior" in warning
-    assert qx(result_of(tmp_path / "b", model)).warnings == []
-    prior = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nK_III = "0 ± 1e-6 g/g^3"')
-    known = qx(result_of(tmp_path / "c", model, strong, prior))
-    assert known.warnings == []
-    assert known.coefficients["K_II"].u_stated > 1e-9
 
 
 def test_what_is_held_may_be_off_by_as_much_as_is_stated_of_it(tmp_path):

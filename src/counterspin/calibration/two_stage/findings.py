@@ -24,8 +24,8 @@ from counterspin.inference.diagnostics import (
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import ConfoundedTerms, write_combination
 from counterspin.inference.two_stage.second_stage import SecondStage
-from counterspin.physics.terms import INPUTS, term
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.physics.terms import INPUTS
+from counterspin.reports.numbers import format_number
 
 #: Below this probability a misfit is no accident.
 _SMALLEST_P: Final = 0.001
@@ -105,7 +105,6 @@ def findings(
             for symbol in second.symbols
             if coefficients[symbol].value is None
         ]
-        gathered += _unknown(view.campaign, name, second)
     for a, b, r in second.near_collinear:
         text = f"The columns of {a} and {b} are nearly collinear at these rates"
         text += f" (correlation {r:.4f})."
@@ -122,31 +121,6 @@ def findings(
         text = f"{lost} strobes fell into gaps of the record and were left out."
         gathered.append(Finding(code="strobes-lost", subject=name, text=text))
     return gathered
-
-
-def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding]:
-    """Name what was asked for, is not estimated, is assumed to be perfect and could spoil K_II."""
-    held = nothing_known(campaign, name, second)
-    perfect = {c.symbol for c in second.fit.model.considered if c.prior[1] == 0.0}
-    alike = {other for symbol in second.symbols for other in second.alike(symbol, held)}
-    _, u = second.estimate("K_II")
-    unknown = []
-    for symbol in held:
-        if symbol in alike or symbol not in perfect or symbol not in campaign.model.terms:
-            continue
-        typical = campaign.typical_of(symbol, name)
-        shift = abs(float(second.shift(symbol)[0])) * typical
-        if shift > u:
-            (unit, factor), (moved, to_moved) = map(field_unit, (term(symbol).unit, "g/g^2"))
-            text = (
-                f"{symbol} is neither estimated nor given a prior; at its typical size, "
-                f"{format_number(typical * factor)} {unit}, it moves K_II by "
-                f"{format_number(shift * to_moved, 2)} {moved}, "
-                "more than its uncertainty. Give it a prior, or use the joint method."
-            )
-            subject = f"{name}.{symbol}"
-            unknown.append(Finding(code="term-unknown", subject=subject, text=text, size=shift / u))
-    return unknown
 
 
 def overstated_noise(

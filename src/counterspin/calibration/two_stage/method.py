@@ -12,7 +12,7 @@ import numpy as np
 from counterspin.calibration.checks.limits import incredible
 from counterspin.calibration.checks.residuals import hidden_walk
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
-from counterspin.calibration.model import assumed_of, prior_of
+from counterspin.calibration.model import assumed_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
     Outcome,
@@ -204,16 +204,16 @@ def _known_model(
 ) -> Unknowns:
     """Return the joint model with something known of all that two stages do not estimate.
 
-    What is asked for and not stated has its typical size, if nothing is known of it; what is
-    assumed to be perfect is held as exactly that, for what it may be like: beside another fit only
-    what is asked for.
+    A requested term without a stated value has its typical size, if nothing is known of it. The
+    size also counts where all terms are assumed to be perfect. What is assumed to be perfect is
+    held as exactly that, for what it may be like: beside another fit only what is asked for.
     """
     unknowns = []
     for other in model.unknowns:
         if not math.isfinite(other.prior[1]) and other.symbol not in (*_ESTIMATED, *ROTATION):
-            prior, unstated = prior_of(campaign, other.owner, other.symbol, None)
-            prior = (known or {}).get((other.owner, other.symbol), prior)
-            unknowns.append(replace(other, prior=prior, unstated=unstated))
+            typical = campaign.typical_of(other.symbol, other.owner)
+            prior = (known or {}).get((other.owner, other.symbol), (other.nominal, typical))
+            unknowns.append(replace(other, prior=prior, unstated=True))
         else:
             unknowns.append(other)
     there = {(other.owner, other.symbol) for other in (*model.unknowns, *model.considered)}
