@@ -54,7 +54,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 class Section:
-    """What may stand in a table of a document that is checked apart, whatever else is wrong there.
+    """The contents of a table that is checked separately from the rest of its document.
 
     written: A class with the table's keys; a dictionary of such tables by name, or a list of them.
         For a table of an extension, the name ``package.module:Class``, loaded where one is found.

@@ -362,7 +362,7 @@ _REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
 
 class RateSettings(Protocol):
-    """What the section of a table states about its column of rates."""
+    """The statements of a table's section about its column of rates."""
 
     rate_unit: str  #: Of the column and of its uncertainties.
     u_rate: str | None  #: Of rates without an uncertainty in the table.

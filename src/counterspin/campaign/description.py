@@ -219,7 +219,7 @@ class Campaign:
         return term(symbol).sizes(DEFAULT_GRADE if accelerometer is None else accelerometer.grade)
 
     def recording_of(self, run: Run) -> Recording:
-        """Return how the record of a run is read."""
+        """Return the recording of a run."""
         return run.recording or self.recording
 
     @property
@@ -326,7 +326,7 @@ class Campaign:
         return (*self.readings, *(reading for pose in posed for reading in pose))
 
     def require_records(self, what: str) -> None:
-        """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""
+        """Raise CampaignError if there is neither a record, which `what` needs, nor a reading."""
         if self.readings or self.posed:
             raise CampaignError(
                 str(self.path),

@@ -133,7 +133,7 @@ class Quantities(PlainValidator):
 
 
 class _IsQuantity:
-    """What no document can hold, so that schemas do not name it."""
+    """A type that no document can contain, and that schemas therefore omit."""
 
     def __get_pydantic_core_schema__(
         self, source_type: Any, handler: GetCoreSchemaHandler

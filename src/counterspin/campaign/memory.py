@@ -138,7 +138,7 @@ class Documented(Protocol):
 
     @property
     def folder(self) -> Path:
-        """Of its files."""
+        """The folder of its files."""
 
     @property
     def source(self) -> Source | None:
@@ -146,7 +146,7 @@ class Documented(Protocol):
 
     @property
     def accelerometers(self) -> Mapping[str, Accelerometer]:
-        """By name."""
+        """The accelerometers by name."""
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -50,12 +50,13 @@ class _Asked:
 
 
 def said_noise(campaign: Campaign, unseen: float | str = ESTIMATE) -> dict[str, SaidNoise]:
-    """Return what is stated of the noise, by accelerometer.
+    """Return the stated noise, by accelerometer.
 
-    Of a record at rest counts what is not stated beside it; a wander that it does not show is none.
+    Values from a record at rest complete the stated ones; a wander that the record does not show is
+    zero.
 
-    unseen: What white noise is that it does not show. A calibration leaves it to the campaign's
-        records; to what has none, such as a forecast, it is none.
+    unseen: White noise that the record does not show. A calibration leaves it to the campaign's
+        records; without records, as in a forecast, it is zero.
     """
     if campaign.rest is None:
         return dict.fromkeys(campaign.accelerometers, SaidNoise(campaign.noise))

@@ -134,7 +134,7 @@ def parse(
 
 
 def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) -> Quantity:
-    """Return a quantity in a unit; ValueError of one that is none, which `text` quotes."""
+    """Return a quantity in a unit; ValueError, which quotes `text`, if it is not one."""
     kind, accepted = advice(unit)
     factor = unit_factor(quantity.unit, unit, gravity=gravity)
     value, u = quantity.value * factor, quantity.u * factor

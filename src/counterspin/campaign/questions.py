@@ -130,7 +130,7 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
 
 
 def _slope(campaign: Campaign) -> float:
-    """Return how gravity changes with latitude, m/s^2/rad."""
+    """Return the change of gravity with latitude, m/s^2/rad."""
     latitude, step = campaign.site.latitude, 1e-4
     ahead, behind = (gravity_range(latitude + change)[0] for change in (step, -step))
     return (ahead - behind) / (2.0 * step)

@@ -202,12 +202,12 @@ class TruthReader:
         centrifuge: CentrifugeSettings | None,
         recorders: Mapping[str, str],
     ) -> Simulation:
-        """Return how records and readings are made, and from which truth.
+        """Return the settings of simulated records and readings, and their truth.
 
-        outputs: Accelerometer -> what its readings are in, where that is no mistake; coefficients
-            may be in its unit, as ``mA/g``.
+        outputs: Accelerometer -> unit of its readings, where it is valid; coefficients may be in
+            its unit, as ``mA/g``.
         centrifuge: The machine; a true radius may be given as such.
-        recorders: Name of a recorder -> what the runs call it: nothing where it is that of all.
+        recorders: Name of a recorder -> its name in the runs: empty where it is that of all.
         """
         known = [*self.names, *TRUTH_TABLES]
         for name in [name for name in self.raw if self.names and name not in known]:

@@ -90,8 +90,8 @@ def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bo
 def shows(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
     """Return whether a shared term shows in an accelerometer's output at all, in waves as well.
 
-    In displacement these are nothing beside what `acts` leaves; in velocity and specific force they
-    stand where K_II does. Parameters as of `acts`.
+    In displacement waves are negligible compared with the accelerations of `acts`; in velocity and
+    specific force they appear where the effect of K_II does. Parameters as of `acts`.
     """
     if not isinstance(row.effect, Turn):
         return acts(row, mounting, attitude)

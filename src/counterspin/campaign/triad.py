@@ -73,7 +73,7 @@ class Triad:
 
     @property
     def count(self) -> int:
-        """The number of poses; `MANY` for records, in which nobody counts them yet."""
+        """The number of poses; `MANY` if they are in records."""
         return len(self.poses) if not self.records else MANY
 
     @property
@@ -108,7 +108,7 @@ def resolve_triad(
     given: Mapping[str, Mapping[str, Quantity]] | None,
     problems: Problems,
 ) -> Triad | None:
-    """Return what [triad] and the runs at unknown attitudes say.
+    """Return the triad of [triad] and the runs at unknown attitudes.
 
     raw: The section, None if there is none.
     mountings: Accelerometer -> its axes in the triad's frame; None where they are a mistake.

@@ -158,14 +158,14 @@ class Certificate:
         return [path, other_kind(path)]
 
     def _waiting_pdf(self, pdf: Path, xml: bytes | None) -> Path:
-        """Return where a finished PDF waits until its XML has its name; None: with any XML."""
+        """Return the hidden path of a finished PDF before its XML is published; None: any XML."""
         own = checksum_of(self.identifier.encode("utf-8", "surrogatepass"))[:16]
         return pdf.resolve().parent / f".{own}-{checksum_of(xml)[:16] if xml else '*'}.pdf"
 
     def _write(
         self, path: Path, data: bytes, ledger: Path | None, entry: Mapping[str, str]
     ) -> None:
-        """Give bytes their name, after they were entered in the ledger if there is one."""
+        """Write bytes to a file, after their entry in the ledger if there is one."""
         kept = None if self.draft else ledger or self.ledger
         if kept is None:
             write_whole(path, lambda part: part.write_bytes(data))

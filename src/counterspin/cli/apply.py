@@ -21,7 +21,7 @@ def _check_count(_: object, value: int | None) -> None:
 @group
 @frozen
 class ForceOptions:
-    """What the file's numbers are, and what is known of the other axes.
+    """The numbers of the file, and the prior information on the other axes.
 
     Parameters
     ----------

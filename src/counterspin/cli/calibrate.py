@@ -57,7 +57,7 @@ class Estimation:
 @group
 @frozen
 class PrintOptions:
-    """What is printed in addition to the coefficients.
+    """The additional output besides the coefficients.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class BatchWorkers:
 @group
 @frozen
 class KeepingOptions:
-    """What is recorded about a result: why a misfit is accepted, and the instrument's ledger.
+    """The record of a result: the reason to accept a misfit, and the instrument's ledger.
 
     Parameters
     ----------

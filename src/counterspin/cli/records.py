@@ -150,7 +150,7 @@ def _lines(states: Iterator[WatchState], *, once: bool) -> None:
 @group
 @frozen
 class ColumnOptions:
-    """What the columns of the record are, if neither file nor campaign states it.
+    """The columns of the record, if neither file nor campaign states them.
 
     Parameters
     ----------

@@ -1,18 +1,17 @@
-"""Where drawn pictures go: SVG of a page, files, and plots that can be zoomed.
+"""Pictures as SVG of a page, as files, and as plots that can be zoomed.
 
 The same picture gives the same text and the same file, byte for byte.
 
-`svg` draws no title, for whoever shows the picture sets it in words; it is the SVG's ``<title>``,
-which is read to those who do not see it. For the theme "page" every colour is a CSS custom
-property, which falls back to its colour on paper: ``--ink`` (words and axes; falls back to
-``currentColor``), ``--muted`` (levels, ticks), ``--grid``, ``--ground`` (what is behind: the inside
-of markers), ``--series-1`` to ``--series-6``, ``--warning`` (what stands out), ``--negative`` and
-``--positive`` (ends of the heat map, laid over the ground with an opacity of at most 0.6, so that
-words in ink are read on both). Words take the font of the page. All is drawn 504 units wide with
-words 9 units high, and scales to the width that it gets; at 700 pixels and more the words are as
-large as the page's.
+`svg` draws no title, because the page sets it in words; the title is the SVG's ``<title>``, which
+screen readers read. For the theme "page" every colour is a CSS custom property, which falls back to
+its colour on paper: ``--ink`` (words and axes; falls back to ``currentColor``), ``--muted``
+(levels, ticks), ``--grid``, ``--ground`` (the background: the inside of markers), ``--series-1`` to
+``--series-6``, ``--warning`` (outliers), ``--negative`` and ``--positive`` (ends of the heat map,
+laid over the ground with an opacity of at most 0.6, so that words in ink are legible on both).
+Words take the font of the page. All is drawn 504 units wide with words 9 units high, and scales to
+the available width; at 700 pixels and more the words are as large as the page's.
 
-The arrays travel as whole numbers, rounded to what a screen shows even after much zooming.
+The arrays travel as whole numbers, rounded to the resolution of a screen even after much zooming.
 """
 
 from __future__ import annotations

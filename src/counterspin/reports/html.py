@@ -1,8 +1,7 @@
 """The report as one HTML file, from which no request leaves: for screen, phone and paper.
 
-Words, tables and still pictures need no script. Where one runs, plots that are worth a closer
-look become zoomable (uPlot, inlined); their data travel beside them, rounded to what a screen
-shows.
+Words, tables and still pictures need no script. With scripts, plots worth zooming become zoomable
+(uPlot, inlined); the file includes their data, rounded to the resolution of a screen.
 """
 
 from __future__ import annotations
@@ -121,7 +120,7 @@ def _css_text(text: str) -> str:
 
 
 class _Page:
-    """The items of one page: blocks with what the template needs beside them."""
+    """The items of one page: blocks with the template's data."""
 
     def __init__(self, *, drawn: bool = True) -> None:
         self.names: set[str] = set()
