@@ -178,8 +178,10 @@ def apply(
     reference = result.inputs.reference_temperature
     if reference is not None and options.temperature is not None:
         given |= {"temperature"}
-    whole, lost = with_unstated(result, given)
-    instruments = [instrument_of(whole, name, placed=bool(options.others)) for name in indications]
+    completed, lost = with_unstated(result, given)
+    instruments = [
+        instrument_of(completed, name, placed=bool(options.others)) for name in indications
+    ]
     judged = judge_result(result)
     if (refused := refusal(judged, indications)) is not None:
         raise RecordError(refused)
@@ -203,7 +205,7 @@ def apply(
         np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
         for name, values in indications.items()
     ]
-    between = covariances_between(whole, instruments)
+    between = covariances_between(completed, instruments)
     forces = correct(instruments, np.stack(columns, axis=1), known, between, warmth)
     applied = [result.accelerometers[name] for name in indications]
     done = Correction(
@@ -212,11 +214,19 @@ def apply(
         indicated=columns[0] / factor,
         unit=unit,
         dof=min(
-            (c.dof for own in applied for c in terms_of(own).values() if c.dof is not None),
+            (
+                c.dof
+                for calibrated in applied
+                for c in terms_of(calibrated).values()
+                if c.dof is not None
+            ),
             default=math.inf,
         ),
         notes=(
-            *(_note(name, own) for name, own in zip(indications, applied, strict=True)),
+            *(
+                _note(name, calibrated)
+                for name, calibrated in zip(indications, applied, strict=True)
+            ),
             *notes_of_warmth(result, instruments, options.temperature),
         ),
         warnings=(
@@ -224,18 +234,18 @@ def apply(
             *warnings_of_warmth(result, warmth, options.temperature),
             *(
                 warning
-                for name, own, column in zip(indications, applied, columns, strict=True)
+                for name, calibrated, column in zip(indications, applied, columns, strict=True)
                 for warning in (
-                    *_left_out(name, own),
+                    *_left_out(name, calibrated),
                     *_not_carried(name, lost.get(name, ())),
-                    *_not_applied(name, own),
-                    *_contradictory(name, own),
+                    *_not_applied(name, calibrated),
+                    *_contradictory(name, calibrated),
                     *_stretched(result, name, column),
                 )
             ),
         ),
     )
-    beside = {
+    corrections = {
         name: replace(
             done,
             corrected=forces.force[:, k] / factor,
@@ -244,7 +254,7 @@ def apply(
         )
         for k, name in enumerate(options.others, 1)
     }
-    return replace(done, others=beside)
+    return replace(done, others=corrections)
 
 
 def _require_determined(result: Result, names: Iterable[str]) -> None:

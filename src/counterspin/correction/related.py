@@ -52,13 +52,14 @@ def warmth_of(
 def _needing(instruments: Sequence[CalibratedAccelerometer]) -> Iterator[str]:
     for instrument in instruments:
         u = np.sqrt(np.diag(instrument.covariance))
-        own = [
+        symbols = [
             symbol
             for symbol, known in zip(instrument.coefficients, u, strict=True)
             if symbol in instrument.slopes and (instrument.coefficients[symbol] or known)
         ]
-        if own:
-            yield f"{', '.join(own)} of {instrument.name} change{'s' if len(own) == 1 else ''}"
+        if symbols:
+            verb = "changes" if len(symbols) == 1 else "change"
+            yield f"{', '.join(symbols)} of {instrument.name} {verb}"
 
 
 def _stated(temperature: Temperature) -> tuple[npt.NDArray[np.float64] | float | None, float]:
@@ -95,11 +96,11 @@ def warnings_of_warmth(result: Result, warmth: Warmth, temperature: Temperature)
     reference, seen = result.inputs.reference_temperature, result.inputs.temperatures
     if temperature is None or reference is None or not seen:
         return
-    there = np.asarray(warmth.value) + reference
-    there = there[np.isfinite(there)]
-    if not there.size:
+    temperatures = np.asarray(warmth.value) + reference
+    temperatures = temperatures[np.isfinite(temperatures)]
+    if not temperatures.size:
         return
-    low, high = float(there.min()), float(there.max())
+    low, high = float(temperatures.min()), float(temperatures.max())
     if low < seen[0] - _BEYOND or high > seen[1] + _BEYOND:
         yield (
             f"The temperature is {_span(low, high)}, and that of the calibration was "
@@ -124,40 +125,40 @@ def covariances_between(
     if result.covariance is None:
         return {}
     places = {name: place for place, name in enumerate(result.covariance.terms)}
-    found = {}
-    for (k, one), (m, other) in combinations(enumerate(instruments), 2):
-        covariance = np.zeros((len(one.coefficients), len(other.coefficients)))
-        for i, j, at in _pairs(one, other, places):
+    covariances = {}
+    for (k, first), (m, second) in combinations(enumerate(instruments), 2):
+        covariance = np.zeros((len(first.coefficients), len(second.coefficients)))
+        for i, j, at in _pairs(first, second, places):
             covariance[i, j] = result.covariance.values[at]
-        _add_known(result, one, other, places, covariance)
-        _add_known(result, other, one, places, covariance.T)
-        found[k, m] = covariance
-    return found
+        _add_known(result, first, second, places, covariance)
+        _add_known(result, second, first, places, covariance.T)
+        covariances[k, m] = covariance
+    return covariances
 
 
 def _pairs(
-    one: CalibratedAccelerometer, other: CalibratedAccelerometer, places: Mapping[str, int]
+    first: CalibratedAccelerometer, second: CalibratedAccelerometer, places: Mapping[str, int]
 ) -> Iterator[tuple[int, int, tuple[int, int]]]:
     """Yield the places of two estimates among their instruments' coefficients, and among all."""
-    for i, symbol in enumerate(one.coefficients):
-        for j, another in enumerate(other.coefficients):
-            names = f"{one.name}.{symbol}", f"{other.name}.{another}"
+    for i, symbol in enumerate(first.coefficients):
+        for j, symbol_of_second in enumerate(second.coefficients):
+            names = f"{first.name}.{symbol}", f"{second.name}.{symbol_of_second}"
             if names[0] in places and names[1] in places:
                 yield i, j, (places[names[0]], places[names[1]])
 
 
 def _add_known(
     result: Result,
-    one: CalibratedAccelerometer,
-    other: CalibratedAccelerometer,
+    first: CalibratedAccelerometer,
+    second: CalibratedAccelerometer,
     places: Mapping[str, int],
     covariance: Array,
 ) -> None:
-    """Fill in, in place, how estimates of the first follow what is known of the second."""
-    for i, symbol in enumerate(one.coefficients):
-        for line in result.accelerometers[one.name].budget.get(symbol, []):
+    """Fill in the covariances of estimates of the first with prior values of the second."""
+    for i, symbol in enumerate(first.coefficients):
+        for line in result.accelerometers[first.name].budget.get(symbol, []):
             owner, _, source = line.source.partition(".")
-            known = owner == other.name and line.source not in places
-            if known and source in other.coefficients and line.sensitivity is not None:
-                j = list(other.coefficients).index(source)
-                covariance[i, j] = line.sensitivity * other.covariance[j, j]
+            known = owner == second.name and line.source not in places
+            if known and source in second.coefficients and line.sensitivity is not None:
+                j = list(second.coefficients).index(source)
+                covariance[i, j] = line.sensitivity * second.covariance[j, j]
