@@ -1,9 +1,10 @@
-"""Time stamps as numbers."""
+"""Time stamps as numbers, and errors of libraries."""
 
 import polars as pl
 import pytest
 
-from counterspin.records.column_file import nanoseconds
+from counterspin.errors import DamagedFileError
+from counterspin.records.column_file import nanoseconds, record_errors
 from counterspin.records.csv_file import CsvFile
 
 
@@ -48,3 +49,22 @@ def test_times_of_day_go_on_after_midnight(tmp_path):
         file.first_stamp = None
         dated = file.seconds(file.table().select(nanoseconds("v"))["v"])
         assert dated[2] == -86399.0
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("do you need to open the file in universal-newline mode?"),
+        BaseException("called `Result::unwrap()` on an `Err` value: decimal256"),
+        OSError("Unable to synchronously open object (bad symbol table)"),
+    ],
+)
+def test_words_of_a_library_are_not_repeated(tmp_path, error):
+    path = tmp_path / "run.csv"
+    with pytest.raises(DamagedFileError) as caught, record_errors(path, lambda: " after row 7"):
+        raise error
+    assert str(caught.value) == (
+        f"{path}: the file is damaged after row 7, or it contains something that counterspin does "
+        "not read. Export it again, or export it as CSV."
+    )
+    assert caught.value.__cause__ is error

@@ -201,3 +201,24 @@ def test_open_line_ends_are_counted_across_chunks(seed):
             elif byte == ord("\n") and count:
                 count += 1
         assert before == count
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
+def test_lines_that_end_in_a_carriage_return_alone(tmp_path, encoding):
+    """As programs of older Macintosh computers write them."""
+    columns = table()
+    text = lines({"Temperatur °C": np.zeros(1000), **columns})
+    path = tmp_path / "run.csv"
+    path.write_bytes(("\r".join(text) + "\r").encode(encoding))
+    np.testing.assert_array_equal(read(path).signals["Qx"], columns[SIGNAL])
+    assert read_table(path).frame.height == 1000
+    text[500] += "x"
+    path.write_bytes("\r".join(text).encode(encoding))
+    assert f"line 501: column '{SIGNAL}' holds the text" in refusal(path)
+
+
+def test_a_carriage_return_within_a_line_is_refused_in_our_words(tmp_path):
+    text = lines(table())
+    text[500] = text[500].replace(",", ",1\r", 1) + ",1"
+    message = refusal(write(tmp_path / "run.csv", text))
+    assert "line 501: the line has 4 cells" in message

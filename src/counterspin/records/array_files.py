@@ -234,7 +234,10 @@ class MatlabFile(ArrayFile):
         try:
             variables = whosmat(stream)
         except (ValueError, TypeError, NotImplementedError) as error:
-            raise RecordError(f"{path}: this is not a MATLAB file: {error}.") from None
+            raise RecordError(
+                f"{path}: this is not a MATLAB file of version 4 to 7, or it is damaged. Save it "
+                "again."
+            ) from error
         self._variables = {name: (tuple(shape), kind) for name, shape, kind in variables}
         self._loaded: dict[str, np.ndarray] = {}
         for name, (_, kind) in list(self._variables.items()):

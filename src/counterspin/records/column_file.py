@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 import numpy as np
 
 from counterspin.arrays import aligned
-from counterspin.errors import REASON_LENGTH, CounterspinError, DamagedFileError, RecordError
+from counterspin.errors import CounterspinError, DamagedFileError, RecordError
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
 
@@ -127,6 +127,8 @@ _NOT_A_NUMBER = 9.91001e37
 def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     """Turn whatever a reader raises into a `RecordError` that names the file.
 
+    The words of libraries are left out: they name calls and options that a user does not have.
+
     where: Says how far reading has come, such as ``" after row 12"``; nothing as long as is
         unknown.
     """
@@ -140,7 +142,7 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
         raise RecordError(f"{path}: file not found.") from None
     except OSError as error:
         if error.errno is None:  # a library's
-            raise DamagedFileError(_damage_words(path, where(), error)) from error
+            raise DamagedFileError(_damage_words(path, where())) from error
         raise RecordError(f"{path}: the file cannot be read{where()}: {error.strerror}.") from None
     except MemoryError:
         raise DamagedFileError(
@@ -148,13 +150,14 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
         ) from None
     # Polars turns a panic into an exception that is no `Exception`.
     except BaseException as error:
-        raise DamagedFileError(_damage_words(path, where(), error)) from error
+        raise DamagedFileError(_damage_words(path, where())) from error
 
 
-def _damage_words(path: Path, where: str, error: BaseException) -> str:
-    text = next(iter(str(error).splitlines()), "") or type(error).__name__
-    text = text.rstrip(".") if len(text) <= REASON_LENGTH else text[:REASON_LENGTH] + "..."
-    return f"{path}: the file is damaged{where}: {text}."
+def _damage_words(path: Path, where: str) -> str:
+    return (
+        f"{path}: the file is damaged{where}, or it contains something that counterspin does not "
+        "read. Export it again, or export it as CSV."
+    )
 
 
 class NoRowsError(RecordError):

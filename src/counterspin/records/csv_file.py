@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
@@ -174,11 +173,11 @@ class CsvFile(ColumnFile):
         return described_lines(self._head)
 
     def _transcode(self, dialect: Dialect) -> None:
-        """Take the content as UTF-8 where it is written in an encoding of wide characters."""
+        """Take the content as UTF-8 in an encoding of wide characters, with CR as ends of lines."""
         self._stream.seek(0)
-        begin = self._stream.read(_SHOWN_BYTES)
+        begin = self._stream.read(_LINE_BYTES)
         if dialect.encoding is None:
-            self._encoding = wide_encoding(begin) or self._encoding
+            self._encoding = wide_encoding(begin[:_SHOWN_BYTES]) or self._encoding
         try:
             wide = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
         except LookupError:
@@ -188,6 +187,11 @@ class CsvFile(ColumnFile):
                 self._content = self.content().decode(self._encoding).encode()
             except UnicodeError:
                 raise RecordError(f"{self.path}: this is not text in {self._encoding}.") from None
+        if self._content is not None:
+            begin = self._content[:_LINE_BYTES]
+        if b"\r" in begin and b"\n" not in begin:
+            content = self.content() if self._content is None else self._content
+            self._content = content.replace(b"\r", b"\n")
 
     def _decoded(self, raw: bytes) -> str:
         """Return a line of the head as text."""
@@ -384,7 +388,7 @@ class CsvFile(ColumnFile):
                     f"{_CELL_LINE_ENDS} lines."
                 )
             elif not opened and line.count(self.delimiter) >= len(self.names):
-                width = len(next(csv.reader([line], delimiter=self.delimiter)))
+                width = len(split(line, self.delimiter))
                 if width > len(self.names):
                     hint = ""
                     if self.delimiter == "," and width == 2 * len(self.names):

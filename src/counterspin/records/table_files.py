@@ -260,10 +260,9 @@ def _require_size(path: Path, content: bytes) -> None:
             size = sum(part.file_size for part in parts.infolist())
     except zipfile.BadZipFile as error:
         raise DamagedFileError(
-            f"{path}: this is not a workbook, or it is damaged ({error}). If it has an older "
-            f"format "
-            "or a password, save it as .xlsx without a password, or as CSV."
-        ) from None
+            f"{path}: this is not a workbook, or it is damaged. If it has an older format or a "
+            "password, save it as .xlsx without a password, or as CSV."
+        ) from error
     most = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
     if size > most:
         raise DamagedFileError(
