@@ -40,8 +40,9 @@ def powers(expression):
     """Coefficients of tau^k exp(i n tau), as {(k, n): coefficient}."""
     z = sp.symbols("z")
     wave = {c(tau): (z + 1 / z) / 2, s(tau): (z - 1 / z) / (2 * sp.I)}
-    polynomial = sp.Poly(sp.expand(expression.subs(wave) * z**4), tau, z)
-    return {(k, n - 4): value for (k, n), value in polynomial.terms() if value != 0}
+    expression = sp.expand_trig(expression)
+    polynomial = sp.Poly(sp.expand(expression.subs(wave) * z**5), tau, z)
+    return {(k, n - 5): value for (k, n), value in polynomial.terms() if value != 0}
 
 
 @functools.cache

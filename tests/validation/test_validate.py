@@ -156,7 +156,7 @@ def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
 def test_a_term_without_integrals_fails_its_own_cases_and_says_so(monkeypatch):
     """What is not expected of one function is no matter of the others."""
     fourth = TERMS["K_4"]
-    new = replace(fourth, symbol="K_NEW", effect=replace(fourth.effect, factors=5 * ("I",)))
+    new = replace(fourth, symbol="K_NEW", effect=replace(fourth.effect, factors=6 * ("I",)))
     monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new})
     cases.cache_clear()
     asked = [one for one in cases() if one.kernel.endswith(":columns")][:1]

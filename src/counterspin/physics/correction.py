@@ -147,7 +147,7 @@ def _positive_zeros(poly: Array) -> Array:
     so that a bisection finds the one zero of each stretch at whose ends the signs differ.
     """
     if poly.shape[0] == 2:
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             zero = -poly[:1] / poly[1:]
         return np.where((zero > 0.0) & (zero <= _MAX_FORCE), zero, np.inf)
     stretches = np.empty((poly.shape[0] + 1, poly.shape[1]))
@@ -175,7 +175,8 @@ def _first_zero_of_parabola(poly: Array) -> Array:
     divisor = -b + np.sqrt(np.maximum(square, 0.0))
     crosses = (square >= 0.0) & (divisor > 0.0)
     zero = np.full(a.shape, np.inf)
-    zero[crosses] = 2.0 * a[crosses] / divisor[crosses]
+    with np.errstate(over="ignore"):
+        zero[crosses] = 2.0 * a[crosses] / divisor[crosses]
     return zero
 
 
