@@ -136,6 +136,30 @@ def campaign(place: Path) -> Format:
     return Format(".toml", _toml_maker(_whole(texts, read_campaign, place)), read_campaign)
 
 
+#: Runs of a long campaign.
+_MANY_RUNS = 10_000
+
+
+def long_campaign(place: Path) -> Format:
+    """Return the description of a campaign of many runs, with a few of them changed."""
+    described, mark, after = SMALL.partition("[simulation]")
+    head, *runs = described.split("[[runs]]\n")
+
+    def make(rng: Random) -> bytes:
+        parts = [rng.choice(runs) for _ in range(_MANY_RUNS)]
+        if rng.random() < 0.5:  # names of their own
+            parts = [
+                re.sub(r'(?m)^name = "[^"]*"', f'name = "run {number}"', part)
+                for number, part in enumerate(parts)
+            ]
+        changed = rng.randrange(_MANY_RUNS)
+        parts[changed] = mutate_text(rng, parts[changed])
+        text = "[[runs]]\n".join([head, *parts]) + mark + after
+        return text.encode("utf-8", "replace")
+
+    return Format(".toml", make, read_campaign)
+
+
 def calibration(place: Path) -> Format:
     """Return a description beside its records, calibrated."""
     source = place / "source"
@@ -417,7 +441,12 @@ def readings_campaign(place: Path, suffix: str) -> Callable[[Path], object]:
     head = _READING_CAMPAIGN.partition("[[runs]]")[0]
     text = f'{head}[readings]\nfile = "case{suffix}"\ncolumns = {{ {columns} }}\n'
     (place / "campaign.toml").write_text(text, encoding="utf-8")
-    return lambda path: read_campaign(place)
+
+    def use(_: Path) -> None:
+        read_campaign(place)
+        command("calibrate", place)
+
+    return use
 
 
 def readings_csv(place: Path) -> Format:
@@ -552,6 +581,7 @@ class Entry:
 
 FORMATS: dict[str, Entry] = {
     "campaign": Entry(campaign, 3.0),
+    "campaign-long": Entry(long_campaign, 0.02),
     "calibration": Entry(calibration, 0.03),
     "plan": Entry(plan),
     "reading-plan": Entry(reading_plan),

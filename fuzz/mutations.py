@@ -317,7 +317,9 @@ def _keys(node: Any) -> Any:
 
 
 def _other_key(rng: Random, key: str) -> str:
-    return rng.choice((key + "s", key.upper(), key[:-1], "", "a.b", key * 2, "\x1b[1m", "x" * 300))
+    return rng.choice(
+        (key + "s", key.upper(), key[:-1], "", "a.b", key * 2, "\x1b[1m", "x" * 300, "x" * 100_000)
+    )
 
 
 def _other_value(rng: Random, value: Any) -> Any:

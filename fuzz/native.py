@@ -46,7 +46,7 @@ def _columns(rng: Random) -> dict[str, Any]:
     if rng.random() < 0.1:
         columns.pop(rng.choice(list(columns)))
     if rng.random() < 0.1:
-        columns[rng.choice(("x" * 300, "ü", "a b", "time_s2"))] = np.arange(_ROWS)
+        columns[rng.choice(("x" * 300, "x" * 60_000, "ü", "a b", "time_s2"))] = np.arange(_ROWS)
     return columns
 
 
@@ -97,7 +97,35 @@ def parquet(rng: Random) -> bytes:
             frame[name] = pl.Series(name, values)
         except Exception:  # what polars has no type for
             frame[name] = pl.Series(name, [1.0, None, 2.0])
-    return _parquet(rng, pl.DataFrame(_levelled(frame)))
+    return _parquet(rng, _with_other_type(rng, pl.DataFrame(_levelled(frame))))
+
+
+#: Columns of numbers in other types of Parquet.
+_PARQUET_TYPES: list[Callable[[pl.Series], pl.Series]] = [
+    lambda s: s.cast(pl.Decimal(38, 10)),
+    lambda s: s.cast(pl.Decimal(5, 2)),
+    lambda s: s.cast(pl.Int128),
+    lambda s: s.cast(pl.Boolean),
+    lambda s: s.cast(pl.String),
+    lambda s: s.cast(pl.String).cast(pl.Categorical),
+    lambda s: s.cast(pl.String).cast(pl.Binary),
+    lambda s: s.cast(pl.Int64).cast(pl.Datetime("ns", "Europe/Berlin")),
+    lambda s: s.cast(pl.Int64).cast(pl.Duration("us")),
+    lambda s: s.abs().cast(pl.Int64).cast(pl.Time),
+    lambda s: pl.Series([[value] for value in s]),
+    lambda s: pl.Series([[value, value] for value in s], dtype=pl.Array(pl.Float64, 2)),
+    lambda s: pl.Series([{"a": value} for value in s]),
+    lambda s: pl.Series([{"a": [{"b": [value]}]} for value in s]),
+    lambda s: pl.Series([None] * len(s)),
+]
+
+
+def _with_other_type(rng: Random, frame: pl.DataFrame) -> pl.DataFrame:
+    """Return a table, one time in three with a column of another type."""
+    if rng.random() < 0.67 or not frame.width:
+        return frame
+    name = rng.choice(frame.columns)
+    return frame.with_columns(rng.choice(_PARQUET_TYPES)(frame[name]).alias(name))
 
 
 def readings(rng: Random, rows: list[list[str]]) -> bytes:
@@ -126,7 +154,7 @@ def readings(rng: Random, rows: list[list[str]]) -> bytes:
         if frame[name].dtype == pl.Float64 and rng.random() < 0.1:
             kinds = (pl.Float32, pl.Int8, pl.Datetime, pl.Duration, pl.Boolean, pl.Date, pl.Binary)
             frame[name] = frame[name].cast(rng.choice(kinds), strict=False)
-    return _parquet(rng, pl.DataFrame(frame))
+    return _parquet(rng, _with_other_type(rng, pl.DataFrame(frame)))
 
 
 def _levelled(frame: dict[str, pl.Series]) -> dict[str, pl.Series]:
@@ -179,11 +207,29 @@ def _hdf5(rng: Random, head: str) -> bytes:
     return damaged(rng, bytes(content), (len(head), len(head) + 2500))
 
 
+#: Columns of numbers in other types of HDF5.
+_HDF5_TYPES: list[Callable[[np.ndarray], np.ndarray]] = [
+    lambda v: v.astype(">f4"),
+    lambda v: v.astype("g"),
+    lambda v: v.astype(">u8"),
+    lambda v: v > 0,
+    lambda v: (v > 0).astype(h5py.enum_dtype({"off": 0, "on": 1})),
+    lambda v: v.astype([("a", "f8"), ("b", ">i2")]),
+    lambda v: v.astype([("a", [("b", "f8")])]),
+    lambda v: v.astype(str).astype(h5py.string_dtype()),
+    lambda v: v.astype("S20").astype(h5py.string_dtype("utf-8", 20)),
+    lambda v: v.astype("V8"),
+    lambda v: v.astype("M8[s]").astype(h5py.opaque_dtype("M8[s]")),
+]
+
+
 def _dataset(rng: Random, group: Any, name: str, values: np.ndarray) -> None:
     if values.dtype.kind == "U":
         values = values.astype("S")
     if values.dtype.kind == "M":
         values = values.astype("i8")
+    if values.dtype.kind == "f" and values.ndim == 1 and rng.random() < 0.1:
+        values = rng.choice(_HDF5_TYPES)(values)
     options: dict[str, Any] = {}
     if values.ndim and values.size and rng.random() < 0.4:
         options = rng.choice(
@@ -250,6 +296,8 @@ def tdms(rng: Random) -> bytes:
                 writer.write_segment(channels)
     content = file.getvalue()
     place = rng.choice((0, content.rfind(b"TDSm")))
+    if rng.random() < 0.2:  # as a recorder leaves it that stops in the middle of a segment
+        return content[: rng.randrange(place, len(content))]
     return damaged(rng, content, (place, place + 600))
 
 
@@ -319,14 +367,24 @@ def _repacked(rng: Random, file: io.BytesIO) -> bytes:
         if rng.random() < 0.05:
             new.writestr("xl/sharedStrings.xml", mutate_text(rng, _STRINGS))
     content = made.getvalue()
-    if rng.random() < 0.01:
-        content = _bomb(rng.choice((b" ", b"<row><c><v>1</v></c></row>", b"<a>")))
+    if rng.random() < 0.02:
+        content = _bomb(rng.choice(_FILLINGS))
     return damaged(rng, content, None) if rng.random() < 0.3 else content
 
 
 _STRINGS = (
     '<sst xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" count="4294967295" '
     'uniqueCount="4294967295"><si><t>a</t></si></sst>'
+)
+
+
+#: What fills the sheet of a bomb: blanks, rows, rows of texts and of formulas, a deep tree.
+_FILLINGS = (
+    b" ",
+    b"<row><c><v>1</v></c></row>",
+    b'<row><c t="inlineStr"><is><t>a</t></is></c></row>',
+    b"<row><c><f>A1+1</f></c></row>",
+    b"<a>",
 )
 
 

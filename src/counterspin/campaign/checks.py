@@ -79,12 +79,18 @@ def _names_and_files_once(document: Mapping[str, Any], listed: Listed) -> Mistak
     """Yield names of runs that are used twice, and files; of a file each part is one."""
     names: dict[str, int] = {}
     files: dict[str, int] = {}
+    runs_by_record: dict[str, list[Mapping[str, Any]]] = {}
+    for _, entry in listed:
+        if isinstance(entry, dict) and isinstance(entry.get("record"), str):
+            runs_by_record.setdefault(entry["record"], []).append(entry)
+    records = table_of(document, "records")
     for index, entry in listed:
         if not isinstance(entry, dict):
             continue
         yield from _once(entry.get("name"), names, ("runs", index, "name"))
         for key, file in _files(entry):
-            if not _is_elsewhere(entry, file, listed, table_of(document, "records")):
+            sharing = runs_by_record.get(file, []) if isinstance(file, str) else []
+            if not _is_elsewhere(entry, sharing, records):
                 yield from _once(file, files, ("runs", index, key))
 
 
@@ -103,22 +109,21 @@ def _files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _is_elsewhere(
-    entry: Mapping[str, Any], file: Any, listed: Listed, records: Mapping[str, Any]
+    entry: Mapping[str, Any], sharing: Sequence[Mapping[str, Any]], records: Mapping[str, Any]
 ) -> bool:
-    """Return whether a run uses another part of a file than all other runs that name the file."""
-    sharing = [
-        other
-        for _, other in listed
-        if other is not entry and isinstance(other, dict) and other.get("record") == file
-    ]
+    """Return whether a run uses another part of a file than all other runs that name the file.
+
+    sharing: The runs whose record is the file.
+    """
     here = _table_in_file(entry, records)
-    same = [one for one in sharing if not _are_two_tables(here, _table_in_file(one, records))]
-    if not same:
-        return bool(sharing)
+    others = [run for run in sharing if run is not entry]
+    same = (run for run in others if not _are_two_tables(here, _table_in_file(run, records)))
     if "start" not in entry and "stop" not in entry:
-        return False
+        return bool(others) and next(same, None) is None
     begin, end = _stated_part(entry)
-    return all(end <= start or stop <= begin for start, stop in map(_stated_part, same))
+    return bool(others) and all(
+        end <= start or stop <= begin for start, stop in map(_stated_part, same)
+    )
 
 
 def _table_in_file(entry: Mapping[str, Any], records: Mapping[str, Any]) -> list[Any]:
