@@ -61,7 +61,10 @@ def undetermined_parameters(
         failing = solution.u[places] >= limits
         default = np.array([unknown.default for unknown in left])
         if not failing.any():
-            failing = _curvature(fit, solution, places) > _STEP**2
+            bent = _curvature(fit, solution, places)
+            # A bend that moves a parameter by little of its default prior leaves it determined.
+            matters = solution.u[places] * np.sqrt(bent) / _STEP > _PART * default
+            failing = (bent > _STEP**2) & matters
         if not failing.any() and undetermined:
             failing = _parts_of_priors(solution, current, places) > _PART * default
         if not failing.any():
