@@ -52,7 +52,7 @@ def test_a_term_that_readings_hardly_feel_settles(seed):
     rng = np.random.default_rng(seed)
     groups = [readings(test, simulated(test, rng, 2e-8), 2e-8) for test in tests]
     fit = solve_readings(groups, model(others=tilt))
-    assert np.all(fit.solution.u[-2:] <= 5e-5)
+    assert np.all(fit.solution.u[-2:] <= 5e-5 * (1.0 + 1e-12))
     assert np.all(np.abs(fit.solution.estimate[-2:]) < 2e-4)
 
 

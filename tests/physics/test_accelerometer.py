@@ -105,7 +105,10 @@ def test_a_perfect_accelerometer_indicates_the_force_along_its_input_axis():
 
 
 def test_equation_7_by_hand():
-    coefficients = {symbol: 0.01 * (k + 1) for k, symbol in enumerate(EQUATION_7)}
+    symbols = ("K_F", "K_I", "K_II", "K_III", "K_4", "K_IP", "K_IO", "K_PO", "K_PP", "K_OO", "K_OQ")
+    symbols += ("delta_O", "delta_P", "K_5", "K_0_asym", "K_I_asym", "K_spin", "K_ang")
+    assert set(symbols) == set(EQUATION_7)
+    coefficients = {symbol: 0.01 * (k + 1) for k, symbol in enumerate(symbols)}
     coefficients["K_I"] = 1.001
     i, p, o = 0.31, -1.04, -0.72
     expected = (
@@ -122,12 +125,15 @@ def test_equation_7_by_hand():
         + 0.11 * i * abs(i)
         + 0.12 * p
         - 0.13 * o
+        + 0.14 * i**5
+        + 0.15 / 2
+        + 0.16 * i / 2
     )
     got = indicated(QX, coefficients, np.stack([FORCE, -FORCE]))
-    assert got[0] == pytest.approx(expected, rel=1e-15)
+    assert got[0] == pytest.approx(expected, rel=1e-14)
     # Reversing the force reverses the odd products and keeps the even ones.
     even = 0.01 + 0.03 * i**2 + 0.05 * i**4 + 0.06 * i * p + 0.07 * i * o + 0.08 * p * o
-    even += 0.09 * p**2 + 0.10 * o**2
+    even += 0.09 * p**2 + 0.10 * o**2 + 0.16 * i / 2
     assert got[0] + got[1] == pytest.approx(2 * even, rel=1e-14)
 
 
