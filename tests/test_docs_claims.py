@@ -457,11 +457,17 @@ def test_the_truth_of_the_quickstart_is_the_starter_s():
 
 def test_integrals_are_as_good_as_is_told():
     (number,) = told("README", "40-digit integrals to {},")
-    assert told("trust", "they agree to {}") == [number]
-    found = [check(one) for one in cases() if one.name.startswith("integrals")]
-    assert len(found) == 8
-    for one in found:
-        assert abs(one.found - one.expected) <= value_of(number) * abs(one.expected) + 1e-12
+    assert told("trust", "they agree to {};") == [number]
+    (of_jumps,) = told("trust", "which jumps at each change of sign, agrees to {}")
+    for beginning, count, limit in (
+        ("integrals, ", 8, number),
+        ("integrals of a jump, ", 4, of_jumps),
+    ):
+        checked = [check(case) for case in cases() if case.name.startswith(beginning)]
+        assert len(checked) == count
+        for case in checked:
+            allowed = value_of(limit) * abs(case.expected) + 1e-12
+            assert abs(case.found - case.expected) <= allowed, case.name
 
 
 def test_reference_values_have_as_many_digits_as_is_told():

@@ -120,6 +120,7 @@ class Reading:
     axes: np.ndarray  #: rows I, P, O in the motion's frame
     rate: float = 0.0
     mounting: str = ""
+    u_rate: float = 0.0  #: random standard uncertainty of the rate, relative
     head: tuple = (0.0, 0.0, 0.0)  #: axis of the dividing head
     u_head: float = 0.0
     head_angle: float = 0.0  #: what the head shows, rad
@@ -322,10 +323,13 @@ def reading(place, one, name, x):
         names = ("east", "north", "up")
         lever = 0.0
     else:
-        # A mounting of its own radius has nothing to do with that of the machine.
+        # The radius of a mounting, if known, replaces that of the machine and of the proof mass.
         common = x.get("centrifuge.radius", 0.0)
+        common += x.get(f"centrifuge.radius.{name}.{one.mounting}", 0.0)
         radius = place.radius + x.get(f"centrifuge.radius.{one.mounting}", common)
-        w = one.rate
+        # The clock of the rate counter is common to all readings.
+        fast = x.get("centrifuge.clock", 0.0) + x.get("rate of " + one.name, 0.0)
+        w = one.rate * (1.0 + fast)
         radius = radius * (1.0 + x.get("centrifuge.stretch", 0.0) * radius * w**2)
         # What stands upright on the Earth, in the machine's frame, whose axis leans.
         size = np.hypot(*tilts)

@@ -68,6 +68,11 @@ PATH = {
     **{f"encoder.harmonic.{n}.{q}": ARCSEC for n in (1, 2, 3, 4) for q in ("cos", "sin")},
 }
 LATITUDE, DELAY = {"site.latitude": 5e-6}, {"records.timing_offset": 1e-5}
+RATE_CLOCK = {"centrifuge.clock": 2e-5}
+MOUNTED_RADIUS, RANDOM_RATE = 1e-3, 1e-7
+
+#: The beginning of the name of the random error of the rate of a reading.
+RATE = "rate of "
 
 #: How far a number may be off, as a part of u; derivatives by inputs are taken once, not as here.
 CLOSE = 3e-4
@@ -125,17 +130,25 @@ class Answers:
         self.add(f"correlation of {owner}", matrix, np.full(matrix.shape, 2.0 * CLOSE))
 
     def budget(self, found, name):
-        """What each source adds to u, where it is a hundredth of it or more."""
+        """Add the contribution of each source to u, if it exceeds a hundredth of u.
+
+        The random errors of all rates are a single source.
+        """
         k, u = found.names.index(name), found.line(name)[1]
-        for source, moved in found.priors.items():
-            if abs(moved[k]) > 1e-2 * u:
-                self.add(f"{name} by {source}", [abs(moved[k])], [CLOSE * u])
+        contributions = {}
+        for prior, moved in found.priors.items():
+            source = "centrifuge.rate" if prior.startswith(RATE) else prior
+            contributions[source] = math.hypot(contributions.get(source, 0.0), moved[k])
+        for source, contribution in contributions.items():
+            if contribution > 1e-2 * u:
+                self.add(f"{name} by {source}", [contribution], [CLOSE * u])
 
     def rests_on(self, found):
         """Value and u, with the data, of what nobody asked for and the data tell something of."""
         for unknown in found.unknowns:
             value, u, *_ = found.line(unknown.name)
-            if unknown.kind != "asked" and u < 0.9 * unknown.sd:
+            random = unknown.name.startswith(RATE)
+            if unknown.kind != "asked" and not random and u < 0.9 * unknown.sd:
                 self.add(f"what {unknown.name} is", [value - unknown.mean, u], [CLOSE * u] * 2)
 
     def misfit(self, found, owner, groups):
@@ -228,6 +241,8 @@ def read(place, name, readings, truth, per_g, normals, digits):
     there = []
     for one in readings:
         off = {f"head of {one.name}": one.u_head * normals.one()} if one.u_head else {}
+        if one.u_rate:
+            off[RATE + one.name] = one.u_rate * normals.one()
         value = per_g * reading(place, one, name, {**truth, **off}) + one.u * normals.one()
         there.append(replace(one, value=round(value, digits)))
     return there
@@ -267,17 +282,14 @@ def observables(folder):
         Run("fast", -math.radians(240.0), 0.1 * np.arange(61), 1.1, ripple=(2e-4, 0.7), **later),
         Run("turned", math.pi, 0.125 * np.arange(57), -0.4, turn=turn, begins=18.0, warmth=0.3),
     ]
-    # White noise, in the file's unit the factor that it has, and noise of the time stamps.
+    # White noise, in the file's unit the factor that it has.
     white = {"displacement": 1e-4, "velocity": 1e-4, "force": 2e-5 * 1.25}
-    per, stamps, density = {"displacement": 1e3}, 1e-5, (2e-6 * G) ** 2
+    per, density = {"displacement": 1e3}, (2e-6 * G) ** 2
     normals, groups = Normals(11), []
     for run in runs:
         covariances, columns = [], {"time_s": run.times, "angle_rad": run.angle(run.times)[0]}
         for one, column in zip(instruments, ("east_mm", "north_m_s", "up_mA"), strict=True):
-            # What a time stamp moves goes with the slope; no row counts as free of it.
-            jitter = (stamps * steepness(place, run, one, truth)) ** 2
-            jitter = np.maximum(jitter, 0.02 * jitter.mean())
-            covariance = np.diag(white[one.observable] ** 2 + jitter)
+            covariance = white[one.observable] ** 2 * np.eye(run.times.size)
             if one.observable == "force":
                 # The accelerometer's white noise in the mean over a sample's own time.
                 own = density * (1.25 / G) ** 2 / (run.times[1] - run.times[0])
@@ -340,6 +352,7 @@ def readings(folder):
         "A.K_F.hysteresis": -8e-6,
         **{"head.harmonic.1.sin": -3e-6, "head.harmonic.2.cos": 9e-6},
         **{"centrifuge.radius.in": 1.2e-4, "centrifuge.stretch": 4e-9, "centrifuge.droop": 1.1e-7},
+        **{"centrifuge.radius.A.out": -7e-5, "centrifuge.clock": 1.5e-5},
         "fixture.misalignment.out.forward": 4e-5,
     }
     at_rest, on_arm = [], []
@@ -354,7 +367,8 @@ def readings(folder):
         mounting, ahead = (("in", "inward"), ("out", "outward"))[k % 2]
         axes = Instrument("A", ahead, "up").axes(ON_THE_ARM)
         when = {"warmth": round(0.1 * k - 0.3, 1), "way": -0.5, "begins": 60.0 * (40 + 3 * k)}
-        on_arm.append(Reading(f"arm {k}", "arm", axes, rate, mounting, **when, u=2e-6))
+        arm = (f"arm {k}", "arm", axes, rate, mounting, RANDOM_RATE)
+        on_arm.append(Reading(*arm, **when, u=2e-6))
     normals = Normals(5)
     at_rest = read(place, "A", at_rest, truth, per_g, normals, 7)
     on_arm = read(place, "A", on_arm, truth, per_g, normals, 7)
@@ -375,6 +389,9 @@ def readings(folder):
     unstated |= {"centrifuge.stretch": 4.6e-9, "A.K_F.hysteresis": 2e-5}
     unstated |= {f"head.harmonic.{n}": 1e-5 for n in ("1.cos", "2.cos", "2.sin")}
     unstated |= {f"fixture.misalignment.{m}.{e}": 5e-5 for m, e in sides}
+    # Of the mounting "in" the radius to the proof mass is stated.
+    unstated |= RATE_CLOCK | {"centrifuge.radius.A.out": MOUNTED_RADIUS}
+    unstated |= {RATE + one.name: one.u_rate for one in on_arm}
     asked = ["A.K_F", "A.K_I", "A.K_II", "A.K_III", "A.delta_O"]
     held = {"A.K_F.temperature": (2e-6, 1e-6)}
     groups = [readings_of(place, "A", each, per_g) for each in (at_rest, on_arm)]
@@ -406,12 +423,16 @@ def mixed(folder):
     rotation = {f"turntable.spindle.{s}": v for s, v in rotation.items()}
     turn = (-math.pi / 2.0, "north")
     run = Run("turntable", -2.0 * math.pi / 3.0, 0.15 * np.arange(81), turn=turn)
-    normals, step = Normals(21), 5e-4
+    normals, step, stamps = Normals(21), 5e-4, 5e-5
     values = record(place, run, instrument, truth | rotation) + 0.02 - 1e-3 * run.times
-    values = np.round((values + 2e-4 * normals.many(81)) / step) * step
+    # What a time stamp moves goes with the slope; no row counts as free of it.
+    jitter = (stamps * steepness(place, run, instrument, truth)) ** 2
+    jitter = np.maximum(jitter, 0.02 * jitter.mean())
+    values += np.sqrt(2e-4**2 + jitter) * normals.many(81)
+    values = np.round(values / step) * step
     columns = {"time_ms": 1e3 * run.times, "along_m": values}
     values = written(folder, "turntable", columns, ["%g", "%.4f"])[1]
-    covariance = (2e-4**2 + step**2 / 12.0) * np.eye(81)
+    covariance = np.diag(2e-4**2 + jitter + step**2 / 12.0)
     model, free = model_of(place, run, instrument), start_errors(run, instrument)
     at_rest, on_arm = [], []
     for angle in range(0, 360, 60):

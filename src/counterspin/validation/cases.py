@@ -91,12 +91,14 @@ def motion_of(given: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return mounting -> symbols whose integrals the file states."""
+    """Return mounting -> symbols whose integrals a case compares: `terms`, or all but `without`."""
     motion = motion_of(given)
     shown = motion[given["observable"]]["QX"] if motion.get("platform") else ()
     platform = [symbol for symbol in PLATFORM_TERMS if symbol in shown]
     symbols = [symbol for symbol, row in TERMS.items() if not row.effect.of_rotation]
-    return {name: [*symbols, *platform] for name in motion[given["observable"]]}
+    compared = given.get("terms", [*symbols, *platform])
+    compared = [symbol for symbol in compared if symbol not in given.get("without", ())]
+    return dict.fromkeys(motion[given["observable"]], compared)
 
 
 def forces_asked(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
