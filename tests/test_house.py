@@ -54,6 +54,25 @@ def test_every_module_says_what_it_is_for():
     assert offences(silent, {"a": "x = 1", "b": '"""One word."""'}) == {"a": True, "b": True}
 
 
+RELATIVE_OPENING = re.compile(r'"""(?:Return what|What |Return whether [^.]* is one)')
+VAGUE_NAMES = {"one", "own", "each", "other", "every", "there", "here"}
+
+
+def vague_names(source):
+    """Return the names that a module binds and that say neither type nor role."""
+    nodes = nodes_of(source)
+    stored = [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+    names = [*stored, *(n.arg for n in nodes if isinstance(n, ast.arg))]
+    return [name for name in names if name in VAGUE_NAMES]
+
+
+def test_docstrings_with_relative_clauses_and_vague_names_become_fewer():
+    """The bounds are the counts of today: lower them with every room that is rewritten."""
+    assert sum(len(RELATIVE_OPENING.findall(text)) for text in SOURCES.values()) <= 204
+    assert sum(len(vague_names(text)) for text in SOURCES.values()) <= 696
+    assert vague_names("for one in rows:\n    f = lambda own: own") == ["one", "own"]
+
+
 def test_every_module_is_short_enough_to_read():
     assert {name: n for name, text in SOURCES.items() if (n := text.count("\n")) > 600} == {}
 
