@@ -11,6 +11,13 @@ import counterspin as cs
 SQUARES = {"X": 700e-6, "Y": -400e-6, "Z": 1200e-6}
 ASKED = 'terms = ["K_F", "K_I", "K_II", "delta_O", "delta_P"]\n'
 
+#: Radii of the proof masses; the default priors of 1 mm would leave 100 ug/g^2 to K_II.
+MEASURED = "[model.priors]\n" + "".join(
+    f'"centrifuge.radius.{name}.{name}-{side}" = "1 ± 1e-5 m"\n'
+    for name in triads.NAMES
+    for side in ("inward", "outward")
+)
+
 
 def _truth():
     rows, bias = triads.ROWS, triads.BIAS
@@ -55,7 +62,7 @@ def _calibrated(folder, runs, model, more=""):
 
 
 def test_an_arm_determines_the_second_order_of_a_triad(tmp_path):
-    result = _calibrated(tmp_path / "both", _poses(24) + _arm(), ASKED)
+    result = _calibrated(tmp_path / "both", _poses(24) + _arm(), ASKED + MEASURED)
     alone = _calibrated(tmp_path / "poses", _poses(24), ASKED)
     for name, true in SQUARES.items():
         found = result.coefficient(f"{name}.K_II")
