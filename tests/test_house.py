@@ -138,20 +138,10 @@ def test_every_room_s_docstring_names_its_modules():
     assert {room: len(modules) for room, modules in there.items() if len(modules) > 25} == {}
 
 
-def annotation_imports(source):
-    """Return the imports that a module makes for annotations only, which never run."""
-    blocks = [
-        node
-        for node in nodes_of(source)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-    ]
-    return {child for block in blocks for statement in block.body for child in ast.walk(statement)}
-
-
 def imports_of(name, source, among):
     """Return the modules of `among` that a module imports, wherever in it the import stands."""
     found = set()
-    for node in set(nodes_of(source)) - annotation_imports(source):
+    for node in nodes_of(source):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -174,7 +164,7 @@ def test_no_modules_import_each_other():
 
 
 def test_a_deferred_import_would_be_found():
-    source = "def f():\n    from a import b\n    import a.c\nif TYPE_CHECKING:\n    import a\n"
+    source = "def f():\n    from a import b\n    import a.c\n"
     assert imports_of("d", source, {"a", "a.b", "a.c", "d"}) == {"a.b", "a.c"}
 
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from counterspin.reports.blocks import Block, Picture
-    from counterspin.reports.publication import Publication
     from counterspin.reports.text import Report
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
@@ -298,10 +297,9 @@ class ShownResult(ResultFile):
         """Return what the file of a report calls itself, such as "a history"."""
         return cls.REPORT_KIND or f"a {cls.KIND}"
 
-    def publication(self, identifier: str | None = None) -> Publication:
-        """Return its report, which can be written as HTML, PDF or Markdown."""
-        made: Publication = load_name(f"{_PUBLICATION}:publish")(self, identifier)
-        return made
+    def publication(self, identifier: str | None = None) -> Any:
+        """Return its report, a `counterspin.reports.publication.Publication`."""
+        return load_name(f"{_PUBLICATION}:publish")(self, identifier)
 
     def write_report(
         self,

@@ -353,8 +353,9 @@ class Result(ShownResult):
 
     def publication(self, identifier: str | None = None) -> Publication:
         """Return its report, to be written as HTML, PDF or Markdown."""
+        page: Publication = super().publication(identifier)
         return replace(
-            super().publication(identifier),
+            page,
             title=self.title or "Calibration",
             version=self.provenance.version,
         )

@@ -210,7 +210,8 @@ def report(
     CampaignError
         If there is no such kind.
     """
-    page, made = result.publication(identifier), issued or issue_date()
+    page: Publication = result.publication(identifier)
+    made = issued or issue_date()
     if kind == "pdf":
         return page.pdf(made)
     if kind not in ("html", "md"):
