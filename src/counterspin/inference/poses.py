@@ -133,7 +133,7 @@ class TriadPoses:
     def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
         """Return the second-order change of each row as the unknowns move, shape (n, m).
 
-        A move turns the force that the indications give. As |f| is known, its length then changes
+        A move turns the force that the indications give. Its length, which is known, then changes
         by half the square of the turn.
 
         moves: Of the unknowns from the estimate, shape (p, m).
