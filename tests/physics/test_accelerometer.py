@@ -130,7 +130,7 @@ def test_equation_7_by_hand():
         + 0.16 * i / 2
     )
     got = indicated(QX, coefficients, np.stack([FORCE, -FORCE]))
-    assert got[0] == pytest.approx(expected, rel=1e-14)
+    assert got[0] == pytest.approx(expected, rel=1e-15)
     # Reversing the force reverses the odd products and keeps the even ones.
     even = 0.01 + 0.03 * i**2 + 0.05 * i**4 + 0.06 * i * p + 0.07 * i * o + 0.08 * p * o
     even += 0.09 * p**2 + 0.10 * o**2 + 0.16 * i / 2
