@@ -18,7 +18,6 @@ from typing import Any
 
 from counterspin.cli import main
 from counterspin.reports.drawing import COLOURS
-from counterspin.reports.machine import DRAWINGS, machine_svg
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -49,12 +48,6 @@ def draw_the_demonstration() -> None:
     with tempfile.TemporaryDirectory() as folder:
         run("demo", "-o", folder)
         shutil.copy(Path(folder) / "displacement.svg", IMAGES)
-
-
-def draw_the_machine() -> None:
-    """Write the drawings of the machine."""
-    for name in DRAWINGS:
-        (IMAGES / f"machine-{name}.svg").write_text(machine_svg(name), encoding="utf-8")
 
 
 def draw_the_plan() -> None:
@@ -220,7 +213,6 @@ def photograph_the_application(browser: Any) -> None:
 if __name__ == "__main__":
     os.environ["SOURCE_DATE_EPOCH"] = "1772323200"  # DATE, for the certificate
     IMAGES.mkdir(exist_ok=True)
-    draw_the_machine()
     draw_the_demonstration()
     draw_the_plan()
     calibrate_the_example()

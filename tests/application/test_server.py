@@ -12,6 +12,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,9 @@ import pytest
 
 from counterspin import cli
 from counterspin.application import server
-from counterspin.reports.machine import machine_svg
+
+IMAGES = Path(__file__).parents[2] / "docs" / "images"
+SVG = "{http://www.w3.org/2000/svg}"
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -162,8 +165,20 @@ def test_a_file_of_the_page_that_is_none_is_not_there(page, name):
 
 
 @pytest.mark.parametrize("name", ["accelerometer", "arm", "double-turntable", "tumble"])
-def test_drawings_of_the_machine_have_the_page_s_colours(stranger, name):
+def test_drawings_of_the_machine_have_a_description_and_the_page_s_colours(stranger, name):
     told = stranger.get(f"/assets/machine-{name}.svg")
     assert told.headers["content-type"] == "image/svg+xml"
-    assert told.text == machine_svg(name, "page")
-    assert "var(--ink" in told.text
+    drawing, printed = ET.fromstring(told.text), ET.parse(IMAGES / f"machine-{name}.svg").getroot()
+    assert drawing.get("role") == "img"
+    for attribute, tag in (("aria-labelledby", "title"), ("aria-describedby", "desc")):
+        element = drawing.find(f"{SVG}{tag}")
+        assert element.get("id") == drawing.get(attribute)
+        assert len(element.text) > 10
+    # Apart from the colours and the background, the page shows what the documentation shows.
+    shapes = [(e.tag, e.get("d"), e.get("cx"), e.text) for e in drawing]
+    background = f"M0 0H480V{printed.get('height')}H0Z"
+    assert shapes == [
+        (e.tag, e.get("d"), e.get("cx"), e.text) for e in printed if e.get("d") != background
+    ]
+    colours = re.findall('(?:fill|stroke):([^;"]+)', told.text)
+    assert all(colour == "none" or colour.startswith("var(--") for colour in colours)

@@ -252,10 +252,8 @@ def _response(made: Answer) -> Response:
 def _page_file(name: str) -> Response:
     """Return a file of the page: our own, or the reports'."""
     from counterspin.reports.html import page_script, page_style
-    from counterspin.reports.machine import DRAWINGS, machine_svg
 
     made: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
-    made |= {f"machine-{one}.svg": partial(machine_svg, one, "page") for one in DRAWINGS}
     kind = _KINDS.get(Path(name).suffix)
     if kind is None:
         return JSONResponse({"error": "There is no such page."}, 404)

@@ -19,7 +19,6 @@ The modules of this room:
 - `text`: a result in the terminal, and the progress of work there
 - `charts`: pictures as SVG in a page, in a file, or to be zoomed; `drawing`, `sphere`,
   `chart_layout`: their drawing
-- `machine`, `machine_canvas`: drawings of the machine and its axes; their canvas
 - `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
 - `publication`: reports of results: as files, in a notebook, and on request
 """
