@@ -46,9 +46,9 @@ from counterspin.certificates.signers import read_signer
 from counterspin.cli import main
 from counterspin.correction.apply import apply
 from counterspin.errors import RecordError
-from counterspin.exports.guessing import guess_file
-from counterspin.exports.looking import look
 from counterspin.histories.history import history
+from counterspin.ingest.column_roles import guess_file
+from counterspin.ingest.contents import read_contents
 from counterspin.planning.plan import check as forecast_campaign
 from counterspin.planning.plan import plan as make_plan
 from counterspin.planning.plan_file import read_plan
@@ -129,7 +129,7 @@ def command(*words: str | Path) -> None:
 def campaign(place: Path) -> Format:
     """Return the description of a campaign."""
     shutil.copy(record_files.write(place / "slow.csv", record_files.table()), place / "r.csv")
-    texts = [SMALL, resource_text("exports"), resource_text("reproduction", "paper.toml")]
+    texts = [SMALL, resource_text("ingest"), resource_text("reproduction", "paper.toml")]
     texts += [text for page in ("campaign.md", "readings.md") for text in _tables_of(page)]
     texts += [(ROOT / "docs/examples/three-rate/campaign.toml").read_text(encoding="utf-8")]
     texts += [_READING_CAMPAIGN]
@@ -487,7 +487,7 @@ def record_export(place: Path) -> Format:
         return mutate_bytes(rng, content) if rng.random() < 0.3 else content
 
     def use(path: Path) -> None:
-        guess_file(look(path))
+        guess_file(read_contents(path))
         read_record(path)
 
     return Format(".csv", make, use)

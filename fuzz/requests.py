@@ -36,7 +36,7 @@ from counterspin.application.guard import FILES, SESSION, TICKETS
 from counterspin.application.interface import ENDPOINTS
 from counterspin.calibration.calibrate import calibrate
 from counterspin.certificates.lab import write_example as write_lab
-from counterspin.exports.starter import init
+from counterspin.ingest.starter import init
 from counterspin.studies.study import study
 from fuzz.asking import (
     HOST,

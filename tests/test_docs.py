@@ -119,7 +119,7 @@ def inline(value):
 
 def complete(fragment):
     """Return a campaign in which a fragment's sections stand in the place of the starter's."""
-    starter = files("counterspin.exports") / "starter.toml"
+    starter = files("counterspin.ingest") / "starter.toml"
     document = tomllib.loads(starter.read_text("utf-8"))
     given = tomllib.loads(fragment)
     for key, value in given.items():

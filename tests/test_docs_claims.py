@@ -447,7 +447,7 @@ def test_the_certificate_is_of_the_schema_that_the_readme_names():
 
 
 def test_the_truth_of_the_quickstart_is_the_starter_s():
-    starter = tomllib.loads((files("counterspin.exports") / "starter.toml").read_text("utf-8"))
+    starter = tomllib.loads((files("counterspin.ingest") / "starter.toml").read_text("utf-8"))
     ((truth, micro),) = re.findall(
         r"truth was `(\S+) g/g\^2`, which is (\d+) ug", sentences("quickstart")
     )
@@ -511,7 +511,7 @@ def test_rates_of_the_arm_s_example():
         r"filled in: ([\d, ]+) and (\d+) g, both ways", sentences("arm")
     ).groups()
     sizes = [*sizes[0].split(", "), last]
-    text = (files("counterspin.exports") / "starter_arm.csv").read_text("utf-8")
+    text = (files("counterspin.ingest") / "starter_arm.csv").read_text("utf-8")
     names = [row["name"] for row in csv.DictReader(text.splitlines())]
     first = [
         "rest up",
@@ -523,7 +523,7 @@ def test_rates_of_the_arm_s_example():
 
 def test_the_tumble_s_example_and_table():
     (count,) = told("tumble", "a table with {} positions")
-    text = (files("counterspin.exports") / "starter_tumble.csv").read_text("utf-8")
+    text = (files("counterspin.ingest") / "starter_tumble.csv").read_text("utf-8")
     assert len(list(csv.DictReader(text.splitlines()))) == value_of(count)
     # The closed form: one over the length of what is left of a column beside the others.
     page = (ROOT / "docs" / "tumble.md").read_text("utf-8")

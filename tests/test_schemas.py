@@ -33,9 +33,9 @@ BLOCKS = [
     for place, text in enumerate(re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL))
 ]
 STARTERS = [
-    ("campaign", "exports/starter.toml"),
-    ("campaign", "exports/starter_tumble.toml"),
-    ("campaign", "exports/starter_arm.toml"),
+    ("campaign", "ingest/starter.toml"),
+    ("campaign", "ingest/starter_tumble.toml"),
+    ("campaign", "ingest/starter_arm.toml"),
     ("campaign", "reproduction/paper.toml"),
     ("plan", "planning/starter.toml"),
     ("lab", "certificates/starter.toml"),
@@ -156,7 +156,7 @@ SLIPS = [
 
 @pytest.mark.parametrize(("old", "new"), SLIPS)
 def test_a_slip_is_seen(old, new):
-    text = (files("counterspin") / "exports/starter.toml").read_text("utf-8")
+    text = (files("counterspin") / "ingest/starter.toml").read_text("utf-8")
     assert old in text
     assert list(mistakes(made("campaign"), tomllib.loads(text.replace(old, new, 1))))
 

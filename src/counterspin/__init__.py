@@ -106,7 +106,6 @@ if TYPE_CHECKING:
     from counterspin.errors import CounterspinWarning as CounterspinWarning
     from counterspin.errors import NotIdentifiableError as NotIdentifiableError
     from counterspin.errors import RecordError as RecordError
-    from counterspin.exports.starter import init as init
     from counterspin.histories.history import history as history
     from counterspin.histories.result import History as History
     from counterspin.inference.two_stage.first_stage import Parabola as Parabola
@@ -120,6 +119,7 @@ if TYPE_CHECKING:
     from counterspin.inference.two_stage.second_stage import SecondStage as SecondStage
     from counterspin.inference.two_stage.second_stage import StrobedRun as StrobedRun
     from counterspin.inference.two_stage.second_stage import second_stage as second_stage
+    from counterspin.ingest.starter import init as init
     from counterspin.monitoring.check import check as check
     from counterspin.monitoring.noise import noise as noise
     from counterspin.monitoring.result import CheckedRun as CheckedRun

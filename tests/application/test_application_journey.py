@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 from chromium import needs_chromium
 from cryptography.hazmat.primitives.asymmetric import ec
+from exports import RUNS, campaign_folder
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from signing_keys import write_pkcs12
@@ -21,7 +22,6 @@ from workbooks import write_workbook
 from certificates import write_own
 from counterspin.calibration.result import read_result
 from counterspin.certificates.issuing import check_certificate
-from exports import RUNS, campaign_folder
 
 pytestmark = needs_chromium
 

@@ -9,7 +9,7 @@ import pytest
 from counterspin.application.editing import with_value
 from counterspin.errors import CounterspinError
 
-STARTER = (files("counterspin.exports") / "starter.toml").read_text("utf-8")
+STARTER = (files("counterspin.ingest") / "starter.toml").read_text("utf-8")
 
 
 def lines_changed(path, value, kind=""):

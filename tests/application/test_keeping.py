@@ -13,7 +13,7 @@ from counterspin.application.keeping import (
 )
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
-from counterspin.exports.starter import init
+from counterspin.ingest.starter import init
 
 
 def names(folder):

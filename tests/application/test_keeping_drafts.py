@@ -5,6 +5,7 @@ import stat
 
 import numpy as np
 import pytest
+from exports import EXPORTS, campaign_folder, write_records
 from served import ANSWERS
 
 from counterspin.application.folder import OutsideError
@@ -12,9 +13,8 @@ from counterspin.application.keeping import complete_upload, place_for
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
-from counterspin.exports.description import draft, write_description
-from counterspin.exports.looking import look_at
-from exports import EXPORTS, campaign_folder, write_records
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import draft, write_description
 
 RUNS = ("slow", "middle", "fast")
 COUNTED = {"sampling_rate": "20 Hz"}
@@ -73,7 +73,7 @@ def from_page(page, folder, files, sense="counterclockwise"):
 @pytest.fixture(scope="module")
 def reference(plain, tmp_path_factory):
     """Return what the plain records give with the same answers."""
-    looks = look_at([plain / "slow.csv", plain / "fast.csv"])
+    looks = read_files([plain / "slow.csv", plain / "fast.csv"])
     place = tmp_path_factory.mktemp("plain")
     write_description(draft(looks, ANSWERS | {"sense": "counterclockwise"}), place)
     return calibrate(place).accelerometers["Qx"].coefficients["K_II"]

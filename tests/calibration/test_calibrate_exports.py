@@ -1,10 +1,10 @@
 """Exports of recorders of different make lead to one result."""
 
 import pytest
+from exports import EXPORTS, campaign_folder, write_export
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
-from exports import EXPORTS, campaign_folder, write_export
 
 
 @pytest.fixture(scope="module")

@@ -606,7 +606,7 @@ def test_limits_of_the_campaign_say_what_may_be_true(tmp_path):
 
 
 def test_the_starter_is_a_valid_campaign_whose_truth_agrees_with_what_it_says_is_known(tmp_path):
-    starter = importlib.resources.files("counterspin.exports") / "starter.toml"
+    starter = importlib.resources.files("counterspin.ingest") / "starter.toml"
     campaign = read_campaign(write(tmp_path, starter.read_text(encoding="utf-8")))
     truth = campaign.simulation.truth
     for name, accelerometer in campaign.accelerometers.items():

@@ -94,7 +94,7 @@ def _values(value, path=()):
 
 @pytest.mark.parametrize("name", ["starter.toml", "starter_tumble.toml", "starter_arm.toml"])
 def test_each_line_holds_the_value_of_its_key(name):
-    text = (files("counterspin.exports") / name).read_text("utf-8")
+    text = (files("counterspin.ingest") / name).read_text("utf-8")
     values, lines = _values(tomllib.loads(text)), text.splitlines()
     checked = 0
     for key, number in lines_of(text).items():

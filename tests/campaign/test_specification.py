@@ -212,4 +212,4 @@ def test_a_specification_that_is_no_table(tmp_path, starter, value):
 def starter():
     from importlib.resources import files
 
-    return (files("counterspin.exports") / "starter.toml").read_text(encoding="utf-8")
+    return (files("counterspin.ingest") / "starter.toml").read_text(encoding="utf-8")

@@ -160,7 +160,7 @@ def test_ctrl_c_is_acknowledged(monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("counterspin.exports.starter.init", interrupted)
+    monkeypatch.setattr("counterspin.ingest.starter.init", interrupted)
     assert cli.main(["init", "x"]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
 

@@ -4,10 +4,10 @@ import io
 import math
 
 import pytest
+from exports import EXPORTS, campaign_folder, write_records
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
-from exports import EXPORTS, campaign_folder, write_records
 
 PLACE = ["--answer", "gravity=9.8066 m/s^2", "--answer", "latitude=45.75 deg"]
 ANSWERED = [*PLACE, "--answer", "radius=2.5 m"]

@@ -6,7 +6,7 @@ import pytest
 from campaigns import changed
 
 from counterspin.campaign.description import read_campaign
-from counterspin.exports.starter import init
+from counterspin.ingest.starter import init
 from counterspin.planning.faults import effects_of, of_path
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan

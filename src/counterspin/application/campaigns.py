@@ -17,7 +17,7 @@ from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
-from counterspin.exports.starter import Test
+from counterspin.ingest.starter import Test
 from counterspin.input import DOCUMENT_BYTES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.plan_file import is_plan
@@ -257,7 +257,7 @@ def begin_calibration(
 
 def begin_campaign(desk: Desk, name: str, test: Test = "double-turntable") -> dict[str, Any]:
     """Write an example campaign into a folder; return its name and the command."""
-    from counterspin.exports.starter import init
+    from counterspin.ingest.starter import init
 
     if not name:
         raise CounterspinError("give the new campaign's folder a name")

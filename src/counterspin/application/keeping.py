@@ -18,12 +18,12 @@ from counterspin.application.folder import OutsideError, ServedFolder
 from counterspin.application.temporary_folders import remove_abandoned_folders, temporary_folder
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
-from counterspin.exports.description import AnyDraft, further_runs, guessed_test, write_description
-from counterspin.exports.description import drafted as described_as
-from counterspin.exports.looking import FileColumn, look_at
-from counterspin.exports.starter import Test
-from counterspin.exports.tumble import TumbleDraft
 from counterspin.frozen import frozen
+from counterspin.ingest.contents import FileColumn, read_files
+from counterspin.ingest.description import AnyDraft, further_runs, guessed_test, write_description
+from counterspin.ingest.description import drafted as described_as
+from counterspin.ingest.starter import Test
+from counterspin.ingest.tumble import TumbleDraft
 from counterspin.output import begin, finish, make_folder
 from counterspin.records.formats import wrong_ending
 
@@ -75,7 +75,7 @@ def _draft(
     files = [desk.file(name) for name in names]
     said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     sheet = said.get("sheet", "")
-    looks = _LOOKS.get((sheet, *files), files, lambda: look_at(files, said))
+    looks = _LOOKS.get((sheet, *files), files, lambda: read_files(files, said))
     test = stated or guessed_test(looks)
     return described_as(looks, said, test), test
 
@@ -93,16 +93,16 @@ def draft_overview(
     found, test = _draft(desk, names, answers, test)
     asked = {question.key for question in found.questions}
     asked |= {f"{question.guess} is" for question in found.questions}
-    words = {name: cells for name, cells in found.look.words.items() if f"{name} is" in asked}
+    words = {name: cells for name, cells in found.contents.words.items() if f"{name} is" in asked}
     return {
         "test": test,
         "statements": list(found.statements),
         "questions": [vars(question) for question in found.questions],
         "problems": list(found.problems),
-        "file": found.look.path.name,
+        "file": found.contents.path.name,
         "columns": [
             *({"name": n, "first": c[:_PREVIEW_ROWS], "extent": []} for n, c in words.items()),
-            *map(_preview, found.look.columns),
+            *map(_preview, found.contents.columns),
         ],
         "directions": found.directions if isinstance(found, TumbleDraft) else [],
     }

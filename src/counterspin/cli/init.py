@@ -10,10 +10,10 @@ from cyclopts import Parameter
 
 from counterspin.cli.words import say, shell_word
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.exports.starter import Test
+from counterspin.ingest.starter import Test
 
 if TYPE_CHECKING:
-    from counterspin.exports.questions import ExportQuestion
+    from counterspin.ingest.questions import FileQuestion
 
 
 def init(
@@ -48,7 +48,7 @@ def init(
         return
     if yes or answer:
         raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
-    from counterspin.exports.starter import init as run
+    from counterspin.ingest.starter import init as run
 
     written = run(directory, test or "double-turntable")
     _write_schema(directory)
@@ -61,7 +61,7 @@ def init(
 
 def _write_schema(directory: Path) -> None:
     """Write the schema that a description's first line names, so that editors find it."""
-    from counterspin.exports.starter import SCHEMA_NAME
+    from counterspin.ingest.starter import SCHEMA_NAME
     from counterspin.output import write_text
     from counterspin.schemas import schema_text
 
@@ -73,13 +73,13 @@ def _from_files(
     directory: Path, files: list[Path], given: list[str], stated: Test | None, *, asks: bool
 ) -> None:
     """Write a campaign of a recorder's files."""
-    from counterspin.exports.description import drafted, guessed_test, write_description
-    from counterspin.exports.looking import look_at
+    from counterspin.ingest.contents import read_files
+    from counterspin.ingest.description import drafted, guessed_test, write_description
     from counterspin.reports.text import work_progress
 
     answers = _answers(given)
     with work_progress("Files") as advance:
-        looks = look_at(files, answers, progress=advance)
+        looks = read_files(files, answers, progress=advance)
     test = stated or guessed_test(looks)
     found = drafted(looks, answers, test)
     asks = asks and sys.stdin is not None and sys.stdin.isatty()
@@ -90,7 +90,7 @@ def _from_files(
             question = found.open_questions[0]
             answers[question.key] = _asked(question)
             if question.key == "sheet":
-                looks = look_at(files, answers)
+                looks = read_files(files, answers)
             found = drafted(looks, answers, test)
         more = [statement for statement in found.statements if statement not in before]
         say(*(f"  {statement}" for statement in more))
@@ -111,7 +111,7 @@ def _answers(given: list[str]) -> dict[str, str]:
     return answers
 
 
-def _asked(question: ExportQuestion) -> str:
+def _asked(question: FileQuestion) -> str:
     """Return a person's answer; repeat the question until the answer is valid."""
     hint = " or ".join(question.choices) or f"such as {question.example}"
     say(f"{question.text} ({hint})")

@@ -17,11 +17,11 @@ from counterspin.campaign.kinds import exact
 from counterspin.campaign.noise_at_rest import SI_UNITS, rest_signals
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, RecordError
-from counterspin.exports.guessing import STANDARD_GRAVITY, FileGuess, converts, guess_file
-from counterspin.exports.looking import FileColumn, Look, look
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.rest import Band, RestRecord, RestSignal, at_rest
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
+from counterspin.ingest.column_roles import STANDARD_GRAVITY, FileGuess, converts, guess_file
+from counterspin.ingest.contents import FileColumn, FileContents, read_contents
 from counterspin.monitoring.result import (
     NoiseResult,
     NoiseSize,
@@ -162,9 +162,9 @@ def _guess_signals(
         file_columns = tuple(
             FileColumn(name, "", values) for name, values in source.columns.items()
         )
-        seen = Look(Path(source.name), file_columns, source.others, "")
+        seen = FileContents(Path(source.name), file_columns, source.others, "")
     else:
-        seen = look(source)
+        seen = read_contents(source)
     guess = guess_file(seen, answers)
     missing = [name for name in columns if name not in {c.name for c in seen.columns}]
     if missing:

@@ -8,8 +8,8 @@ from recorders import FILES
 from counterspin.calibration.observed import read_run
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
-from counterspin.exports.description import draft, write_description
-from counterspin.exports.looking import look_at
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import draft, write_description
 
 RATE = 2.0 * np.pi
 #: Cells that have no number.
@@ -32,7 +32,7 @@ def test_a_record_is_the_same_whoever_wrote_it(tmp_path, frame, name):
     write, ending = FILES[name]
     path = tmp_path / f"run{ending}"
     write(frame, path)
-    found = draft(look_at([path]), KNOWN)
+    found = draft(read_files([path]), KNOWN)
     assert [question.key for question in found.open_questions] == []
     write_description(found, tmp_path / "campaign")
     campaign = read_campaign(tmp_path / "campaign")
@@ -53,7 +53,7 @@ def test_the_sense_shows_along_west_and_south_too(tmp_path, frame):
     data = {"t_s": frame["time_s"], "azimuth_deg": angle, "west_m": -frame["east_m"]}
     path = tmp_path / "run.csv"
     pl.DataFrame(data | {"south_m": -frame["north_m"]}).write_csv(path)
-    document = draft(look_at([path]), KNOWN).document(tmp_path)
+    document = draft(read_files([path]), KNOWN).document(tmp_path)
     assert (
         document["records"]["angle"] | {"zero": "north", "sense": "clockwise"}
         == (document["records"]["angle"])
@@ -82,20 +82,20 @@ def test_what_is_no_table_is_refused_with_what_to_do(tmp_path, frame, head, row,
     cells = zip(*(frame[name] for name in ("time_s", "angle_rad", "east_m")), strict=True)
     rows = [row.format(t=t, a=a, e=e) for t, a, e in cells]
     with pytest.raises(CounterspinError, match=f"(?s){told}"):
-        draft(look_at([lines(tmp_path / "run.csv", head, rows)])).document(tmp_path)
+        draft(read_files([lines(tmp_path / "run.csv", head, rows)])).document(tmp_path)
 
 
 def test_a_row_for_each_quantity_is_refused(tmp_path, frame):
     rows = [f"{name};{';'.join(map(str, frame[name]))}" for name in frame.columns]
     with pytest.raises(CounterspinError, match=r"has \d rows of .* a row for each sample"):
-        draft(look_at([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
+        draft(read_files([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
 
 
 def test_remarks_below_the_rows_are_told(tmp_path, frame):
     path = tmp_path / "run.csv"
     frame.write_csv(path)
     path.write_text(path.read_text() + "End of data\n")
-    said = draft(look_at([path])).statements
+    said = draft(read_files([path])).statements
     assert (
         "not read: run.csv, line 402: column 'time_s' holds the text 'End of data' instead of "
         "a number."
@@ -106,7 +106,7 @@ def test_a_clock_of_whole_seconds_tells_about_how_fast_rows_follow(tmp_path, fra
     stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in frame["time_s"]]
     path = tmp_path / "run.csv"
     frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
-    (asked,) = (q for q in draft(look_at([path])).questions if q.key == "sampling_rate")
+    (asked,) = (q for q in draft(read_files([path])).questions if q.key == "sampling_rate")
     assert asked.guess is None
     assert "By column 'time_s' it is about 21 Hz." in asked.text
 
@@ -116,21 +116,21 @@ def test_where_another_run_begins_is_told(tmp_path):
     head = ["Run 1", "Time [s],Angle [deg],East [m]"]
     path = lines(tmp_path / "all.csv", head, [*rows, "Run 2", head[1], *rows])
     with pytest.raises(CounterspinError, match=r"line 503.*'Run 2'.*each run a file of its own"):
-        look_at([path])
+        read_files([path])
 
 
 def test_a_column_in_two_units_is_refused(tmp_path):
     rows = [f"{0.05 * k:.2f} s,{k} mm" for k in range(500)] + ["25.00 s,1.2 m"]
     path = lines(tmp_path / "run.csv", ["Time,East"], rows)
     with pytest.raises(CounterspinError, match="line 502: cell 2 is in m, that of line 2 in mm"):
-        look_at([path])
+        read_files([path])
 
 
 def test_a_unit_of_cells_that_is_not_that_of_the_head_is_refused(tmp_path):
     rows = [f"{0.05 * k:.2f} s,{k} mm" for k in range(50)]
     path = lines(tmp_path / "run.csv", ["Time,East [m]"], rows)
     with pytest.raises(CounterspinError, match=r"'East .m.' is in m by its head, and in mm by"):
-        look_at([path])
+        read_files([path])
 
 
 @pytest.mark.parametrize(
@@ -140,4 +140,4 @@ def test_a_unit_of_cells_that_is_not_that_of_the_head_is_refused(tmp_path):
 def test_workbooks_of_older_kinds_are_refused_with_what_to_do(tmp_path, content, told):
     (tmp_path / "run.xls").write_bytes(content + bytes(600))
     with pytest.raises(CounterspinError, match=f"{told}.*save it as .xlsx"):
-        look_at([tmp_path / "run.xls"])
+        read_files([tmp_path / "run.xls"])

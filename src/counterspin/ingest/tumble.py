@@ -17,10 +17,11 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import CampaignError
-from counterspin.exports.guessing import converts
-from counterspin.exports.looking import FileColumn, Look, wave
-from counterspin.exports.questions import ExportQuestion, place_questions, settled
-from counterspin.exports.readings import (
+from counterspin.frozen import frozen
+from counterspin.ingest.column_roles import converts
+from counterspin.ingest.contents import FileColumn, FileContents, wave
+from counterspin.ingest.questions import FileQuestion, place_questions, settled
+from counterspin.ingest.readings import (
     OutputEstimate,
     ReadingsDraft,
     kind_of_columns,
@@ -34,7 +35,6 @@ from counterspin.exports.readings import (
     table_statements,
     usual_role,
 )
-from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 
 _POSITION: Final = re.compile(r"(?i).*(pos|angle|theta|phi|winkel|stell|attitude|deg(_|$))")
@@ -65,7 +65,7 @@ class TumbleDraft(ReadingsDraft):
         """
         said = self.said
         axis, unit, here = (said.get(key) for key in ("axis at 0", "position unit", "position"))
-        column = next((c for c in self.look.columns if c.name == here), None)
+        column = next((c for c in self.contents.columns if c.name == here), None)
         if axis not in _UP_AT or unit not in _ANGLES or column is None:
             return []
         angles = column.values[np.isfinite(column.values)] * unit_factor(unit, "rad")
@@ -85,38 +85,40 @@ class TumbleDraft(ReadingsDraft):
         return document
 
 
-def tumble_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> TumbleDraft:
+def tumble_draft(
+    all_contents: Sequence[FileContents], answers: Mapping[str, str] | None = None
+) -> TumbleDraft:
     """Return a draft from a table of readings, and the open questions.
 
     answers: By the keys of questions; they take precedence over guesses.
     """
-    if len(looks) != 1:
+    if len(all_contents) != 1:
         raise CampaignError("init", ["a tumble is one table of readings: give one file"])
-    (look,) = looks
+    (contents,) = all_contents
 
-    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
-        return tuple(_questions(look, _roles(look, taken), taken))
+    def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
+        return tuple(_questions(contents, _roles(contents, taken), taken))
 
     taken, problems = settled(answers, asked)
-    roles, questions = _roles(look, taken), asked(taken)
-    statements = tuple(_statements(look, roles, questions))
-    return TumbleDraft(statements, questions, taken, problems, look, roles)
+    roles, questions = _roles(contents, taken), asked(taken)
+    statements = tuple(_statements(contents, roles, questions))
+    return TumbleDraft(statements, questions, taken, problems, contents, roles)
 
 
-def shows_tumble(looks: Sequence[Look]) -> bool:
+def shows_tumble(all_contents: Sequence[FileContents]) -> bool:
     """Return whether files are one short table of readings that follow the positions of a head."""
-    if len(looks) != 1:
+    if len(all_contents) != 1:
         return False
-    (look,) = looks
-    roles = _roles(look, {})
-    position = next(iter(of_role(look, roles, "position")), None)
-    readings = of_role(look, roles, "reading")
-    if position is None or not readings or look.interval is not None:
+    (contents,) = all_contents
+    roles = _roles(contents, {})
+    position = next(iter(of_role(contents, roles, "position")), None)
+    readings = of_role(contents, roles, "reading")
+    if position is None or not readings or contents.interval is not None:
         return False
     if not _ROWS[0] <= len(position.values) <= _ROWS[1]:
         return False
     # A record of a spindle has times that run evenly, or paths.
-    times = of_role(look, roles, "time")
+    times = of_role(contents, roles, "time")
     if any(map(_is_even, times)) or any(converts(column.unit, "m") for column in readings):
         return False
     angles = position.values * unit_factor(_angle_unit(position), "rad")
@@ -143,11 +145,11 @@ def _follows(angles: Array, values: Array) -> bool:
 # What is guessed
 
 
-def _roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
+def _roles(contents: FileContents, answers: Mapping[str, str]) -> dict[str, str]:
     """Return the role of each column."""
-    found = [column for column in look.columns if _role(column) == "position"]
+    found = [column for column in contents.columns if _role(column) == "position"]
     found.sort(key=lambda column: not converts(column.unit, "rad"))
-    return roles_of(look, told, _role, {"position": found[0].name if found else None})
+    return roles_of(contents, answers, _role, {"position": found[0].name if found else None})
 
 
 def _role(column: FileColumn) -> str:
@@ -175,29 +177,29 @@ def _axis(angles: Array, values: Array) -> str | None:
 
 
 def _questions(
-    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
-) -> Iterator[ExportQuestion]:
-    yield from place_questions(look)
-    names = [column.name for column in look.columns]
+    contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
+) -> Iterator[FileQuestion]:
+    yield from place_questions(contents)
+    names = [column.name for column in contents.columns]
     text = "Which column is the angle of the dividing head?"
     yield part_question("position", text, names, roles, needed=True)
     angles = None
-    position = next(iter(of_role(look, roles, "position")), None)
+    position = next(iter(of_role(contents, roles, "position")), None)
     if position is not None:
-        unit = told.get("position unit") or _angle_unit(position)
+        unit = answers.get("position unit") or _angle_unit(position)
         text = f"In which unit is the position, column '{position.name}'?"
-        yield ExportQuestion("position unit", text, "deg", _ANGLES, unit, unit="rad")
+        yield FileQuestion("position unit", text, "deg", _ANGLES, unit, unit="rad")
         angles = position.values * unit_factor(unit, "rad")
-    readings = of_role(look, roles, "reading")
+    readings = of_role(contents, roles, "reading")
     guess = None
     if angles is not None and readings:
         guess = _axis(angles, readings[0].values)
     text = "How does the input axis point at the position 0, for a head that turns about north?"
-    yield ExportQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
-    yield from role_questions(look, roles, ["position"])
+    yield FileQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
+    yield from role_questions(contents, roles, ["position"])
     yield from several_question(readings, kind_of_columns(readings))
-    for column, *_ in outputs_of(look, roles, told):
-        yield from output_questions(column, told, _sensed(column, angles))
+    for column, *_ in outputs_of(contents, roles, answers):
+        yield from output_questions(column, answers, _sensed(column, angles))
 
 
 def _sensed(column: FileColumn, angles: Array | None) -> OutputEstimate:
@@ -209,9 +211,9 @@ def _sensed(column: FileColumn, angles: Array | None) -> OutputEstimate:
 
 
 def _statements(
-    look: Look, roles: Mapping[str, str], questions: Sequence[ExportQuestion]
+    contents: FileContents, roles: Mapping[str, str], questions: Sequence[FileQuestion]
 ) -> Iterator[str]:
-    yield from table_statements(look, roles)
+    yield from table_statements(contents, roles)
     axis = next((q.guess for q in questions if q.key == "axis at 0"), None)
     if axis:
         yield f"input axis at position 0: {axis}, from the readings against the angle"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from counterspin.exports.looking import FileColumn
-from counterspin.exports.triads import threes
+from counterspin.ingest.contents import FileColumn
+from counterspin.ingest.triads import threes
 
 
 def found(*names):

@@ -6,9 +6,9 @@ from workbooks import write_workbook
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.errors import CampaignError
-from counterspin.exports.description import drafted, guessed_test, write_description
-from counterspin.exports.looking import look_at
-from counterspin.exports.tumble import tumble_draft
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import drafted, guessed_test, write_description
+from counterspin.ingest.tumble import tumble_draft
 
 ANGLES = np.arange(0.0, 360.0, 30.0)
 ANSWERS = {"gravity": "9,8066", "latitude": "45.75"}
@@ -33,7 +33,7 @@ def write_table(path, rows, head=("Name", "Winkel", "Signal", "u"), units=("", "
 )
 def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
     path = write_table(tmp_path / "t.csv", table(start))
-    found = tumble_draft(look_at([path]), ANSWERS | {"Signal sensitivity": "1,25"})
+    found = tumble_draft(read_files([path]), ANSWERS | {"Signal sensitivity": "1,25"})
     assert found.open_questions == []
     document = found.document(tmp_path / "camp")
     assert document["accelerometers"]["A"]["input_axis"] == axis
@@ -49,7 +49,7 @@ def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
 @pytest.mark.parametrize("start", [0.0, 45.0, 180.0])
 def test_a_short_table_that_follows_its_positions_is_guessed_to_be_a_tumble(tmp_path, start):
     path = write_table(tmp_path / "t.csv", table(start))
-    assert guessed_test(look_at([path])) == "tumble"
+    assert guessed_test(read_files([path])) == "tumble"
 
 
 def spindle(rows):
@@ -76,13 +76,13 @@ def spindle(rows):
 )
 def test_what_is_no_tumble_is_not_guessed_to_be_one(tmp_path, rows, head, units):
     path = write_table(tmp_path / "t.csv", rows, head, units)
-    assert guessed_test(look_at([path])) == "double-turntable"
+    assert guessed_test(read_files([path])) == "double-turntable"
 
 
 @pytest.mark.parametrize("start", [0.0, 90.0, 180.0, -90.0])
 def test_directions_are_those_in_which_the_readings_are_greatest_upwards(tmp_path, start):
     path = write_table(tmp_path / "t.csv", table(start))
-    directions = np.array(tumble_draft(look_at([path])).directions)
+    directions = np.array(tumble_draft(read_files([path])).directions)
     assert np.cos(np.radians(directions)) == pytest.approx(np.cos(np.radians(ANGLES - start)))
     # Right-handed about north, up goes to the east.
     assert np.sin(np.radians(directions)) == pytest.approx(np.sin(np.radians(ANGLES - start)))
@@ -90,8 +90,8 @@ def test_directions_are_those_in_which_the_readings_are_greatest_upwards(tmp_pat
 
 def test_without_an_axis_at_zero_no_direction_is_known(tmp_path):
     path = write_table(tmp_path / "t.csv", table(45.0))
-    assert tumble_draft(look_at([path])).directions == []
-    assert len(tumble_draft(look_at([path]), {"axis at 0": "up"}).directions) == len(ANGLES)
+    assert tumble_draft(read_files([path])).directions == []
+    assert len(tumble_draft(read_files([path]), {"axis at 0": "up"}).directions) == len(ANGLES)
 
 
 def test_a_workbook_with_title_and_units(tmp_path):
@@ -99,7 +99,7 @@ def test_a_workbook_with_title_and_units(tmp_path):
     rows.insert(1, ["Name", "Position", "Output 1", "Output 2"])
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Readings": rows})
     more = {"Output 1 sensitivity": "1.25 V/g", "Output 2 is": "uncertainty"}
-    found = tumble_draft(look_at([path]), ANSWERS | more)
+    found = tumble_draft(read_files([path]), ANSWERS | more)
     assert found.roles == {
         "Name": "name",
         "Position": "position",
@@ -113,11 +113,11 @@ def test_a_workbook_with_title_and_units(tmp_path):
 def test_what_a_table_does_not_say_is_asked(tmp_path):
     rows = [row[1:3] for row in table()]
     path = write_table(tmp_path / "t.csv", rows, ("a", "b"), ("", ""))
-    found = drafted(look_at([path]), {}, "tumble")
+    found = drafted(read_files([path]), {}, "tumble")
     asked = [question.key for question in found.open_questions]
     assert asked == ["gravity", "latitude", "position", "axis at 0", "a unit", "b unit"]
     answers = ANSWERS | {"position": "a", "b unit": "mA"}
-    found = drafted(look_at([path]), answers, "tumble")
+    found = drafted(read_files([path]), answers, "tumble")
     (last,) = found.open_questions
     assert last.key == "b sensitivity"
     assert "It is about 1.25 mA/g." in last.text
@@ -131,10 +131,10 @@ def test_a_table_without_readings_says_so(tmp_path):
     with pytest.raises(
         CampaignError, match=r"no column of readings was found \(columns: Winkel, Signal, u"
     ):
-        tumble_draft(look_at([path]), answers).document(tmp_path)
+        tumble_draft(read_files([path]), answers).document(tmp_path)
 
 
 def test_one_table(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     with pytest.raises(CampaignError, match="one table of readings: give one file"):
-        drafted(look_at([path, path]), {}, "tumble")
+        drafted(read_files([path, path]), {}, "tumble")

@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.errors import CampaignError
-from counterspin.exports.guessing import NONE, UNUSED, converts, unit_in_name
-from counterspin.exports.looking import FileColumn, Look
-from counterspin.exports.questions import AnsweredExport, ExportQuestion, relative_name
 from counterspin.frozen import frozen
+from counterspin.ingest.column_roles import NONE, UNUSED, converts, unit_in_name
+from counterspin.ingest.contents import FileColumn, FileContents
+from counterspin.ingest.questions import AnsweredDraft, FileQuestion, relative_name
 
 #: What a column of numbers may be in every table, and a column of words.
 ROLES: Final = ("reading", "uncertainty", "temperature", "time", UNUSED)
@@ -64,16 +64,16 @@ class OutputEstimate:
 
 
 @frozen
-class ReadingsDraft(AnsweredExport):
+class ReadingsDraft(AnsweredDraft):
     """The contents of a table of readings, and a person's answers."""
 
-    look: Look  #: The table.
+    contents: FileContents  #: The table.
     roles: Mapping[str, str]  #: Column -> what it is.
 
     @property
     def files(self) -> list[Path]:
         """The table's file."""
-        return [self.look.path]
+        return [self.contents.path]
 
     @property
     def said(self) -> dict[str, str]:
@@ -97,10 +97,10 @@ class ReadingsDraft(AnsweredExport):
         """
         said, place = self.complete(), folder.resolve()
         readings = [
-            [column.name for column in own] for own in outputs_of(self.look, self.roles, said)
+            [column.name for column in own] for own in outputs_of(self.contents, self.roles, said)
         ]
         if not readings:
-            known = ", ".join(column.name for column in self.look.columns)
+            known = ", ".join(column.name for column in self.contents.columns)
             text = f'no column of readings was found (columns: {known}); answer "COLUMN is=reading"'
             raise CampaignError("init", [text])
         few = len(readings) <= len(ascii_uppercase)
@@ -129,9 +129,9 @@ class ReadingsDraft(AnsweredExport):
             **({"centrifuge": machine} if machine else {}),
             "accelerometers": outputs,
             "readings": {
-                "file": relative_name(self.look.path, place),
-                **({"sheet": self.look.sheet} if self.look.sheet else {}),
-                **({"decimal": ","} if self.look.decimal == "," else {}),
+                "file": relative_name(self.contents.path, place),
+                **({"sheet": self.contents.sheet} if self.contents.sheet else {}),
+                **({"decimal": ","} if self.contents.decimal == "," else {}),
                 "columns": {**columns, **given},
             },
         }
@@ -163,8 +163,8 @@ def _counts_rows(column: FileColumn) -> bool:
 
 
 def roles_of(
-    look: Look,
-    told: Mapping[str, str],
+    contents: FileContents,
+    answers: Mapping[str, str],
     guess: Callable[[FileColumn], str],
     parts: Mapping[str, str | None],
 ) -> dict[str, str]:
@@ -173,33 +173,33 @@ def roles_of(
     guess: The role of a column of numbers.
     parts: Role of a single column -> the likely column, None without one.
     """
-    named = next((name for name in look.others if _NAME.match(name)), None)
-    roles = {name: "name" if name == named else UNUSED for name in look.others}
-    roles |= {column.name: guess(column) for column in look.columns}
+    named = next((name for name in contents.others if _NAME.match(name)), None)
+    roles = {name: "name" if name == named else UNUSED for name in contents.others}
+    roles |= {column.name: guess(column) for column in contents.columns}
     if "reading" not in roles.values():
         # Of nothing there is no uncertainty: U is a voltage then.
         roles = {n: "reading" if role == "uncertainty" else role for n, role in roles.items()}
-    roles |= {name: told[f"{name} is"] for name in roles if f"{name} is" in told}
+    roles |= {name: answers[f"{name} is"] for name in roles if f"{name} is" in answers}
     for part, seen in parts.items():
-        said = next((name for name in roles if told.get(f"{name} is") == part), seen)
-        taken = told.get(part, said)
+        said = next((name for name in roles if answers.get(f"{name} is") == part), seen)
+        taken = answers.get(part, said)
         roles = {name: UNUSED if role == part else role for name, role in roles.items()}
         if taken in roles:
             roles[taken] = part
     return roles
 
 
-def of_role(look: Look, roles: Mapping[str, str], role: str) -> list[FileColumn]:
+def of_role(contents: FileContents, roles: Mapping[str, str], role: str) -> list[FileColumn]:
     """Return the columns of numbers of a role."""
-    return [column for column in look.columns if roles[column.name] == role]
+    return [column for column in contents.columns if roles[column.name] == role]
 
 
 def outputs_of(
-    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
+    contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
 ) -> list[list[FileColumn]]:
     """Return the columns of readings of each accelerometer; several are repeats."""
-    columns = of_role(look, roles, "reading")
-    if columns and (told.get(SEVERAL) or kind_of_columns(columns)) != ACCELEROMETERS:
+    columns = of_role(contents, roles, "reading")
+    if columns and (answers.get(SEVERAL) or kind_of_columns(columns)) != ACCELEROMETERS:
         return [columns]
     return [[column] for column in columns]
 
@@ -222,7 +222,7 @@ def kind_of_columns(columns: Sequence[FileColumn]) -> str:
 
 def several_question(
     columns: Sequence[FileColumn], guess: str, *more: str
-) -> Iterator[ExportQuestion]:
+) -> Iterator[FileQuestion]:
     """Yield the question about the role of several columns of readings.
 
     more: Further roles besides one accelerometer each, or repeats.
@@ -230,25 +230,25 @@ def several_question(
     if len(columns) > 1:
         said = "".join(f", {kind}" for kind in more)
         text = f"Are the columns of readings one accelerometer each{said}, or repeats of one?"
-        yield ExportQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS, *more), guess)
+        yield FileQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS, *more), guess)
 
 
 def part_question(
     part: str, text: str, names: Sequence[str], roles: Mapping[str, str], *, needed: bool
-) -> ExportQuestion:
+) -> FileQuestion:
     """Return the question about the column of a role that only one can have."""
     there = next((name for name, role in roles.items() if role == part), None)
     if needed:
-        return ExportQuestion(part, text, names[0], tuple(names), there)
-    return ExportQuestion(part, text, NONE, (*names, NONE), there or NONE)
+        return FileQuestion(part, text, names[0], tuple(names), there)
+    return FileQuestion(part, text, NONE, (*names, NONE), there or NONE)
 
 
 def role_questions(
-    look: Look,
+    contents: FileContents,
     roles: Mapping[str, str],
     parts: Sequence[str],
     word_roles: Sequence[str] = WORD_ROLES,
-) -> Iterator[ExportQuestion]:
+) -> Iterator[FileQuestion]:
     """Yield the questions about the roles of the other columns.
 
     parts: Roles of a single column, which a column of numbers may have.
@@ -257,44 +257,46 @@ def role_questions(
     for name, role in roles.items():
         if role in parts:
             continue
-        words = name in look.others
+        words = name in contents.others
         choices = tuple(word_roles) if words else (*parts, *ROLES)
         text, example = f"What is column '{name}'?", WORD_ROLES[0] if words else ROLES[0]
-        yield ExportQuestion(f"{name} is", text, example, choices, role)
+        yield FileQuestion(f"{name} is", text, example, choices, role)
 
 
 def output_questions(
-    column: FileColumn, told: Mapping[str, str], sensed: OutputEstimate
-) -> Iterator[ExportQuestion]:
+    column: FileColumn, answers: Mapping[str, str], sensed: OutputEstimate
+) -> Iterator[FileQuestion]:
     """Yield the questions about the units of columns of readings."""
     name = column.name
     text = f"In which unit are the readings of column '{name}'?"
-    unit = output_unit(column, told)
-    yield ExportQuestion(f"{name} unit", text, "mA", _OUTPUTS, output_unit(column))
+    unit = output_unit(column, answers)
+    yield FileQuestion(f"{name} unit", text, "mA", _OUTPUTS, output_unit(column))
     if unit is None or converts(unit, "m/s^2"):
         return
     text = f"What is the nominal sensitivity of column '{name}'?"
     if math.isfinite(sensed.per_g):
         text += f" It is about {sensed.per_g:.4g} {unit}/g."
-    yield ExportQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")
+    yield FileQuestion(f"{name} sensitivity", text, f"1.25 {unit}/g", quantity=f"{unit}/g")
     if abs(sensed.zero) > _LARGE_BIAS * abs(sensed.per_g):
         text = f"What is nominally read in column '{name}' where no force is felt?"
         size = f"{sensed.zero:.4g} {unit}"
-        yield ExportQuestion(f"{name} zero", text, size, guess=size, quantity=unit)
+        yield FileQuestion(f"{name} zero", text, size, guess=size, quantity=unit)
 
 
-def output_unit(column: FileColumn, told: Mapping[str, str] = MappingProxyType({})) -> str | None:
+def output_unit(
+    column: FileColumn, answers: Mapping[str, str] = MappingProxyType({})
+) -> str | None:
     """Return the unit of a column of readings: by an answer, the file, or the end of its name."""
     known = (unit for unit in (column.unit, unit_in_name(column.name)) if unit in _OUTPUTS)
-    return told.get(f"{column.name} unit") or next(known, None)
+    return answers.get(f"{column.name} unit") or next(known, None)
 
 
-def table_statements(look: Look, roles: Mapping[str, str]) -> Iterator[str]:
+def table_statements(contents: FileContents, roles: Mapping[str, str]) -> Iterator[str]:
     """Yield statements of the role of each column."""
-    rows = max(len(column.values) for column in look.columns)
-    yield f"{look.path.name}: {', '.join([f'{rows} rows', *filter(None, [look.found])])}"
-    for column in look.columns:
+    rows = max(len(column.values) for column in contents.columns)
+    yield f"{contents.path.name}: {', '.join([f'{rows} rows', *filter(None, [contents.found])])}"
+    for column in contents.columns:
         unit = f" in {column.unit}" if column.unit else ""
         yield f"column '{column.name}': {roles[column.name]}{unit}"
-    for name in look.others:
+    for name in contents.others:
         yield f"column '{name}': {roles[name]}, in words"

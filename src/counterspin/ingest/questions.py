@@ -23,9 +23,9 @@ from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.quantity import BARE, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError
-from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, UNUSED, FileGuess, SignalGuess
-from counterspin.exports.looking import ALL_SHEETS, Look
 from counterspin.frozen import frozen
+from counterspin.ingest.column_roles import NONE, STANDARD_GRAVITY, UNUSED, FileGuess, SignalGuess
+from counterspin.ingest.contents import ALL_SHEETS, FileContents
 from counterspin.records.dialect import file_unit
 from counterspin.units import unit_factor
 
@@ -98,7 +98,7 @@ _DECIMAL_COMMA: Final = re.compile(r"(?<![\d.])(\d+),(\d+)(?![\d,])")
 
 
 @frozen
-class ExportQuestion:
+class FileQuestion:
     """A question about facts that files do not state, or about a guess that may be overruled."""
 
     key: str  #: By which it is answered.
@@ -145,16 +145,16 @@ class ExportQuestion:
 
 
 @frozen
-class AnsweredExport:
+class AnsweredDraft:
     """Guesses from files, and a person's answers."""
 
     statements: tuple[str, ...]  #: What was guessed, in whole sentences.
-    questions: tuple[ExportQuestion, ...]  #: What may be answered.
+    questions: tuple[FileQuestion, ...]  #: What may be answered.
     answers: Mapping[str, str]  #: What was answered, in the words of a description.
     problems: tuple[str, ...]  #: What is wrong with other answers.
 
     @property
-    def open_questions(self) -> list[ExportQuestion]:
+    def open_questions(self) -> list[FileQuestion]:
         """The questions that must be answered before a description can be written."""
         return [
             question
@@ -196,39 +196,39 @@ def _unit_error(unit: str, wanted: str) -> str:
 
 def questions_of(
     common: FileGuess, sense: str | None, answered: Collection[str] = ()
-) -> Iterator[ExportQuestion]:
+) -> Iterator[FileQuestion]:
     """Yield the questions that may be answered: open ones, and guesses.
 
     answered: Keys that were answered before.
     """
-    names = tuple(column.name for column in common.look.columns)
-    yield from place_questions(common.look, ALL_SHEETS)
+    names = tuple(column.name for column in common.contents.columns)
+    yield from place_questions(common.contents, ALL_SHEETS)
     text = f"What is the radius, from the spindle axis to the platform?{_size_seen(common)}"
-    yield ExportQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
+    yield FileQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
     yield from time_questions(common, names)
     yield from _angle_questions(common, names, sense)
     if common.rate is None:
         text = "At which rate does the centrifuge turn?"
-        yield ExportQuestion("rate", text, "0.25 rev/s", quantity="rad/s")
+        yield FileQuestion("rate", text, "0.25 rev/s", quantity="rad/s")
     if not common.signals or "signal" in answered:
-        yield ExportQuestion("signal", "Which column is the signal?", names[-1], names)
+        yield FileQuestion("signal", "Which column is the signal?", names[-1], names)
     yield from _signal_questions(common)
 
 
-def place_questions(look: Look, *more: str) -> Iterator[ExportQuestion]:
+def place_questions(contents: FileContents, *more: str) -> Iterator[FileQuestion]:
     """Yield the questions of every table: its sheet, and the place of the test.
 
     more: Answers in addition to the names of the sheets.
     """
-    if look.sheets:
+    if contents.sheets:
         text = "Which sheet is the table?"
         if more:
             text = f"Which sheet is the table of a run ('{ALL_SHEETS}': each of them)?"
-        yield ExportQuestion("sheet", text, look.sheets[0], (*look.sheets, *more))
-    yield ExportQuestion(
+        yield FileQuestion("sheet", text, contents.sheets[0], (*contents.sheets, *more))
+    yield FileQuestion(
         "gravity", "What is the local gravity?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
     )
-    yield ExportQuestion("latitude", "What is the latitude?", "45.75 deg", quantity="rad")
+    yield FileQuestion("latitude", "What is the latitude?", "45.75 deg", quantity="rad")
 
 
 def _size_seen(common: FileGuess) -> str:
@@ -239,23 +239,23 @@ def _size_seen(common: FileGuess) -> str:
     return ""
 
 
-def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[ExportQuestion]:
+def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[FileQuestion]:
     """Yield the questions about the time of each row."""
     time = common.time
     text = "Which column is the time?"
-    yield ExportQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
+    yield FileQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
     if time is not None and time.unit != "iso":
         text = f"In which unit is the time, column '{time.column}'?"
-        yield ExportQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
+        yield FileQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
     if time is None:
-        text = f"There is no time column. What is the sampling rate?{_clock_seen(common.look)}"
+        text = f"There is no time column. What is the sampling rate?{_clock_seen(common.contents)}"
         guess = f"{common.sampling:.12g} Hz" if common.sampling else None
-        yield ExportQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
+        yield FileQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
 
 
-def _clock_seen(look: Look) -> str:
+def _clock_seen(contents: FileContents) -> str:
     """Describe a clock that stands still from row to row; empty text if the clock runs."""
-    for column in look.columns:
+    for column in contents.columns:
         seconds = column.values[np.isfinite(column.values)]
         if column.stamps and len(seconds) > 1 and (span := float(np.ptp(seconds))) > 0.0:
             about = (len(seconds) - 1) / span
@@ -265,30 +265,30 @@ def _clock_seen(look: Look) -> str:
 
 def _angle_questions(
     common: FileGuess, names: tuple[str, ...], sense: str | None
-) -> Iterator[ExportQuestion]:
+) -> Iterator[FileQuestion]:
     angle = common.angle
     text = "Which column is the angle of the spindle?"
-    yield ExportQuestion("angle", text, names[0], (*names, NONE), angle.column if angle else NONE)
+    yield FileQuestion("angle", text, names[0], (*names, NONE), angle.column if angle else NONE)
     if angle is not None and not angle.pulses:
         text = f"In which unit is the angle, column '{angle.column}'?"
         # Counts are no unit of an angle, but a person may say that it is counted.
         choices = ("deg", "rad", "rev", "mrad", "arcmin", "arcsec", "count")
-        yield ExportQuestion("angle unit", text, "deg", choices, guess=angle.unit)
+        yield FileQuestion("angle unit", text, "deg", choices, guess=angle.unit)
     if angle is not None and angle.unit == "count":
         seen = f" The waves show {angle.turn:.6g}." if angle.turn else ""
         text = f"How many counts of column '{angle.column}' make a revolution?{seen}"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
-        yield ExportQuestion("per_revolution", text, "65536", guess=counts)
+        yield FileQuestion("per_revolution", text, "65536", guess=counts)
     text = "In which sense does the angle increase, seen from above?"
     if angle is None or angle.pulses:
         text = "In which sense does the centrifuge turn, seen from above?"
-    yield ExportQuestion("sense", text, SENSES[0], SENSES, guess=sense)
+    yield FileQuestion("sense", text, SENSES[0], SENSES, guess=sense)
 
 
-def _signal_questions(common: FileGuess) -> Iterator[ExportQuestion]:
+def _signal_questions(common: FileGuess) -> Iterator[FileQuestion]:
     signals = {signal.column: signal for signal in common.signals}
     others = {part.column for part in (common.time, common.angle) if part}
-    for column in common.look.columns:
+    for column in common.contents.columns:
         name = column.name
         if name in others or column.stamps:
             continue
@@ -296,20 +296,20 @@ def _signal_questions(common: FileGuess) -> Iterator[ExportQuestion]:
         guess = signal.observable if signal else UNUSED
         text = f"What is column '{name}'?"
         choices = (*OBSERVABLES, UNUSED)
-        yield ExportQuestion(f"{name} is", text, choices[0], choices, guess)
+        yield FileQuestion(f"{name} is", text, choices[0], choices, guess)
         if signal is None:
             continue
         text = f"In which unit is column '{name}'?"
         wanted = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
         units = USUAL_UNITS[wanted]
-        yield ExportQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
+        yield FileQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
         text = f"Along which axis is column '{name}'?"
-        yield ExportQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
+        yield FileQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
 
 
 def settled(
     answers: Mapping[str, str] | None,
-    asked: Callable[[Mapping[str, str]], Sequence[ExportQuestion]],
+    asked: Callable[[Mapping[str, str]], Sequence[FileQuestion]],
 ) -> tuple[dict[str, str], tuple[str, ...]]:
     """Return the valid answers in the words of a description, and the errors of others.
 
@@ -325,7 +325,7 @@ def settled(
 
 
 def judged_answers(
-    questions: Sequence[ExportQuestion], answers: Mapping[str, str]
+    questions: Sequence[FileQuestion], answers: Mapping[str, str]
 ) -> tuple[dict[str, str], list[str]]:
     """Return answers in the words of a description, and the errors of the others."""
     known = {question.key: question for question in questions}
@@ -369,17 +369,17 @@ def waves_sense(common: FileGuess) -> str | None:
     return None
 
 
-def completed(common: FileGuess, told: Mapping[str, str]) -> FileGuess:
+def completed(common: FileGuess, answers: Mapping[str, str]) -> FileGuess:
     """Return a guess with units that follow from the radius and axes that follow from the sense.
 
-    told: A person's answers, by the keys of questions.
+    answers: A person's answers, by the keys of questions.
     """
     signals = common.signals
-    if "radius" in told and common.rate is not None and (common.time or common.sampling):
-        radius = parse(told["radius"], "m").value
+    if "radius" in answers and common.rate is not None and (common.time or common.sampling):
+        radius = parse(answers["radius"], "m").value
         signals = tuple(_with_unit(signal, radius, common.rate) for signal in signals)
-    if "sense" in told:
-        forward = 1.0 if told["sense"] == SENSES[0] else -1.0
+    if "sense" in answers:
+        forward = 1.0 if answers["sense"] == SENSES[0] else -1.0
         signals = tuple(_with_axis(signal, signals, forward) for signal in signals)
     return replace(common, signals=signals)
 

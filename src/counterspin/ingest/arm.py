@@ -18,7 +18,8 @@ import numpy as np
 from counterspin.campaign.model import TERMS_ON_A_MACHINE
 from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError
-from counterspin.exports.arm_table import (
+from counterspin.frozen import frozen
+from counterspin.ingest.arm_table import (
     ABOVE,
     DIRECTIONS,
     HORIZONTAL,
@@ -31,15 +32,15 @@ from counterspin.exports.arm_table import (
     kind_of_arm_columns,
     mountings_beside,
 )
-from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, converts
-from counterspin.exports.looking import FileColumn, Look
-from counterspin.exports.questions import (
+from counterspin.ingest.column_roles import NONE, STANDARD_GRAVITY, converts
+from counterspin.ingest.contents import FileColumn, FileContents
+from counterspin.ingest.questions import (
     SENSES,
-    ExportQuestion,
+    FileQuestion,
     place_questions,
     settled,
 )
-from counterspin.exports.readings import (
+from counterspin.ingest.readings import (
     SEVERAL,
     WORD_ROLES,
     OutputEstimate,
@@ -53,7 +54,6 @@ from counterspin.exports.readings import (
     several_question,
     table_statements,
 )
-from counterspin.frozen import frozen
 
 #: Usual units of a rate.
 _RATE_UNITS: Final = ("rpm", "rev/s", "rad/s", "deg/s", "1/min", "Hz", "s", "ms", "g", "m/s^2")
@@ -85,8 +85,8 @@ class ArmDraft(ReadingsDraft):
         folder: The campaign's.
         """
         said = self.complete()
-        look, roles = below_each_other(self.look, self.roles, self.answers)
-        table = ArmTable.of(look, roles, self.answers)
+        contents, roles = below_each_other(self.contents, self.roles, self.answers)
+        table = ArmTable.of(contents, roles, self.answers)
         columns = {"rate": said["rate"]}
         if turning := self._of("sense"):
             columns["sense"] = turning[0]
@@ -111,10 +111,10 @@ class ArmDraft(ReadingsDraft):
             readings["mountings"] = {
                 word: _axes(axis, said["pendulous axis"]) for word, axis in pointing.items()
             }
-        if look is not self.look:
+        if contents is not self.contents:
             del readings["columns"]["reading"]
-            beside = of_role(self.look, self.roles, "reading")
-            spread = of_role(self.look, self.roles, "uncertainty")
+            beside = of_role(self.contents, self.roles, "reading")
+            spread = of_role(self.contents, self.roles, "uncertainty")
             for place, word in enumerate(mountings_beside(beside)):
                 readings["mountings"][word]["reading"] = beside[place].name
                 if len(spread) == len(beside):
@@ -158,38 +158,40 @@ def _radius_and_model(table: ArmTable, said: Mapping[str, str]) -> tuple[str, di
     return stated[0], model
 
 
-def arm_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> ArmDraft:
+def arm_draft(
+    all_contents: Sequence[FileContents], answers: Mapping[str, str] | None = None
+) -> ArmDraft:
     """Return a draft from a table of readings on an arm, and the open questions.
 
     answers: By the keys of questions; they take precedence over guesses.
     """
-    if len(looks) != 1:
+    if len(all_contents) != 1:
         raise CampaignError("init", ["readings on an arm are one table: name one file"])
-    (look,) = looks
+    (contents,) = all_contents
 
-    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
-        return tuple(_questions(look, arm_roles(look, taken), taken))
+    def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
+        return tuple(_questions(contents, arm_roles(contents, taken), taken))
 
     taken, problems = settled(answers, asked)
-    roles = arm_roles(look, taken)
-    statements = tuple(_statements(look, roles, taken))
-    return ArmDraft(statements, asked(taken), taken, problems, look, roles)
+    roles = arm_roles(contents, taken)
+    statements = tuple(_statements(contents, roles, taken))
+    return ArmDraft(statements, asked(taken), taken, problems, contents, roles)
 
 
-def shows_arm(looks: Sequence[Look]) -> bool:
+def shows_arm(all_contents: Sequence[FileContents]) -> bool:
     """Return whether files are one table of outputs with rates or with names of mountings."""
-    if len(looks) != 1 or max(len(c.values) for c in looks[0].columns) > _MOST_ROWS:
+    if len(all_contents) != 1 or max(len(c.values) for c in all_contents[0].columns) > _MOST_ROWS:
         return False
-    (look,) = looks
-    roles = arm_roles(look, {})
-    rate = next(iter(of_role(look, roles, "rate")), None)
-    if rate is None or not of_role(look, roles, "reading"):
+    (contents,) = all_contents
+    roles = arm_roles(contents, {})
+    rate = next(iter(of_role(contents, roles, "rate")), None)
+    if rate is None or not of_role(contents, roles, "reading"):
         return False
     position = next((name for name, role in roles.items() if role == "position"), None)
-    table = ArmTable.of(look, roles, {})
+    table = ArmTable.of(contents, roles, {})
     beside = kind_of_arm_columns(table) == MOUNTINGS
     return (
-        position in look.words
+        position in contents.words
         or beside
         or not as_acceleration(rate)
         or _follows_accelerations(table)
@@ -200,7 +202,7 @@ def _follows_accelerations(table: ArmTable) -> bool:
     """Return whether readings of one table are linear in accelerations that exceed gravity."""
     if not set(table.roles.values()) <= {"rate", "reading", "uncertainty", "temperature", "radius"}:
         return False  # such as positions of a tumble, whose readings are accelerations
-    (first, *_), felt = of_role(table.look, table.roles, "reading"), table.acceleration(1.0)
+    (first, *_), felt = of_role(table.contents, table.roles, "reading"), table.acceleration(1.0)
     read = table.values(first)
     there = np.isfinite(felt * read)
     if there.sum() < _FEWEST_LEVELS or felt[there].max() < _LEAST_LEVEL * STANDARD_GRAVITY:
@@ -213,7 +215,7 @@ def _follows_accelerations(table: ArmTable) -> bool:
 
 def _followed(table: ArmTable, word: str) -> str | None:
     """Return whether a mounting's readings follow the acceleration or its negative."""
-    readings = of_role(table.look, table.roles, "reading")
+    readings = of_role(table.contents, table.roles, "reading")
     if not readings:
         return None
     slopes, _ = table.lines(readings[0], 1.0)
@@ -232,7 +234,7 @@ def _pointing(table: ArmTable, word: str) -> str | None:
 
 def _resting(table: ArmTable, sensed: OutputEstimate, word: str) -> str | None:
     """Return the direction of the input axis where only the readings at rest show it."""
-    readings = of_role(table.look, table.roles, "reading")
+    readings = of_role(table.contents, table.roles, "reading")
     rows = table.rests & np.array([own == word for own in table.words])
     felt = (table.values(readings[0])[rows] - sensed.zero) / sensed.per_g
     for axis, wanted in (("up", 1.0), ("down", -1.0), ("forward", 0.0)):
@@ -245,61 +247,61 @@ def _resting(table: ArmTable, sensed: OutputEstimate, word: str) -> str | None:
 
 
 def _questions(
-    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
-) -> Iterator[ExportQuestion]:
-    table = ArmTable.of(*below_each_other(look, roles, told), told)
-    yield from place_questions(look)
+    contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
+) -> Iterator[FileQuestion]:
+    table = ArmTable.of(*below_each_other(contents, roles, answers), answers)
+    yield from place_questions(contents)
     yield from _radius_questions(table)
-    numbers = [column.name for column in look.columns]
+    numbers = [column.name for column in contents.columns]
     text = "Which column has the rate, the time of a revolution or the acceleration?"
     yield part_question("rate", text, numbers, roles, needed=True)
     if table.rate is not None:
         text = f"In which unit is column '{table.rate.name}', a rate, a time or an acceleration?"
         units = tuple(dict.fromkeys([*_RATE_UNITS, *filter(None, [table.unit])]))
-        yield ExportQuestion("rate unit", text, "rpm", units, table.unit)
+        yield FileQuestion("rate unit", text, "rpm", units, table.unit)
     if "sense" not in roles.values():
         text = "In which sense does the arm turn at a positive rate, seen from above?"
-        yield ExportQuestion("sense", text, SENSES[0], SENSES)
+        yield FileQuestion("sense", text, SENSES[0], SENSES)
     text = "Which column says how the accelerometer is mounted?"
-    yield part_question("position", text, [*numbers, *look.words], roles, needed=False)
+    yield part_question("position", text, [*numbers, *contents.words], roles, needed=False)
     if table.gaps:
         text = "Which mounting is meant where the table names none?"
-        yield ExportQuestion("empty mounting", text, ABOVE, (ABOVE, NONE), table.gaps)
-    axes = {w: told.get(f"{w} axis") or _pointing(table, w) for w in table.mountings}
-    readings = of_role(table.look, table.roles, "reading")
+        yield FileQuestion("empty mounting", text, ABOVE, (ABOVE, NONE), table.gaps)
+    axes = {w: answers.get(f"{w} axis") or _pointing(table, w) for w in table.mountings}
+    readings = of_role(table.contents, table.roles, "reading")
     for word, axis in axes.items():
         text = f"How does the input axis point in the mounting '{word}'?"
         rests = axis is None and readings and word not in table.turning
-        seen = _resting(table, _sensed(table, readings[0], axes, told), word) if rests else axis
-        yield ExportQuestion(f"{word} axis", text, "inward", DIRECTIONS, seen)
+        seen = _resting(table, _sensed(table, readings[0], axes, answers), word) if rests else axis
+        yield FileQuestion(f"{word} axis", text, "inward", DIRECTIONS, seen)
     if "" in table.turning:
         text = "How does the input axis point while the arm turns?"
         if table.mountings:
             text = "How does the input axis point where the table names no mounting?"
         axes[""] = _followed(table, "")
-        yield ExportQuestion("axis", text, "inward", DIRECTIONS, axes[""])
-        axes[""] = told.get("axis", axes[""])
-    sensed = {column.name: _sensed(table, column, axes, told) for column in readings}
+        yield FileQuestion("axis", text, "inward", DIRECTIONS, axes[""])
+        axes[""] = answers.get("axis", axes[""])
+    sensed = {column.name: _sensed(table, column, axes, answers) for column in readings}
     if any(rests and not word for rests, word in zip(table.rests, table.words, strict=True)):
         text = "How does the input axis point at rest, where the table names no mounting?"
         guess = _resting(table, sensed[readings[0].name], "") if readings else None
-        yield ExportQuestion("axis at rest", text, "up", DIRECTIONS, guess)
+        yield FileQuestion("axis at rest", text, "up", DIRECTIONS, guess)
     text = "Where does the pendulous axis point when the input axis points inward?"
     choices = ("up", "down", "forward", "backward")
-    yield ExportQuestion("pendulous axis", text, "up", choices, "up")
+    yield FileQuestion("pendulous axis", text, "up", choices, "up")
     parts = ["rate", "position", "radius"]
-    yield from role_questions(look, roles, parts, (*WORD_ROLES, "sense"))
-    beside = ArmTable.of(look, roles, told)
+    yield from role_questions(contents, roles, parts, (*WORD_ROLES, "sense"))
+    beside = ArmTable.of(contents, roles, answers)
     kind, more = kind_of_arm_columns(beside), () if beside.position else (MOUNTINGS,)
-    yield from several_question(of_role(look, roles, "reading"), kind, *more)
-    for column, *_ in outputs_of(table.look, table.roles, {SEVERAL: kind, **told}):
-        yield from output_questions(column, told, sensed[column.name])
+    yield from several_question(of_role(contents, roles, "reading"), kind, *more)
+    for column, *_ in outputs_of(table.contents, table.roles, {SEVERAL: kind, **answers}):
+        yield from output_questions(column, answers, sensed[column.name])
     if readings and "uncertainty" not in roles.values() and not _shows_noise(table):
-        unit = output_unit(readings[0], told) or "mA"
+        unit = output_unit(readings[0], answers) or "mA"
         text = (
             "What is the standard uncertainty of a reading? They are too few to show their noise."
         )
-        yield ExportQuestion("u", text, f"2e-6 {unit}", quantity=unit)
+        yield FileQuestion("u", text, f"2e-6 {unit}", quantity=unit)
 
 
 def _shows_noise(table: ArmTable) -> bool:
@@ -312,29 +314,31 @@ def _shows_noise(table: ArmTable) -> bool:
     return repeated and turning >= _FEWEST + slopes + _OF_A_MOUNTING * len(table.turning)
 
 
-def _radius_questions(table: ArmTable) -> Iterator[ExportQuestion]:
+def _radius_questions(table: ArmTable) -> Iterator[FileQuestion]:
     text = "How far is the proof mass from the spindle's axis"
     radii = table.radii()
     known = {radius for own in radii.values() for radius in own}
     example = "1.0 ± 1e-3 m"
     if len(known) < 2 or set(radii) != set(table.mountings) & set(table.turning):
         guess = f"{known.pop():.12g} m" if len(known) == 1 else None
-        yield ExportQuestion("radius", f"{text}?", example, guess=guess, quantity="m")
+        yield FileQuestion("radius", f"{text}?", example, guess=guess, quantity="m")
         return
     for word, own in radii.items():
         guess = f"{own[0]:.12g} m"
         asked = f"{text} in the mounting '{word}'?"
-        yield ExportQuestion(f"{word} radius", asked, example, guess=guess, quantity="m")
+        yield FileQuestion(f"{word} radius", asked, example, guess=guess, quantity="m")
 
 
 def _sensed(
-    table: ArmTable, column: FileColumn, axes: Mapping[str, str | None], told: Mapping[str, str]
+    table: ArmTable, column: FileColumn, axes: Mapping[str, str | None], answers: Mapping[str, str]
 ) -> OutputEstimate:
     """Return an estimate of an output from rates and readings.
 
     axes: Mounting -> direction of the input axis, None: not known yet.
     """
-    stated = [told[key] for key in ("radius", *(f"{word} radius" for word in axes)) if key in told]
+    stated = [
+        answers[key] for key in ("radius", *(f"{word} radius" for word in axes)) if key in answers
+    ]
     radii = [own[0] for own in table.radii().values()]
     radius = parse(stated[0], "m").value if stated else next(iter(radii), math.nan)
     slopes, zero = table.lines(column, radius)
@@ -347,9 +351,11 @@ def _sensed(
     return OutputEstimate(float(np.mean(inward)) if inward else math.nan, zero)
 
 
-def _statements(look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> Iterator[str]:
-    table = ArmTable.of(*below_each_other(look, roles, told), told)
-    yield from table_statements(look, roles)
+def _statements(
+    contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
+) -> Iterator[str]:
+    table = ArmTable.of(*below_each_other(contents, roles, answers), answers)
+    yield from table_statements(contents, roles)
     if table.rate is not None and (step := table.rate_step()) > _LARGE_STEP:
         yield (
             f"column '{table.rate.name}' has so few digits that the last one changes the force by "

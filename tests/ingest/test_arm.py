@@ -10,9 +10,9 @@ from workbooks import write_workbook
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
-from counterspin.exports.arm import arm_draft
-from counterspin.exports.description import drafted, guessed_test, write_description
-from counterspin.exports.looking import look_at
+from counterspin.ingest.arm import arm_draft
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import drafted, guessed_test, write_description
 
 EARTH_RATE, GRAVITY, LATITUDE = 7.292115e-5, 9.8066, math.radians(45.75)
 PLACE = {"gravity": "9.8066", "latitude": "45.75"}
@@ -50,7 +50,7 @@ def write_table(path, rows, head="side,n_rpm,out_mA"):
 
 
 def read(path, **answers):
-    return arm_draft(look_at([path]), SAID | {"out_mA sensitivity": "1,25"} | answers)
+    return arm_draft(read_files([path]), SAID | {"out_mA sensitivity": "1,25"} | answers)
 
 
 def test_a_german_table(tmp_path):
@@ -61,7 +61,7 @@ def test_a_german_table(tmp_path):
     ]
     path = tmp_path / "arm.csv"
     path.write_text("\n".join(lines) + "\n", encoding="latin-1")
-    looks = look_at([path])
+    looks = read_files([path])
     assert guessed_test(looks) == "arm"
     found = drafted(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
     assert found.open_questions == []
@@ -96,7 +96,7 @@ def test_a_workbook_with_radii_and_names(tmp_path):
         rows.append([f"no {n}", word, -2.0 * math.pi, radius, reading(force), 2e-6, 23.0])
     rows += [["rest", "up", 0.0, None, reading(1.0), 2e-6, 23.0]]
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Data": rows})
-    looks = look_at([path])
+    looks = read_files([path])
     assert guessed_test(looks) == "arm"
     answers = PLACE | {"sense": "ccw", "inside radius": "1.0002 ± 1e-4 m"}
     found = arm_draft(looks, answers | {"Output sensitivity": "1.25"})
@@ -159,8 +159,8 @@ def test_readings_at_rest_show_what_a_name_does_not(tmp_path):
 def test_mountings_side_by_side_have_their_columns(tmp_path):
     rows = [[rpm, reading(felt(rpm)), NOISE, reading(-felt(rpm)), NOISE] for rpm in RPM]
     path = write_table(tmp_path / "t.csv", rows, "n_rpm,in [mA],u in [mA],out [mA],u out [mA]")
-    assert guessed_test(look_at([path])) == "arm"
-    found = arm_draft(look_at([path]), SAID | {"in [mA] sensitivity": "1.25"})
+    assert guessed_test(read_files([path])) == "arm"
+    found = arm_draft(read_files([path]), SAID | {"in [mA] sensitivity": "1.25"})
     readings = found.document(tmp_path)["readings"]
     assert readings["columns"] == {"rate": "n_rpm"}
     assert readings["mountings"] == {
@@ -169,7 +169,7 @@ def test_mountings_side_by_side_have_their_columns(tmp_path):
     }
     asked = {question.key: question for question in found.questions}
     assert asked["columns of readings"].guess == "mountings"
-    each = arm_draft(look_at([path]), {"columns of readings": "accelerometers"})
+    each = arm_draft(read_files([path]), {"columns of readings": "accelerometers"})
     assert {"axis", "in [mA] unit", "out [mA] unit"} <= {q.key for q in each.questions}
 
 
@@ -180,7 +180,7 @@ def test_the_sense_may_stand_in_a_column(tmp_path):
     path = write_table(tmp_path / "b.csv", [*rows, *against], "side,Direction,n_rpm,out_mA")
     answers = {**SAID, "out_mA sensitivity": "1.25"}
     del answers["sense"]
-    found = arm_draft(look_at([path]), answers)
+    found = arm_draft(read_files([path]), answers)
     assert found.open_questions == []
     assert found.document(tmp_path)["readings"]["columns"]["sense"] == "Direction"
     assert "sense" not in found.document(tmp_path)["readings"]
@@ -289,7 +289,7 @@ def test_u_is_asked_where_readings_are_too_few_to_show_it(
 )
 def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit):
     rows = [[word, number(rpm) if rpm else 0.0, value] for word, rpm, value in table()]
-    looks = look_at([write_table(tmp_path / "t.csv", rows, head)])
+    looks = read_files([write_table(tmp_path / "t.csv", rows, head)])
     assert guessed_test(looks) == "arm"
     found = arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
     assert found.document(tmp_path)["readings"]["rate_unit"] == unit
@@ -302,12 +302,12 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
 def test_what_cannot_be_described_is_told(tmp_path):
     path = write_table(tmp_path / "t.csv", table())
     with pytest.raises(CampaignError, match="are one table: name one file"):
-        drafted(look_at([path, path]), {}, "arm")
+        drafted(read_files([path, path]), {}, "arm")
     rows = [["in", 30.0 + n, 1.0 + n, reading(felt(30.0))] for n in range(2)]
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
     answers = PLACE | {"sense": "cw", "out_mA sensitivity": "1.25", "u": "2e-6"}
     with pytest.raises(CampaignError, match=r"one mounting have 2 radii \(in\)"):
-        arm_draft(look_at([path]), answers).document(tmp_path)
+        arm_draft(read_files([path]), answers).document(tmp_path)
     rows = [*table()[:5], ["in", "", reading(felt(42.0))]]
     found = read(write_table(tmp_path / "e.csv", rows), u="2e-6")
     with pytest.raises(CampaignError, match=r"line 7.*write 0 where the arm rests"):
@@ -369,7 +369,7 @@ def test_accelerations_beyond_gravity_beside_readings_are_an_arm_s(tmp_path, hea
     lines = [f"{level * unit:.6f},{reading(level):.6f}" for level in LEVELS]
     path = tmp_path / "t.csv"
     path.write_text("\n".join([head, *lines]) + "\n")
-    assert guessed_test(look_at([path])) == shown
+    assert guessed_test(read_files([path])) == shown
 
 
 def test_accelerations_at_positions_are_a_tumble_s(tmp_path):
@@ -377,4 +377,4 @@ def test_accelerations_at_positions_are_a_tumble_s(tmp_path):
     lines = [f"{angle},{value:.6f},{value / 8.0:.6f}" for angle, value in rows]
     path = tmp_path / "t.csv"
     path.write_text("\n".join(["Position (deg),acc (m/s^2),Output (V)", *lines]) + "\n")
-    assert guessed_test(look_at([path])) == "tumble"
+    assert guessed_test(read_files([path])) == "tumble"

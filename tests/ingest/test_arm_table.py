@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.exports.arm_table import (
+from counterspin.ingest.arm_table import (
     ArmTable,
     arm_roles,
     as_acceleration,
@@ -13,20 +13,20 @@ from counterspin.exports.arm_table import (
     direction_of,
     kind_of_arm_columns,
 )
-from counterspin.exports.looking import FileColumn, Look
+from counterspin.ingest.contents import FileColumn, FileContents
 
 
-def look(numbers, words=None, units=None):
+def read_contents(numbers, words=None, units=None):
     """Return a table with columns of numbers and of words."""
     columns = tuple(
         FileColumn(name, (units or {}).get(name, ""), np.array(values, dtype=float))
         for name, values in numbers.items()
     )
-    return Look(None, columns, tuple(words or ()), "", words=words or {})
+    return FileContents(None, columns, tuple(words or ()), "", words=words or {})
 
 
 def table(numbers, words=None, units=None):
-    found = look(numbers, words, units)
+    found = read_contents(numbers, words, units)
     return ArmTable.of(found, arm_roles(found, {}), {})
 
 
@@ -86,7 +86,7 @@ def test_what_has_the_rate(name, unit, rate):
 
 def test_a_rate_comes_before_the_acceleration_that_it_makes():
     numbers = {"accel_g": [1.0, 2.0], "n_rpm": [30.0, 42.0], "out_V": [1.0, 2.0]}
-    found = look(numbers)
+    found = read_contents(numbers)
     assert arm_roles(found, {}) == {"accel_g": "unused", "n_rpm": "rate", "out_V": "reading"}
     assert arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
     assert as_acceleration(found.columns[0])
@@ -141,13 +141,13 @@ def test_the_column_of_mountings_has_their_words_or_its_name():
 def test_a_column_of_senses_is_known_by_its_words():
     numbers = {"n_rpm": [0.0, 30.0, 42.0], "out_V": [1.0, 1.0, 2.0]}
     words = {"Direction": ["", "CW", "ccw"], "Position": ["up", "in", "in"]}
-    found = look(numbers, words)
+    found = read_contents(numbers, words)
     assert arm_roles(found, {})["Direction"] == "sense"
     assert arm_roles(found, {})["Position"] == "position"
     assert arm_roles(found, {"Direction is": "unused"})["Direction"] == "unused"
     assert arm_roles(found, {"position": "Direction"})["Direction"] == "position"
     words["Direction"][0] = "left"
-    assert "sense" not in arm_roles(look(numbers, words), {}).values()
+    assert "sense" not in arm_roles(read_contents(numbers, words), {}).values()
 
 
 @pytest.mark.parametrize(
@@ -182,13 +182,13 @@ def test_accelerations_and_slopes_are_those_of_a_circle():
     felt = 2.0 * w**2 / 9.80665
     numbers = {"omega_rad_s": [0.0, *w, *w], "out_V": [9.0, *(2.5 + 1.25 * felt), *(2.5 - felt)]}
     found = table(numbers, {"side": ["up", "in", "in", "out", "out"]})
-    slopes, zero = found.lines(found.look.columns[1], 2.0)
+    slopes, zero = found.lines(found.contents.columns[1], 2.0)
     assert slopes == pytest.approx({"in": 1.25, "out": -1.0})
     assert zero == pytest.approx(2.5)
     assert found.acceleration(2.0) == pytest.approx([0.0, 18.0, 72.0, 18.0, 72.0])
     unknown = table({"n": [3.0], "out_V": [1.0]})
     assert math.isnan(unknown.acceleration(2.0)[0])
-    assert unknown.lines(unknown.look.columns[1], 2.0)[0] == {}
+    assert unknown.lines(unknown.contents.columns[1], 2.0)[0] == {}
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ def test_accelerations_and_slopes_are_those_of_a_circle():
 def test_columns_that_are_each_other_s_negative_are_mountings(slopes, kind):
     w = np.array([3.0, 6.0, 9.0])
     columns = {f"c{n}_V": 0.1 + slope * w**2 for n, slope in enumerate(slopes)}
-    found = look({"omega_rad_s": w, **columns})
+    found = read_contents({"omega_rad_s": w, **columns})
     beside = ArmTable.of(found, arm_roles(found, {}), {})
     assert kind_of_arm_columns(beside) == kind
     below, roles = below_each_other(found, beside.roles, {})
@@ -214,7 +214,7 @@ def test_columns_that_are_each_other_s_negative_are_mountings(slopes, kind):
     told = {"columns of readings": "mountings"}
     tall = ArmTable.of(*below_each_other(found, beside.roles, told), told)
     assert tall.turning == tuple(f"c{n}_V" for n in range(len(slopes)))
-    lines, _ = tall.lines(tall.look.columns[-1], 1.0)
+    lines, _ = tall.lines(tall.contents.columns[-1], 1.0)
     assert list(lines.values()) == pytest.approx([slope * 9.80665 for slope in slopes])
 
 

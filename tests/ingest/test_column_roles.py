@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from counterspin.errors import RecordError
-from counterspin.exports.guessing import agreed, guess_file, unit_in_name
-from counterspin.exports.looking import FileColumn, Look
+from counterspin.ingest.column_roles import agreed, guess_file, unit_in_name
+from counterspin.ingest.contents import FileColumn, FileContents
 
 TIME = np.arange(1500) * 0.02
 RATE = 1.5
@@ -19,7 +19,7 @@ def seen(name="a.csv", **columns):
         head, _, unit = key.partition("__")
         return FileColumn(head, unit, np.asarray(values, dtype=float))
 
-    return Look(Path(name), tuple(column(k, v) for k, v in columns.items()), (), "")
+    return FileContents(Path(name), tuple(column(k, v) for k, v in columns.items()), (), "")
 
 
 def signal(rate=RATE, size=2.5, phase=0.0):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.exports.looking import FileColumn, Look
-from counterspin.exports.readings import (
+from counterspin.ingest.contents import FileColumn, FileContents
+from counterspin.ingest.readings import (
     OutputEstimate,
     kind_of_columns,
     output_questions,
@@ -24,7 +24,7 @@ def column(name, unit="", values=(1.0, 2.0)):
     return FileColumn(name, unit, np.array(values))
 
 
-LOOK = Look(None, (column("a"), column("b"), column("c")), ("No", "note"), "")
+LOOK = FileContents(None, (column("a"), column("b"), column("c")), ("No", "note"), "")
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_what_counts_the_rows_is_no_reading(values, unit, role):
 def test_columns_are_repeats_by_their_names_and_by_how_near_they_are(names, apart, meant):
     values = np.array([-1.0, 0.0, 1.0])
     columns = [column(n, "V", values + 2.0 * apart * k) for k, n in enumerate(names)]
-    look = Look(None, tuple(columns), (), "")
+    look = FileContents(None, tuple(columns), (), "")
     roles = dict.fromkeys(names, "reading")
     (question,) = several_question(columns, kind_of_columns(columns))
     assert question.guess == meant
@@ -107,7 +107,7 @@ def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():
 
 
 def test_a_voltage_called_u_is_a_reading_where_nothing_else_is():
-    volts = Look(None, (column("angle_deg"), column("U_V")), (), "")
+    volts = FileContents(None, (column("angle_deg"), column("U_V")), (), "")
     guess = {"angle_deg": "position"}
     roles = roles_of(volts, {}, lambda c: guess.get(c.name) or usual_role(c), {})
     assert roles == {"angle_deg": "position", "U_V": "reading"}

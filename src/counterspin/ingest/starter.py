@@ -65,6 +65,6 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
             raise CounterspinError(f"{folder / name} exists; edit it, or choose another folder")
     make_folder(folder)
     for name, example in written.items():
-        text = (files("counterspin.exports") / example).read_text("utf-8")
+        text = (files("counterspin.ingest") / example).read_text("utf-8")
         write_text(folder / name, text)
     return folder / DESCRIPTION_NAME

@@ -9,8 +9,8 @@ from workbooks import write_workbook
 from counterspin.calibration.observed import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.exports.description import draft, write_description
-from counterspin.exports.looking import look_at
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import draft, write_description
 
 TIME = np.arange(1500) * 0.02
 ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
@@ -24,7 +24,7 @@ def record(path, rate, columns):
 
 
 def drafted(files, **answers):
-    return draft(look_at(files), ANSWERS | answers)
+    return draft(read_files(files), ANSWERS | answers)
 
 
 def axes(theta):
@@ -39,7 +39,7 @@ def test_two_axes_show_sense_and_zero_of_the_encoder(tmp_path, rate, sense):
         return {"azimuth": azimuth, **axes(theta)}
 
     files = [record(tmp_path / "a b.csv", rate, columns)]
-    found = draft(look_at(files))
+    found = draft(read_files(files))
     assert [q.key for q in found.open_questions] == ["gravity", "latitude", "radius"]
     write_description(drafted(files), tmp_path)
     campaign = read_campaign(tmp_path)
@@ -74,7 +74,7 @@ def test_velocities_are_ahead_of_displacements(tmp_path):
 
 def test_what_files_do_not_say_is_asked(tmp_path):
     path = record(tmp_path / "a.csv", np.pi, lambda th: {"p": 2.5 * np.cos(th), "enc": 31415 * th})
-    keys = [question.key for question in draft(look_at([path])).open_questions]
+    keys = [question.key for question in draft(read_files([path])).open_questions]
     asked = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
     assert keys == asked
     with pytest.raises(CampaignError) as caught:
@@ -94,7 +94,7 @@ def test_guesses_may_be_overruled(tmp_path):
         return {"phi": np.degrees(theta), **axes(theta), "temp_m": np.cos(theta)}
 
     files = [record(tmp_path / "a.csv", np.pi, columns)]
-    assert draft(look_at(files)).common.angle.column == "phi"
+    assert draft(read_files(files)).common.angle.column == "phi"
     found = drafted(
         files, **{"temp_m is": "unused", "east_m axis": "W", "north_m is": "ignore"}, sense="ccw"
     )
@@ -115,7 +115,7 @@ def test_a_unit_that_is_answered_shows_the_rate_of_each_run(tmp_path):
         frame = {"t_s": TIME, "enc": 1e3 * rate * TIME, "p": 0.0 * TIME}
         pl.DataFrame(frame).write_csv(tmp_path / f"{name}.csv")
         paths.append(tmp_path / f"{name}.csv")
-    asked = {question.key for question in draft(look_at(paths)).open_questions}
+    asked = {question.key for question in draft(read_files(paths)).open_questions}
     assert {"angle unit", "rate", "signal"} <= asked
     answers = {"angle unit": "count", "per_revolution": "1000", "sense": "ccw", "signal": "p"}
     more = {"p is": "displacement", "p unit": "m", "p axis": "east"}
@@ -128,7 +128,7 @@ def test_sampling_rates_that_files_state_are_taken(tmp_path):
     pos = np.column_stack([axes(theta)["east_m"], axes(theta)["north_m"]])
     rec = {"phi": theta[:, None], "pos": pos, "fs": 50.0, "rpm": 30.0, "note": "arm"}
     savemat(tmp_path / "a.mat", {"rec": rec})
-    found = draft(look_at([tmp_path / "a.mat"]))
+    found = draft(read_files([tmp_path / "a.mat"]))
     assert [signal.column for signal in found.common.signals] == ["pos.1", "pos.2"]
     assert {"fs", "rpm"} <= set(found.common.unused)
     answers = {"angle unit": "rad", "sense": "ccw", "pos.1 unit": "m", "pos.2 unit": "m"}
@@ -161,7 +161,7 @@ def test_each_sheet_of_a_workbook_may_be_a_run(tmp_path):
     book = {"slow": sheet(np.pi), "fast": sheet(2 * np.pi)}
     path = write_workbook(tmp_path / "runs.xlsx", book)
     answers = ANSWERS | {"sheet": "all"}
-    write_description(draft(look_at([path], answers), answers), tmp_path / "camp")
+    write_description(draft(read_files([path], answers), answers), tmp_path / "camp")
     campaign = read_campaign(tmp_path / "camp")
     assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 2 * np.pi])
     assert {run.record for run in campaign.runs} == {tmp_path / "camp" / ".." / "runs.xlsx"}

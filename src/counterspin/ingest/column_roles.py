@@ -20,8 +20,8 @@ from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
-from counterspin.exports.looking import FileColumn, Look, frequency, wave
 from counterspin.frozen import frozen
+from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
 from counterspin.records.dialect import file_unit
 from counterspin.units import unit_factor
 
@@ -71,7 +71,7 @@ _TURNING_UNITS: Final = {
     "us": (1e-7, 1e-5),
     "ns": (1e-10, 1e-8),
 }
-#: Gravity by which g and m/s^2 are told from other units, m/s^2.
+#: Gravity that converts between g and m/s^2, and tells them from other units, m/s^2.
 STANDARD_GRAVITY: Final = 9.80665
 
 
@@ -119,7 +119,7 @@ class SignalGuess:
 class FileGuess:
     """The columns of one file."""
 
-    look: Look  #: The file.
+    contents: FileContents  #: The file.
     #: The columns; None: there seems to be none.
     time: TimeGuess | None
     angle: AngleGuess | None
@@ -150,27 +150,29 @@ class FileGuess:
 
 
 @np.errstate(all="ignore")  # no number of a file is too odd to be looked at
-def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> FileGuess:
+def guess_file(
+    contents: FileContents, answers: Mapping[str, str] = MappingProxyType({})
+) -> FileGuess:
     """Return the role of each column of a file; see the module.
 
-    told: A person's answers about the file, by the keys of questions.
+    answers: A person's answers about the file, by the keys of questions.
     """
     columns = [
-        replace(column, unit=told.get(f"{column.name} unit", column.unit))
-        for column in look.columns
+        replace(column, unit=answers.get(f"{column.name} unit", column.unit))
+        for column in contents.columns
     ]
-    time_column = _chosen(columns, told.get("time"), _time_column)
+    time_column = _chosen(columns, answers.get("time"), _time_column)
     time, sampling = None, None
     seconds = np.arange(max(len(column.values) for column in columns), dtype=float)
     if time_column is not None:
-        stated = told.get("time unit") or _unit_of(time_column, "s")
-        stated = stated or _unit_by_rate(time_column, _sampling(look, told))
+        stated = answers.get("time unit") or _unit_of(time_column, "s")
+        stated = stated or _unit_by_rate(time_column, _sampling(contents, answers))
         unit = "iso" if time_column.stamps else stated
         factor = 1.0 if time_column.stamps or unit is None else unit_factor(unit, "s")
         time = TimeGuess(time_column.name, unit, factor)
         seconds = time_column.values * factor
     else:
-        sampling = _sampling(look, told)
+        sampling = _sampling(contents, answers)
         seconds = seconds / (sampling or 1.0)
     rest = [column for column in columns if column is not time_column and not column.stamps]
     long = [column for column in rest if len(column.values) == len(seconds)]
@@ -181,48 +183,48 @@ def guess_file(look: Look, told: Mapping[str, str] = MappingProxyType({})) -> Fi
         if _advance(column.values, seconds) is not None
         and not (time_column and np.array_equal(column.values, time_column.values, equal_nan=True))
     ]
-    angle_column = _chosen(advancing, told.get("angle"), _angle_column)
+    angle_column = _chosen(advancing, answers.get("angle"), _angle_column)
     swinging = [
         column
         for column in long
         if column is not angle_column
-        and _is_signal(column, None if column in advancing else swings[column.name], told)
+        and _is_signal(column, None if column in advancing else swings[column.name], answers)
     ]
     usual = [swing for column in swinging if (swing := swings[column.name])]
     turning = float(np.median(usual)) if usual else None  # Hz
     angle, theta = None, None
     rising = True
     if angle_column is not None:
-        angle, theta = _angle(angle_column, seconds, turning, told)
+        angle, theta = _angle(angle_column, seconds, turning, answers)
         rising = theta is None or float(np.nanmedian(np.diff(theta))) > 0.0
-    elif turning is not None and told.get("angle") != NONE:
+    elif turning is not None and answers.get("angle") != NONE:
         angle, theta = _pulses(rest, seconds, turning)
     rate = None if turning is None else 2.0 * np.pi * turning
     if theta is not None:
         good = np.isfinite(theta) & np.isfinite(seconds)
         rate = abs(float(np.polyfit(seconds[good], theta[good], 1)[0]))
-    elif (time or sampling) and (per_minute := _number(look, _TURNING)):
+    elif (time or sampling) and (per_minute := _number(contents, _TURNING)):
         rate = per_minute * 2.0 * np.pi / 60.0
     if time is not None and time.unit is None and (unit := _unit_by_turning(rate)):
-        return guess_file(look, {**told, "time unit": unit})
-    signals = tuple(_signal(column, seconds, theta, rate, told) for column in swinging)
+        return guess_file(contents, {**answers, "time unit": unit})
+    signals = tuple(_signal(column, seconds, theta, rate, answers) for column in swinging)
     taken = {signal.column for signal in signals}
     taken |= {part.column for part in (time, angle) if part}
     warm = _temperature([column for column in columns if column.name not in taken])
     taken |= {warm[0]} if warm else set()
     unused = tuple(column.name for column in columns if column.name not in taken)
-    unused = (*unused, *look.others, *look.numbers)
-    return FileGuess(look, time, angle, sampling, signals, rate, rising, unused, warm)
+    unused = (*unused, *contents.others, *contents.numbers)
+    return FileGuess(contents, time, angle, sampling, signals, rate, rising, unused, warm)
 
 
 def _chosen(
     columns: Sequence[FileColumn],
-    told: str | None,
+    answers: str | None,
     guess: Callable[[Sequence[FileColumn]], FileColumn | None],
 ) -> FileColumn | None:
     """Return the column that a person named, or else the guessed one."""
-    named = next((column for column in columns if column.name == told), None)
-    return named if told == NONE or named is not None else guess(columns)
+    named = next((column for column in columns if column.name == answers), None)
+    return named if answers == NONE or named is not None else guess(columns)
 
 
 def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
@@ -239,15 +241,15 @@ def _temperature(columns: Sequence[FileColumn]) -> tuple[str, str] | None:
     return None
 
 
-def _sampling(look: Look, told: Mapping[str, str]) -> float | None:
+def _sampling(contents: FileContents, answers: Mapping[str, str]) -> float | None:
     """Return the number of rows a second, Hz: as a person answered, or as the file states it."""
-    if "sampling_rate" in told:
-        return parse(told["sampling_rate"], "Hz").value
-    if look.interval:
-        return 1.0 / look.interval
-    if rate := _number(look, _SAMPLING):
+    if "sampling_rate" in answers:
+        return parse(answers["sampling_rate"], "Hz").value
+    if contents.interval:
+        return 1.0 / contents.interval
+    if rate := _number(contents, _SAMPLING):
         return rate
-    step = _number(look, _STEP)
+    step = _number(contents, _STEP)
     return 1.0 / step if step else None
 
 
@@ -268,18 +270,18 @@ def _unit_by_turning(rate: float | None) -> str | None:
     return None
 
 
-def _number(look: Look, names: re.Pattern[str]) -> float | None:
+def _number(contents: FileContents, names: re.Pattern[str]) -> float | None:
     """Return the only number in a name, if it is positive."""
-    found = [value for name, value in look.numbers.items() if names.fullmatch(name)]
+    found = [value for name, value in contents.numbers.items() if names.fullmatch(name)]
     return found[0] if found and np.isfinite(found[0]) and found[0] > 0.0 else None
 
 
-def _is_signal(column: FileColumn, swing: float | None, told: Mapping[str, str]) -> bool:
+def _is_signal(column: FileColumn, swing: float | None, answers: Mapping[str, str]) -> bool:
     """Return whether a column is a signal: by an answer, by its wave, or by its name."""
-    if (what := told.get(f"{column.name} is")) is not None:
+    if (what := answers.get(f"{column.name} is")) is not None:
         return what != UNUSED
-    if "signal" in told:
-        return column.name == told["signal"]
+    if "signal" in answers:
+        return column.name == answers["signal"]
     if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
         return False  # such as a temperature
     return bool(swing or _axis(column.name))
@@ -292,13 +294,13 @@ def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
     """
     first = guesses[0]
     for guess in guesses[1:]:
-        there = {column.name for column in guess.look.columns}
+        there = {column.name for column in guess.contents.columns}
         asked = [p.column for p in (first.time, first.angle, *first.signals) if p and p.column]
         missing = [name for name in asked if name not in there]
         if missing:
             raise RecordError(
-                f"{guess.look.path}: has no column '{missing[0]}', which {first.look.path.name} "
-                "has. Give files of the same layout only."
+                f"{guess.contents.path}: has no column '{missing[0]}', which "
+                f"{first.contents.path.name} has. Give files of the same layout only."
             )
     signals = tuple(_grown(signal, guesses) for signal in first.signals)
     rate = first.rate if all(guess.rate for guess in guesses) else None
@@ -419,7 +421,7 @@ def _advance(values: Array, time: Array) -> tuple[Array, float | None] | None:
 
 
 def _angle(
-    column: FileColumn, time: Array, turning: float | None, told: Mapping[str, str]
+    column: FileColumn, time: Array, turning: float | None, answers: Mapping[str, str]
 ) -> tuple[AngleGuess, Array | None]:
     """Return the unit of an angle, and the angle in rad as the encoder counts it."""
     found = _advance(column.values, time)
@@ -430,15 +432,15 @@ def _angle(
         slope = abs(float(np.polyfit(time[good], unwrapped[good], 1)[0]))
         if period is None or abs(slope / turning / period - 1.0) > _UNIT_TOLERANCE:
             period = slope / turning
-    unit = told.get("angle unit") or _unit_of(column, "rad")
-    known = "angle unit" in told or converts(column.unit, "rad")
+    unit = answers.get("angle unit") or _unit_of(column, "rad")
+    known = "angle unit" in answers or converts(column.unit, "rad")
     if unit is not None and unit != "count":
         factor = unit_factor(unit, "rad")
         # A name may say what the numbers do not.
         if known or period is None or abs(period * factor / (2.0 * np.pi) - 1.0) < _UNIT_TOLERANCE:
             return AngleGuess(column.name, unit, known=known), unwrapped * factor
-    if "per_revolution" in told:
-        stated = float(told["per_revolution"])
+    if "per_revolution" in answers:
+        stated = float(answers["per_revolution"])
         return AngleGuess(column.name, "count", stated), unwrapped * 2.0 * np.pi / stated
     if period is None:
         return AngleGuess(column.name, unit), None
@@ -486,10 +488,10 @@ def _signal(
     time: Array,
     theta: Array | None,
     rate: float | None,
-    told: Mapping[str, str],
+    answers: Mapping[str, str],
 ) -> SignalGuess:
     """Return a signal with its observable by the unit, and its wave."""
-    wanted = told.get(f"{column.name} is")
+    wanted = answers.get(f"{column.name} is")
     observable, unit = wanted, None
     for name, si in OBSERVABLES.items():
         if wanted in (None, name) and (unit := _unit_of(column, si)) is not None:
@@ -502,7 +504,7 @@ def _signal(
     elif rate is not None:
         amplitude, _ = wave(rate * time, column.values)
     known = bool(column.unit)
-    axis = told.get(f"{column.name} axis") or _axis(column.name)
+    axis = answers.get(f"{column.name} axis") or _axis(column.name)
     return SignalGuess(column.name, observable, unit, axis, amplitude, phase, known)
 
 

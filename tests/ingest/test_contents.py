@@ -8,7 +8,7 @@ from prose import ROOT
 from workbooks import write_workbook
 
 from counterspin.errors import RecordError
-from counterspin.exports.looking import look, look_at
+from counterspin.ingest.contents import read_contents, read_files
 
 #: The numbers of the example: time, angle, east.
 EXAMPLE = [[0.0, 0.02, 0.04], [0.0, 0.18, 0.36], [2.5, 2.499, 2.495]]
@@ -18,7 +18,7 @@ def test_columns_with_units_stamps_and_the_rest(tmp_path):
     rows = [f"12:00:0{i},5;{i},25;ok;{'' if i else '7'}" for i in range(8)]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["About", "t;x [mm];note;few", *rows]) + "\n")
-    seen = look(path)
+    seen = read_contents(path)
     assert [(c.name, c.unit, c.stamps) for c in seen.columns] == [
         ("t", "", True),
         ("x [mm]", "mm", False),
@@ -34,7 +34,7 @@ def test_the_example_of_the_page_is_read_without_a_description(tmp_path):
     page = (ROOT / "docs" / "exports.md").read_text("utf-8")
     (text,) = re.findall(r"^```\n(Test 12;.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
-    time, angle, east = look(tmp_path / "a.txt").columns
+    time, angle, east = read_contents(tmp_path / "a.txt").columns
     assert [(c.name, c.unit) for c in (time, angle, east)] == [
         ("Time", "s"),
         ("Angle", "deg"),
@@ -46,7 +46,7 @@ def test_the_example_of_the_page_is_read_without_a_description(tmp_path):
 def test_a_file_without_numbers(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\nx,y\n")
     with pytest.raises(RecordError) as caught:
-        look(tmp_path / "a.csv")
+        read_contents(tmp_path / "a.csv")
     told = str(caught.value)
     assert "no column of the file holds numbers. Its first lines:\n  line 1: 2 cells, none" in told
 
@@ -54,8 +54,8 @@ def test_a_file_without_numbers(tmp_path):
 def test_a_sheet_is_chosen_or_each_is_a_run(tmp_path):
     rows = [["t [s]", "x"], *[[i / 50, i % 7] for i in range(9)]]
     path = write_workbook(tmp_path / "a.xlsx", {"slow": rows, "fast": rows, "empty": []})
-    (first,) = look_at([path])
+    (first,) = read_files([path])
     assert (first.sheet, first.sheets) == ("slow", ("slow", "fast"))
-    assert [one.sheet for one in look_at([path], {"sheet": "fast"})] == ["fast"]
-    assert [one.sheet for one in look_at([path], {"sheet": "all"})] == ["slow", "fast"]
-    assert look_at([write_workbook(tmp_path / "b.xlsx", {"one": rows})])[0].sheet is None
+    assert [one.sheet for one in read_files([path], {"sheet": "fast"})] == ["fast"]
+    assert [one.sheet for one in read_files([path], {"sheet": "all"})] == ["slow", "fast"]
+    assert read_files([write_workbook(tmp_path / "b.xlsx", {"one": rows})])[0].sheet is None

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.exports.looking import frequency, wave
+from counterspin.ingest.contents import frequency, wave
 
 TIME = np.arange(1000) * 0.02
 

@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from counterspin.exports.description import draft
-from counterspin.exports.looking import look_at
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import draft
 
 PLACE = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg"}
 TIME = np.arange(400) * 0.05
@@ -19,7 +19,7 @@ DIRECTIONS = {"east": 0.0, "north": np.pi / 2, "west": np.pi, "south": -np.pi / 
 def asked(path, **answers):
     """Return the draft, and what is yet to be answered."""
     said = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
-    found = draft(look_at([path]), said)
+    found = draft(read_files([path]), said)
     return found, [question.key for question in found.open_questions]
 
 

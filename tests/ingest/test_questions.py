@@ -2,14 +2,14 @@
 
 import pytest
 
-from counterspin.exports.questions import AXES, SENSES, ExportQuestion, judged_answers
+from counterspin.ingest.questions import AXES, SENSES, FileQuestion, judged_answers
 
-GRAVITY = ExportQuestion("gravity", "?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2")
-RATE = ExportQuestion("rate", "?", "0.25 rev/s", quantity="rad/s")
-AXIS = ExportQuestion("axis", "?", "east", AXES)
-SENSE = ExportQuestion("sense", "?", "clockwise", SENSES)
-UNIT = ExportQuestion("unit", "?", "m", unit="m")
-COUNTS = ExportQuestion("counts", "?", "65536")
+GRAVITY = FileQuestion("gravity", "?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2")
+RATE = FileQuestion("rate", "?", "0.25 rev/s", quantity="rad/s")
+AXIS = FileQuestion("axis", "?", "east", AXES)
+SENSE = FileQuestion("sense", "?", "clockwise", SENSES)
+UNIT = FileQuestion("unit", "?", "m", unit="m")
+COUNTS = FileQuestion("counts", "?", "65536")
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import pytest
 from workbooks import write_workbook
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.exports.description import drafted, guessed_test, write_description
-from counterspin.exports.looking import look_at
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import drafted, guessed_test, write_description
 
 EARTH_RATE, GRAVITY, LATITUDE, RADIUS = 7.292115e-5, 9.8073, math.radians(48.2), 0.85
 SAID = {"gravity": "9.8073 ± 1e-5", "latitude": "48.2", "radius": "0.85 ± 2e-4 m", "sense": "ccw"}
@@ -159,7 +159,7 @@ def least_squares_u():
 
 @pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)
 def test_from_the_file_to_a_result_without_another_answer(tmp_path, write):
-    looks = look_at([write(tmp_path)])
+    looks = read_files([write(tmp_path)])
     assert guessed_test(looks) == "arm"
     asked = drafted(looks, SAID, "arm").open_questions
     # All but the nominal sensitivity follows from the table.

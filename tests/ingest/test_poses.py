@@ -11,9 +11,9 @@ from posed_records import posed
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, RecordError
-from counterspin.exports.description import drafted, guessed_test, write_description
-from counterspin.exports.looking import look_at
-from counterspin.exports.poses import poses_draft
+from counterspin.ingest.contents import read_files
+from counterspin.ingest.description import drafted, guessed_test, write_description
+from counterspin.ingest.poses import poses_draft
 from counterspin.toml_text import write_document
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "imucal"
@@ -36,7 +36,7 @@ def write_log(folder, values):
 
 
 def test_a_log_without_names_and_times(tmp_path, values):
-    looks = look_at([write_log(tmp_path, values)])
+    looks = read_files([write_log(tmp_path, values)])
     assert guessed_test(looks) == "poses"
     found = drafted(looks, ANSWERS, "poses")
     assert found.open_questions == []
@@ -74,7 +74,7 @@ def test_a_thermometer_beside_the_axes_tells_their_slopes(tmp_path):
     rows = np.column_stack([truth.time, values, np.round(warm, 1)])
     names = "t_s,ax,ay,az,Temp (°C)"
     np.savetxt(tmp_path / "imu.csv", rows, "%.5f", ",", header=names, comments="", encoding="utf-8")
-    found = drafted(look_at([tmp_path / "imu.csv"]), PLACE, "poses")
+    found = drafted(read_files([tmp_path / "imu.csv"]), PLACE, "poses")
     assert "temperature: column 'Temp (°C)', in degC" in found.statements
     document = found.document(tmp_path)
     assert document["records"]["temperature"] == {"column": "Temp (°C)", "unit": "degC"}
@@ -93,12 +93,12 @@ def test_counts_of_a_thermometer_are_not_guessed_to_be_degrees(tmp_path, values)
     counts = np.full(len(values), 3120.0)
     rows = np.column_stack([time, values, counts])
     np.savetxt(tmp_path / "i.csv", rows, "%.5f", ",", header="t_s,ax,ay,az,temp", comments="")
-    document = drafted(look_at([tmp_path / "i.csv"]), PLACE, "poses").document(tmp_path)
+    document = drafted(read_files([tmp_path / "i.csv"]), PLACE, "poses").document(tmp_path)
     assert set(document["records"]) == {"time"}
 
 
 def test_what_is_guessed_can_be_overruled(tmp_path, values):
-    looks = look_at([write_log(tmp_path, values)])
+    looks = read_files([write_log(tmp_path, values)])
     more = {"X": "column 3", "Z": "column 1", "grade": "tactical", "rest": "3", "unit": "m/s^2"}
     found = poses_draft(looks, ANSWERS | more)
     document = found.document(tmp_path)
@@ -114,7 +114,7 @@ def test_what_is_guessed_can_be_overruled(tmp_path, values):
 
 
 def test_what_the_file_does_not_say_is_asked(tmp_path, values):
-    found = poses_draft(look_at([write_log(tmp_path, values)]))
+    found = poses_draft(read_files([write_log(tmp_path, values)]))
     asked = [question.key for question in found.open_questions]
     assert asked == ["gravity", "latitude", "sampling_rate"]
     with pytest.raises(CampaignError, match="sampling_rate: There is no time column"):
@@ -126,7 +126,7 @@ def test_the_size_at_rest_tells_the_unit(tmp_path, values, unit, factor):
     time = np.arange(len(values)) * 10.0
     columns = {"t_ms": time} | {f"a{n}": factor * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
-    looks = look_at([tmp_path / "imu.csv"])
+    looks = read_files([tmp_path / "imu.csv"])
     assert guessed_test(looks) == "poses"
     found = poses_draft(looks, {k: v for k, v in ANSWERS.items() if k != "sampling_rate"})
     document = found.document(tmp_path)
@@ -139,7 +139,7 @@ def test_counts_have_a_sensitivity(tmp_path, values):
     columns = {f"a{n}": np.round(1670.0 * values[:, n]) for n in range(3)}
     columns |= {f"m{n}": field[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
-    looks = look_at([tmp_path / "imu.csv"])
+    looks = read_files([tmp_path / "imu.csv"])
     found = poses_draft(looks, ANSWERS)
     assert found.triad == ("a0", "a1", "a2")
     assert found.open_questions == []
@@ -160,7 +160,7 @@ def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
     time = np.arange(len(values)) / 100.0
     raw = np.round(middle + counts * values)
     np.savetxt(file, np.column_stack([time, raw]), fmt="%16.7e")
-    return look_at([file])
+    return read_files([file])
 
 
 def test_counts_of_a_converter_that_is_not_zero_where_nothing_is_felt(tmp_path):
@@ -192,7 +192,7 @@ def test_numbers_of_rows_are_no_time(tmp_path, values):
     columns = {"n_samples": np.arange(len(values))}
     columns |= {f"acc_{n}": values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "session.csv")
-    looks = look_at([tmp_path / "session.csv"])
+    looks = read_files([tmp_path / "session.csv"])
     assert guessed_test(looks) == "poses"
     asked = [question.key for question in poses_draft(looks).open_questions]
     assert asked == ["gravity", "latitude", "sampling_rate"]
@@ -210,7 +210,7 @@ def test_a_file_for_each_pose(tmp_path):
         noisy = force + BIAS + 0.02 * rng.normal(size=(400, 3))
         columns = {"time_s": np.arange(400) / 100.0, "x": noisy[:, 0], "y": noisy[:, 1]}
         pl.DataFrame(columns | {"z": noisy[:, 2]}).write_csv(files[-1])
-    looks = look_at(files)
+    looks = read_files(files)
     assert guessed_test(looks) == "poses"
     found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert any(one.startswith("16 poses in 16 files: rests") for one in found.statements)
@@ -232,7 +232,7 @@ def test_a_table_with_a_pose_in_each_row(tmp_path, unit, size):
     values = np.round(values + 40000.0) if unit == "count" else values
     columns = {"No": np.arange(1, 25)} | {f"a{n} ({unit})": values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "poses.csv")
-    looks = look_at([tmp_path / "poses.csv"])
+    looks = read_files([tmp_path / "poses.csv"])
     assert guessed_test(looks) == "poses"
     found = drafted(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert [question.key for question in found.open_questions] == []
@@ -251,10 +251,10 @@ def test_volts_of_a_single_supply(tmp_path, values):
     columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
     told = {k: v for k, v in ANSWERS.items() if k != "sampling_rate"} | {"unit": "V"}
-    found = poses_draft(look_at([tmp_path / "imu.csv"]), told)
+    found = poses_draft(read_files([tmp_path / "imu.csv"]), told)
     asked = {question.key: question.guess for question in found.questions}
     assert float(asked["Y zero"].split()[0]) == pytest.approx(1.65, abs=0.02)
-    document = poses_draft(look_at([tmp_path / "imu.csv"]), told | {"Y zero": "1.5 V"}).document(
+    document = poses_draft(read_files([tmp_path / "imu.csv"]), told | {"Y zero": "1.5 V"}).document(
         tmp_path
     )
     assert document["accelerometers"]["Y"]["output"]["zero"] == "1.5 V"
@@ -266,7 +266,7 @@ def test_other_records_are_not_taken_for_poses(tmp_path, values):
     for name, these in (("still", still), ("few", values[:2000]), ("rates", 0.01 * values)):
         columns = {f"a{n}": these[:, n] for n in range(3)}
         pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
-        assert guessed_test(look_at([tmp_path / f"{name}.csv"])) == "double-turntable"
+        assert guessed_test(read_files([tmp_path / f"{name}.csv"])) == "double-turntable"
 
 
 # As loggers write them
@@ -323,7 +323,7 @@ def test_layouts_of_loggers(tmp_path, name):
     values = truth.values + BIAS
     _, head, rows, axes = next(one for one in layouts(truth.time, values) if one[0] == name)
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
-    looks = look_at([tmp_path / "log.csv"])
+    looks = read_files([tmp_path / "log.csv"])
     assert guessed_test(looks) == "poses"
     found = drafted(looks, PLACE, "poses")
     assert found.triad == axes
@@ -334,7 +334,7 @@ def test_layouts_of_loggers(tmp_path, name):
 def write_rows(folder, time, values, head="t,ax,ay,az"):
     rows = np.column_stack([time, values])
     np.savetxt(folder / "log.csv", rows, "%.6g", ",", header=head, comments="")
-    return look_at([folder / "log.csv"])
+    return read_files([folder / "log.csv"])
 
 
 def test_a_counter_of_packets_is_no_time(tmp_path, values):
@@ -381,7 +381,7 @@ def test_axes_are_in_the_order_of_their_names(tmp_path, values):
         for k, (x, y, z) in zip(time, values, strict=True)
     ]
     (tmp_path / "log.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
-    found = drafted(look_at([tmp_path / "log.csv"]), PLACE, "poses")
+    found = drafted(read_files([tmp_path / "log.csv"]), PLACE, "poses")
     assert found.triad == ("x", "y", "z")
     assert len(calibrate(write_description(found, tmp_path / "camp").parent).triad.poses) == 12
 
@@ -451,7 +451,7 @@ def test_faces_set_twice_do_not_tell_angles(tmp_path):
 def test_a_real_sensor_on_six_faces(tmp_path):
     """Half the sum and half the difference of opposite faces tell the same, but for their tilts."""
     answers = {"gravity": "9.8066 m/s^2", "latitude": "49.6 deg", "sampling_rate": "204.8 Hz"}
-    found = drafted(look_at([REAL / "session.csv"]), answers, "poses")
+    found = drafted(read_files([REAL / "session.csv"]), answers, "poses")
     assert found.triad == ("acc_x", "acc_y", "acc_z")
     assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
@@ -519,7 +519,7 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
 def test_words_between_numbers_have_to_go(tmp_path):
     (tmp_path / "log.txt").write_text("AcX = -8272 | AcY = -14018 | AcZ = -2056\n" * 40)
     with pytest.raises(RecordError, match="Where words stand between numbers in its rows, take"):
-        look_at([tmp_path / "log.txt"])
+        read_files([tmp_path / "log.txt"])
 
 
 @pytest.mark.parametrize("count", [9, 10])
@@ -563,7 +563,7 @@ def test_what_shows_no_test_says_so(tmp_path):
     counts = np.random.default_rng(2).integers(-20000, 20000, (400, 3)).tolist()
     rows = "".join(f"14:22:{k / 10:06.3f} -> {x},{y},{z}\n" for k, (x, y, z) in enumerate(counts))
     (tmp_path / "serial.txt").write_text(rows)
-    looks = look_at([tmp_path / "serial.txt"])
+    looks = read_files([tmp_path / "serial.txt"])
     assert any(
         one.startswith("no column swings as on a double turntable, and no three columns rest")
         for one in drafted(looks, {}, guessed_test(looks)).statements

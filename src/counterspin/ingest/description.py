@@ -16,25 +16,25 @@ from counterspin.campaign.kinds import COMPASS
 from counterspin.campaign.memory import record_name
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.exports.arm import ArmDraft, arm_draft, shows_arm
-from counterspin.exports.guessing import NONE, FileGuess, agreed, guess_file
-from counterspin.exports.looking import Look, look_at
-from counterspin.exports.poses import PosesDraft, poses_draft, shows_poses
-from counterspin.exports.questions import (
+from counterspin.frozen import frozen
+from counterspin.ingest.arm import ArmDraft, arm_draft, shows_arm
+from counterspin.ingest.column_roles import NONE, FileGuess, agreed, guess_file
+from counterspin.ingest.contents import FileContents, read_files
+from counterspin.ingest.poses import PosesDraft, poses_draft, shows_poses
+from counterspin.ingest.questions import (
     SENSES,
     UNFIT,
-    AnsweredExport,
-    ExportQuestion,
+    AnsweredDraft,
+    FileQuestion,
     completed,
     questions_of,
     relative_name,
     settled,
     waves_sense,
 )
-from counterspin.exports.starter import Test
-from counterspin.exports.triads import without_gravity
-from counterspin.exports.tumble import TumbleDraft, shows_tumble, tumble_draft
-from counterspin.frozen import frozen
+from counterspin.ingest.starter import Test
+from counterspin.ingest.triads import without_gravity
+from counterspin.ingest.tumble import TumbleDraft, shows_tumble, tumble_draft
 from counterspin.output import make_folder, write_text
 from counterspin.records.column_file import quoted
 from counterspin.toml_text import write_document
@@ -50,7 +50,7 @@ _ROUND_RATE_PART: Final = 2e-4
 
 
 @frozen
-class Draft(AnsweredExport):
+class Draft(AnsweredDraft):
     """The contents of records, and a person's answers."""
 
     guesses: tuple[FileGuess, ...]  #: Of each file, or sheet.
@@ -59,12 +59,12 @@ class Draft(AnsweredExport):
     @property
     def files(self) -> list[Path]:
         """The files of the runs."""
-        return [guess.look.path for guess in self.guesses]
+        return [guess.contents.path for guess in self.guesses]
 
     @property
-    def look(self) -> Look:
+    def contents(self) -> FileContents:
         """The contents of the first file, which stands for all."""
-        return self.common.look
+        return self.common.contents
 
     def document(self, folder: Path) -> dict[str, Any]:
         """Return the description made from guesses and answers; CampaignError if some are missing.
@@ -84,25 +84,25 @@ class Draft(AnsweredExport):
         return document | {"runs": list(_runs(self.guesses, answers, sense, place, []))}
 
 
-def draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> Draft:
+def draft(all_contents: Sequence[FileContents], answers: Mapping[str, str] | None = None) -> Draft:
     """Return a draft from a recorder's files, one for each run, and the open questions.
 
     answers: By the keys of questions; they take precedence over guesses.
     """
-    if not looks:
+    if not all_contents:
         raise CampaignError("init", ["name the files of the runs"])
 
     def seen(taken: Mapping[str, str]) -> tuple[tuple[FileGuess, ...], FileGuess]:
-        guesses = tuple(guess_file(look, taken) for look in looks)
+        guesses = tuple(guess_file(contents, taken) for contents in all_contents)
         return guesses, completed(agreed(guesses), taken)
 
-    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
+    def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
         _, common = seen(taken)
         return tuple(questions_of(common, taken.get("sense") or waves_sense(common), taken))
 
     taken, problems = settled(answers, asked)
     guesses, common = seen(taken)
-    unfit = (f"{UNFIT}: {why}" for look in looks if (why := _unfit(look)))
+    unfit = (f"{UNFIT}: {why}" for contents in all_contents if (why := _unfit(contents)))
     shown = waves_sense(agreed(guesses))
     problems = (*unfit, *problems, *_against_waves(taken.get("sense"), shown))
     questions = asked(taken)
@@ -119,21 +119,21 @@ def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
         )
 
 
-def _unfit(look: Look) -> str:
+def _unfit(contents: FileContents) -> str:
     """Return why a file cannot be a run's record as it is written; empty text if it can."""
-    rows = max(len(column.values) for column in look.columns)
+    rows = max(len(column.values) for column in contents.columns)
     if rows < _FEWEST_ROWS:
         return (
-            f"{look.path.name} has {rows} rows of numbers in {len(look.columns)} columns, too few "
-            "for a record of a run. Export a row for each sample and a column for each quantity; "
-            "of a table of readings say which test it is of (`test`)"
+            f"{contents.path.name} has {rows} rows of numbers in {len(contents.columns)} columns, "
+            "too few for a record of a run. Export a row for each sample and a column for each "
+            "quantity; of a table of readings say which test it is of (`test`)"
         )
-    for name, cells in look.first_words.items():
+    for name, cells in contents.first_words.items():
         kinds = len(set(cells))
         if 1 < kinds < len(cells) / 2 and cells[kinds:] == cells[:-kinds]:
             return (
-                f"in {look.path.name} several quantities stand below each other: column '{name}' "
-                f"has {', '.join(cells[:kinds][:4])} in turn. Export a column for each"
+                f"in {contents.path.name} several quantities stand below each other: column "
+                f"'{name}' has {', '.join(cells[:kinds][:4])} in turn. Export a column for each"
             )
     return ""
 
@@ -142,17 +142,19 @@ def _unfit(look: Look) -> str:
 AnyDraft = Draft | TumbleDraft | ArmDraft | PosesDraft
 
 
-def guessed_test(looks: Sequence[Look]) -> Test:
+def guessed_test(all_contents: Sequence[FileContents]) -> Test:
     """Return the kind of test that files show."""
     # A sensor with three axes may have rates beside them.
-    if shows_poses(looks):
+    if shows_poses(all_contents):
         return "poses"
-    if shows_arm(looks):
+    if shows_arm(all_contents):
         return "arm"
-    return "tumble" if shows_tumble(looks) else "double-turntable"
+    return "tumble" if shows_tumble(all_contents) else "double-turntable"
 
 
-def drafted(looks: Sequence[Look], answers: Mapping[str, str], test: Test) -> AnyDraft:
+def drafted(
+    all_contents: Sequence[FileContents], answers: Mapping[str, str], test: Test
+) -> AnyDraft:
     """Return a draft from the files of a test."""
     makers: dict[Test, Callable[..., AnyDraft]] = {
         "double-turntable": draft,
@@ -160,7 +162,7 @@ def drafted(looks: Sequence[Look], answers: Mapping[str, str], test: Test) -> An
         "arm": arm_draft,
         "poses": poses_draft,
     }
-    return makers[test](looks, answers)
+    return makers[test](all_contents, answers)
 
 
 def write_description(draft: AnyDraft, folder: Path) -> Path:
@@ -211,12 +213,12 @@ def further_runs(
     sense = angle.get("sense", SENSES[0])
     if (not angle or angle.get("pulses")) and str(runs[0]["rate"]).startswith("-"):
         sense = SENSES[1]  # nothing counts down, and the centrifuge turns as it did
-    guesses = [guess_file(look, told) for look in look_at(files)]
+    guesses = [guess_file(contents, told) for contents in read_files(files)]
     for guess in guesses:
         if guess.rate is None or not (guess.time or guess.sampling):
             raise CounterspinError(
-                f"{guess.look.path}: the file does not show at which rate the centrifuge turned; "
-                "add its run in the description"
+                f"{guess.contents.path}: the file does not show at which rate the centrifuge "
+                "turned; add its run in the description"
             )
     names = [run["name"] for run in runs]
     return list(_runs(guesses, {}, sense, folder.resolve(), names))
@@ -231,13 +233,13 @@ def _runs(
 ) -> Iterator[dict[str, Any]]:
     """Yield the run of each file under a name that is not among `names`, and add the name."""
     for guess in guesses:
-        stem, sheet = guess.look.path.stem, guess.look.sheet
+        stem, sheet = guess.contents.path.stem, guess.contents.sheet
         name = Path(record_name(f"{stem} {sheet}" if sheet else stem, "", names)).name
         names.append(name)
         run: dict[str, Any] = {
             "name": name,
             "rate": _rate(guess, answers, sense),
-            "record": relative_name(guess.look.path, place),
+            "record": relative_name(guess.contents.path, place),
         }
         yield run | ({"records": {"sheet": sheet}} if sheet else {})
 
@@ -250,8 +252,8 @@ def _statements(
 ) -> Iterator[str]:
     for guess in guesses:
         said = []
-        if guess.look.found:
-            said.append(guess.look.found)
+        if guess.contents.found:
+            said.append(guess.contents.found)
         if guess.rate is not None:
             turns = guess.rate / (2.0 * math.pi)
             said.append(
@@ -259,8 +261,8 @@ def _statements(
                 if guess.time or guess.sampling
                 else f"{1 / turns:.6g} rows a turn"
             )
-        rows = max(len(column.values) for column in guess.look.columns)
-        yield f"{guess.look.path.name}: {', '.join([f'{rows} rows', *said])}"
+        rows = max(len(column.values) for column in guess.contents.columns)
+        yield f"{guess.contents.path.name}: {', '.join([f'{rows} rows', *said])}"
     time, angle = common.time, common.angle
     if time is None and common.sampling is not None:
         yield f"time: no column; {common.sampling:.8g} rows a second by the file"
@@ -290,7 +292,7 @@ def _statements(
         yield "pendulous axes: assumed down, or north for an upright input axis"
     if common.unused:
         yield f"not used: {', '.join(common.unused[:20])}"
-    yield from (f"not read: {why}" for guess in guesses for why in guess.look.spoilt)
+    yield from (f"not read: {why}" for guess in guesses for why in guess.contents.spoilt)
 
 
 def _nothing_shown(common: FileGuess) -> Iterator[str]:

@@ -20,15 +20,15 @@ from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.triad import USUAL_AXES
 from counterspin.errors import RecordError
-from counterspin.exports.guessing import (
+from counterspin.frozen import frozen
+from counterspin.ingest.column_roles import (
     STANDARD_GRAVITY,
     FileGuess,
     converts,
     guess_file,
     is_even,
 )
-from counterspin.exports.looking import FileColumn, Look
-from counterspin.frozen import frozen
+from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.physics.grades import GRADES
 from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST, Poses, find_poses
 from counterspin.units import unit_factor
@@ -115,18 +115,18 @@ class TriadColumns:
         return self.means is not None and self.poses is None
 
 
-def guessed_poses(look: Look, told: Mapping[str, str]) -> FileGuess:
+def guessed_poses(contents: FileContents, answers: Mapping[str, str]) -> FileGuess:
     """Return the role of each column without rotation: the time is what rises in even steps."""
-    guess = guess_file(look, told)
-    first = look.columns[0]
-    known = {"time", "sampling_rate"} & set(told)
+    guess = guess_file(contents, answers)
+    first = contents.columns[0]
+    known = {"time", "sampling_rate"} & set(answers)
     if guess.time is None and not known and is_even(first.values) and not _counts_rows(first):
-        guess = guess_file(look, {**told, "time": first.name})
+        guess = guess_file(contents, {**answers, "time": first.name})
     if guess.time is not None and guess.time.unit is None:
-        column = next(one for one in look.columns if one.name == guess.time.column)
+        column = next(one for one in contents.columns if one.name == guess.time.column)
         step = _usual_step(column.values)
         unit = next(unit for unit, least in _STEPS_IN.items() if step > least)
-        guess = guess_file(look, {**told, "time": column.name, "time unit": unit})
+        guess = guess_file(contents, {**answers, "time": column.name, "time unit": unit})
     return guess
 
 
@@ -135,7 +135,7 @@ def _counts_rows(column: FileColumn) -> bool:
     return bool(not column.unit and np.all(np.diff(column.values) == 1.0))
 
 
-def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadColumns | None:
+def find_triad(guesses: Sequence[FileGuess], answers: Mapping[str, str]) -> TriadColumns | None:
     """Return the columns of a triad: the answered ones, or three that rest alike in all files.
 
     If there are several, such as those of a magnetometer, return the first with the norm of gravity
@@ -143,9 +143,9 @@ def find_triad(guesses: Sequence[FileGuess], told: Mapping[str, str]) -> TriadCo
     """
     guess = guesses[0]
     columns, seconds = _together(guesses)
-    if "rest" in told:
-        return _found_triad(columns, seconds, guess, told, parse(told["rest"], "s").value)
-    found, shorter = (_found_triad(columns, seconds, guess, told, rest) for rest in _RESTS)
+    if "rest" in answers:
+        return _found_triad(columns, seconds, guess, answers, parse(answers["rest"], "s").value)
+    found, shorter = (_found_triad(columns, seconds, guess, answers, rest) for rest in _RESTS)
     return shorter if _tells_more(shorter, found) else found or shorter
 
 
@@ -168,20 +168,20 @@ def _found_triad(
     columns: Mapping[str, FileColumn],
     seconds: Array,
     guess: FileGuess,
-    told: Mapping[str, str],
+    answers: Mapping[str, str],
     rest: float,
 ) -> TriadColumns | None:
     """Return the columns of a triad with rests of a given length, s, as `find_triad`."""
-    named = [columns[told[axis]] for axis in AXES if told.get(axis) in columns]
+    named = [columns[answers[axis]] for axis in AXES if answers.get(axis) in columns]
     if len(named) == len(AXES):
-        return _looked_at(named, seconds, rest, told.get("unit"))
+        return _looked_at(named, seconds, rest, answers.get("unit"))
     time = guess.time.column if guess.time else None
     there = [one for one in columns.values() if one.name != time]
     there = [one for one in there if len(one.values) == len(seconds)]
     like: list[TriadColumns] = []
     for three in islice(threes(there), _MOST_THREES):
         if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
-            found = _looked_at(three, seconds, rest, told.get("unit"))
+            found = _looked_at(three, seconds, rest, answers.get("unit"))
             if found.means is not None and _turns(found.means - found.zero):
                 like.append(found)
     known = [found for found in like if found.unit is not None] or like
@@ -218,7 +218,7 @@ def _felt_alike(one: TriadColumns, other: TriadColumns) -> bool:
 def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Array]:
     """Return the columns that all files have, one file after the other, and the time in s."""
     files = [
-        {column.name: column for column in guess.look.columns if not column.stamps}
+        {column.name: column for column in guess.contents.columns if not column.stamps}
         for guess in guesses
     ]
     lengths = [max(len(column.values) for column in own.values()) for own in files]
@@ -238,7 +238,7 @@ def _together(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColumn], Arra
 def _seconds(guess: FileGuess, rows: int) -> Array:
     if guess.time is None:
         return np.arange(rows) / (guess.sampling or USUAL_RATE)
-    column = next(one for one in guess.look.columns if one.name == guess.time.column)
+    column = next(one for one in guess.contents.columns if one.name == guess.time.column)
     return column.values * guess.time.factor
 
 
@@ -368,7 +368,7 @@ def grade_of(found: TriadColumns, guess: FileGuess) -> str | None:
 def _step(guess: FileGuess) -> float:
     if guess.time is None:
         return 1.0 / (guess.sampling or USUAL_RATE)
-    column = next(one for one in guess.look.columns if one.name == guess.time.column)
+    column = next(one for one in guess.contents.columns if one.name == guess.time.column)
     return _usual_step(column.values) * guess.time.factor
 
 

@@ -1,8 +1,8 @@
 """Draft a campaign's description from recorder files, and ask what the files do not show.
 
 - `starter`: a commented example campaign, for users without files
-- `looking`: the contents of a file: columns with units, numbers and waves
-- `guessing`: the role of each column of every file
+- `contents`: the contents of a file: columns with units, numbers and waves
+- `column_roles`: the role of each column of every file
 - `questions`: the questions, and what answers and signals show together
 - `readings`: a table of readings: the role of each column, and its readings
 - `tumble`: tables of a tumble

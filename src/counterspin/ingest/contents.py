@@ -52,7 +52,7 @@ class FileColumn:
 
 
 @frozen(eq=False)
-class Look:
+class FileContents:
     """The contents of a file."""
 
     path: Path  #: The file.
@@ -73,12 +73,12 @@ class Look:
     spoilt: tuple[str, ...] = ()
 
 
-def look_at(
+def read_files(
     files: Sequence[Path],
     answers: Mapping[str, str] | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Look, ...]:
+) -> tuple[FileContents, ...]:
     """Return the contents of the runs' files.
 
     answers: ``sheet`` selects the table of workbooks with several, or `ALL_SHEETS`; the default is
@@ -86,25 +86,27 @@ def look_at(
     progress: Called with (files looked at, files in all).
     """
     asked = (answers or {}).get("sheet")
-    looks: list[Look] = []
+    all_contents: list[FileContents] = []
     for done, file in enumerate(files, 1):
         sheets = tuple(in_reader_process(table_sheets, file)) if is_workbook(file) else ()
         if len(sheets) < 2:
-            looks.append(look(file))
+            all_contents.append(read_contents(file))
         else:
             taken = sheets if asked == ALL_SHEETS else (asked if asked in sheets else sheets[0],)
-            looks += [look(file, sheet, sheets) for sheet in taken]
+            all_contents += [read_contents(file, sheet, sheets) for sheet in taken]
         if progress is not None:
             progress(done, len(files))
-    return tuple(looks)
+    return tuple(all_contents)
 
 
-def look(path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()) -> Look:
+def read_contents(
+    path: Path, sheet: str | None = None, sheets: tuple[str, ...] = ()
+) -> FileContents:
     """Return the contents of a file, or of one of its sheets."""
-    return in_reader_process(_look, path, sheet, sheets)
+    return in_reader_process(_read_contents, path, sheet, sheets)
 
 
-def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
+def _read_contents(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> FileContents:
     with open_columns(path, Dialect(sheet=sheet)) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
         columns, others, spoilt, reasons = [], [], [], []
@@ -123,7 +125,7 @@ def _look(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Look:
             if reasons and len(reasons) == len(names):
                 raise RecordError(f"{reasons[0]} {_ANOTHER_RUN}")
             raise RecordError(f"{path}: no column of the file holds numbers. {lines}")
-        return Look(
+        return FileContents(
             path,
             tuple(columns),
             tuple(others),

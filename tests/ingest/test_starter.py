@@ -11,7 +11,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.cli import main
 from counterspin.errors import CounterspinError
-from counterspin.exports.starter import Test, init
+from counterspin.ingest.starter import Test, init
 from counterspin.physics.terms import TERMS
 from counterspin.simulation.simulate import simulate
 from counterspin.studies.study import study

@@ -1,7 +1,7 @@
 """Draft a campaign's description from readings of a sensor with three axes in many poses.
 
 Such a record is detected from its data, and so is a table with a pose in each row
-(`counterspin.exports.triads`).
+(`counterspin.ingest.triads`).
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from typing import Any, Final
 
 from counterspin.campaign.memory import record_name
 from counterspin.errors import CampaignError
-from counterspin.exports.guessing import FileGuess, converts
-from counterspin.exports.looking import Look
-from counterspin.exports.questions import (
-    AnsweredExport,
-    ExportQuestion,
+from counterspin.frozen import frozen
+from counterspin.ingest.column_roles import FileGuess, converts
+from counterspin.ingest.contents import FileContents
+from counterspin.ingest.questions import (
+    AnsweredDraft,
+    FileQuestion,
     place_questions,
     relative_name,
     settled,
     time_questions,
 )
-from counterspin.exports.triads import (
+from counterspin.ingest.triads import (
     AXES,
     MOST_ROWS,
     PARAMETERS,
@@ -33,7 +34,6 @@ from counterspin.exports.triads import (
     grade_of,
     guessed_poses,
 )
-from counterspin.frozen import frozen
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
 from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST
@@ -43,7 +43,7 @@ _NO_NOISE: Final = 6
 
 
 @frozen
-class PosesDraft(AnsweredExport):
+class PosesDraft(AnsweredDraft):
     """The contents of a record of poses, and a person's answers."""
 
     guesses: tuple[FileGuess, ...]  #: Of each file.
@@ -54,12 +54,12 @@ class PosesDraft(AnsweredExport):
     @property
     def files(self) -> list[Path]:
         """The files of the records."""
-        return [guess.look.path for guess in self.guesses]
+        return [guess.contents.path for guess in self.guesses]
 
     @property
-    def look(self) -> Look:
+    def contents(self) -> FileContents:
         """The contents of the first file."""
-        return self.guesses[0].look
+        return self.guesses[0].contents
 
     @property
     def triad(self) -> tuple[str, str, str] | None:
@@ -106,10 +106,10 @@ class PosesDraft(AnsweredExport):
         self, columns: Sequence[str], said: Mapping[str, str], place: Path
     ) -> dict[str, Any]:
         """Return the keys for a table of poses: its file and the role of its columns."""
-        look = self.look
-        readings: dict[str, Any] = {"file": relative_name(look.path, place)}
-        readings |= {"sheet": look.sheet} if look.sheet else {}
-        readings |= {"decimal": ","} if look.decimal == "," else {}
+        contents = self.contents
+        readings: dict[str, Any] = {"file": relative_name(contents.path, place)}
+        readings |= {"sheet": contents.sheet} if contents.sheet else {}
+        readings |= {"decimal": ","} if contents.decimal == "," else {}
         read: dict[str, Any] = {"reading": dict(zip(AXES, columns, strict=True))}
         warm = self.guesses[0].temperature
         read |= {"temperature": warm[0]} if warm else {}
@@ -139,20 +139,22 @@ class PosesDraft(AnsweredExport):
         return {"records": {"time": rows} | self.guesses[0].temperature_table, "runs": runs}
 
 
-def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None) -> PosesDraft:
+def poses_draft(
+    all_contents: Sequence[FileContents], answers: Mapping[str, str] | None = None
+) -> PosesDraft:
     """Return a draft from records of poses, and the open questions.
 
     answers: By the keys of questions; they take precedence over guesses.
     """
-    if not looks:
+    if not all_contents:
         raise CampaignError("init", ["name the record of the poses"])
     guesses: tuple[FileGuess, ...] = ()
-    questions: tuple[ExportQuestion, ...] = ()
+    questions: tuple[FileQuestion, ...] = ()
     found: TriadColumns | None = None
 
-    def asked(taken: Mapping[str, str]) -> tuple[ExportQuestion, ...]:
+    def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
         nonlocal guesses, questions, found
-        guesses = tuple(guessed_poses(look, taken) for look in looks)
+        guesses = tuple(guessed_poses(contents, taken) for contents in all_contents)
         found = find_triad(guesses, taken)
         questions = tuple(_questions(guesses[0], found, taken))
         return questions
@@ -162,9 +164,9 @@ def poses_draft(looks: Sequence[Look], answers: Mapping[str, str] | None = None)
     return PosesDraft(statements, questions, taken, problems, guesses, found)
 
 
-def shows_poses(looks: Sequence[Look]) -> bool:
+def shows_poses(all_contents: Sequence[FileContents]) -> bool:
     """Return whether files seem to be records of a sensor in many poses."""
-    found = find_triad([guessed_poses(look, {}) for look in looks], {})
+    found = find_triad([guessed_poses(contents, {}) for contents in all_contents], {})
     if found is None or found.unit is not None:
         return found is not None
     # Whatever its unit may be, what rests on a sphere and moves clearly between is a sensor's.
@@ -182,33 +184,31 @@ def _model(found: TriadColumns | None) -> dict[str, Any]:
 
 
 def _questions(
-    guess: FileGuess, found: TriadColumns | None, told: Mapping[str, str]
-) -> Iterator[ExportQuestion]:
-    names = tuple(column.name for column in guess.look.columns)
+    guess: FileGuess, found: TriadColumns | None, answers: Mapping[str, str]
+) -> Iterator[FileQuestion]:
+    names = tuple(column.name for column in guess.contents.columns)
     in_table = found is not None and found.in_table
-    yield from place_questions(guess.look)
+    yield from place_questions(guess.contents)
     yield from () if in_table else time_questions(guess, names)
     for place, axis in enumerate(AXES):
         text = f"Which column is the sensor's axis {axis}?"
         known = found.columns[place] if found else None
-        yield ExportQuestion(axis, text, names[min(place, len(names) - 1)], names, known)
+        yield FileQuestion(axis, text, names[min(place, len(names) - 1)], names, known)
     text = "In which unit are the three axes?"
     if found and math.isfinite(found.gravity):
         text += f" At rest their magnitude is {found.gravity:.4g}."
-    unit = told.get("unit") or (found.unit if found else None)
-    yield ExportQuestion("unit", text, UNITS[0], UNITS, unit)
+    unit = answers.get("unit") or (found.unit if found else None)
+    yield FileQuestion("unit", text, UNITS[0], UNITS, unit)
     if unit is not None and not converts(unit, "m/s^2"):
         text = "What is the nominal sensitivity?"
         felt = found.gravity if found else math.nan
         size = f"{felt:.4g} {unit}/g" if math.isfinite(felt) else None
-        yield ExportQuestion(
-            "sensitivity", text, f"1000 {unit}/g", guess=size, quantity=f"{unit}/g"
-        )
+        yield FileQuestion("sensitivity", text, f"1000 {unit}/g", guess=size, quantity=f"{unit}/g")
         zeros = found.zero.tolist() if found else []
         for axis, zero in zip(AXES, zeros if any(zeros) else [], strict=False):
             text = f"What does axis {axis} nominally read at zero force?"
             size = f"{zero:.4g} {unit}"
-            yield ExportQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
+            yield FileQuestion(f"{axis} zero", text, size, guess=size, quantity=unit)
     if found is not None and found.means is not None and len(found.means) <= _NO_NOISE:
         said = "m/s^2" if unit is None or not in_table else unit
         text = (
@@ -216,23 +216,23 @@ def _questions(
             "uncertainty of each axis in a pose?"
         )
         example = "0.01 m/s^2" if said == "m/s^2" else f"0.001 {said}"
-        yield ExportQuestion("u", text, example, quantity=said)
+        yield FileQuestion("u", text, example, quantity=said)
     if not in_table:
         text = "How long must a rest last at least to count as a pose?"
         usual = f"{found.rest if found else SHORTEST_REST:g} s"
-        yield ExportQuestion("rest", text, usual, guess=usual, quantity="s")
+        yield FileQuestion("rest", text, usual, guess=usual, quantity="s")
     text = "Of which grade is the sensor? It sets the typical size of all that is not stated."
     grade = grade_of(found, guess) if found else None
-    yield ExportQuestion("grade", text, "consumer", GRADES, grade)
+    yield FileQuestion("grade", text, "consumer", GRADES, grade)
 
 
 def _statements(
-    guesses: Sequence[FileGuess], found: TriadColumns | None, told: Mapping[str, str]
+    guesses: Sequence[FileGuess], found: TriadColumns | None, answers: Mapping[str, str]
 ) -> Iterator[str]:
     for guess in guesses:
-        rows = max(len(column.values) for column in guess.look.columns)
-        said = [f"{rows} rows", *filter(None, [guess.look.found])]
-        yield f"{guess.look.path.name}: {', '.join(said)}"
+        rows = max(len(column.values) for column in guess.contents.columns)
+        said = [f"{rows} rows", *filter(None, [guess.contents.found])]
+        yield f"{guess.contents.path.name}: {', '.join(said)}"
     time, sampling = guesses[0].time, guesses[0].sampling
     if found is not None and found.in_table:
         yield from _of_table(guesses[0], found)
@@ -252,12 +252,12 @@ def _statements(
         return
     usual = " if it has 100 rows a second" if time is None and sampling is None else ""
     usual = ", its first part," + usual if len(poses.level) == MOST_ROWS else usual
-    where = guesses[0].look.path.name if len(guesses) == 1 else f"{len(guesses)} files"
+    where = guesses[0].contents.path.name if len(guesses) == 1 else f"{len(guesses)} files"
     yield from _few(found)
     level = f"{poses.threshold:.3g} {found.unit or ''}".strip()
     yield (
         f"{len(poses.start)} poses in {where}{usual}: rests of at least "
-        f"{told.get('rest', f'{found.rest:g} s')} in which the axes together scatter by less "
+        f"{answers.get('rest', f'{found.rest:g} s')} in which the axes together scatter by less "
         f"than {level}; their attitudes are unknown"
     )
     yield from poses.doubts

@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.campaign.columns import SENSE_WORDS, mounting_of
-from counterspin.exports.guessing import NONE, STANDARD_GRAVITY, converts, unit_in_name
-from counterspin.exports.looking import FileColumn, Look
-from counterspin.exports.questions import ExportQuestion
-from counterspin.exports.readings import (
+from counterspin.frozen import frozen
+from counterspin.ingest.column_roles import NONE, STANDARD_GRAVITY, converts, unit_in_name
+from counterspin.ingest.contents import FileColumn, FileContents
+from counterspin.ingest.questions import FileQuestion
+from counterspin.ingest.readings import (
     ACCELEROMETERS,
     SEVERAL,
     WORD_ROLES,
@@ -27,7 +28,6 @@ from counterspin.exports.readings import (
     roles_of,
     usual_role,
 )
-from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 
 #: Directions in the frame of the arm; the horizontal ones as a turn about down passes them.
@@ -76,7 +76,7 @@ Rows = npt.NDArray[np.bool_]
 class ArmTable:
     """The columns of a table of readings, with the answers about their units."""
 
-    look: Look
+    contents: FileContents
     roles: Mapping[str, str]
     rate: FileColumn | None  #: None: not known yet.
     unit: str | None  #: Of the rate; None: not known yet.
@@ -86,24 +86,26 @@ class ArmTable:
     gaps: str | None
 
     @classmethod
-    def of(cls, look: Look, roles: Mapping[str, str], told: Mapping[str, str]) -> ArmTable:
+    def of(
+        cls, contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
+    ) -> ArmTable:
         """Return a table with columns of these roles."""
-        rate = next(iter(of_role(look, roles, "rate")), None)
-        unit = told.get("rate unit") or (_rate_unit(rate) if rate else None)
+        rate = next(iter(of_role(contents, roles, "rate")), None)
+        unit = answers.get("rate unit") or (_rate_unit(rate) if rate else None)
         position = next((name for name, role in roles.items() if role == "position"), None)
-        numbers = next((c.values for c in look.columns if c.name == position), None)
-        words: Sequence[str] = look.words.get(position or "", ())
+        numbers = next((c.values for c in contents.columns if c.name == position), None)
+        words: Sequence[str] = contents.words.get(position or "", ())
         if numbers is not None:
             words = ["" if math.isnan(value) else f"{value:.12g}" for value in numbers]
         words = [mounting_of(word) for word in words]
-        rows = max(len(column.values) for column in look.columns)
-        remarks = _without_numbers([rate, *of_role(look, roles, "reading")], rows)
+        rows = max(len(column.values) for column in contents.columns)
+        remarks = _without_numbers([rate, *of_role(contents, roles, "reading")], rows)
         words = (*words, *[""] * rows)[:rows]
         words = tuple("" if only else word for word, only in zip(words, remarks, strict=True))
         gaps = _gaps(rate, words)
-        if told.get("empty mounting", gaps) == ABOVE:
+        if answers.get("empty mounting", gaps) == ABOVE:
             words = tuple(accumulate(words, lambda above, own: own or above))
-        return cls(look, roles, rate, unit, position, words, gaps)
+        return cls(contents, roles, rate, unit, position, words, gaps)
 
     def values(self, column: FileColumn | None) -> Array:
         """Return a column, NaN in rows without a value."""
@@ -130,7 +132,7 @@ class ArmTable:
 
     def radii(self) -> dict[str, list[float]]:
         """Return the radii of each mounting from the column, m; empty without one."""
-        columns = of_role(self.look, self.roles, "radius")
+        columns = of_role(self.contents, self.roles, "radius")
         if not columns:
             return {}
         values = self.values(columns[0]) * unit_factor(_radius_unit(columns[0]), "m")
@@ -187,26 +189,28 @@ class ArmTable:
         return np.array([own == word for own in self.words]) & np.logical_not(self.rests)
 
 
-def arm_roles(look: Look, told: Mapping[str, str]) -> dict[str, str]:
+def arm_roles(contents: FileContents, answers: Mapping[str, str]) -> dict[str, str]:
     """Return the role of each column."""
-    rates = [column for column in look.columns if _kind(column) is not None]
+    rates = [column for column in contents.columns if _kind(column) is not None]
     rates.sort(key=_preference)
     # The time of a revolution, whatever it is called, does not go on from row to row.
-    rates += [column for column in look.columns if usual_role(column) == "time" and _falls(column)]
-    words = [name for name, cells in look.words.items() if any(map(direction_of, cells))]
-    senses = [name for name, cells in look.words.items() if _are_senses(cells)]
+    rates += [
+        column for column in contents.columns if usual_role(column) == "time" and _falls(column)
+    ]
+    words = [name for name, cells in contents.words.items() if any(map(direction_of, cells))]
+    senses = [name for name, cells in contents.words.items() if _are_senses(cells)]
     named = [
         name
-        for name, cells in look.words.items()
+        for name, cells in contents.words.items()
         if _repeat(cells) and _POSITION.match(name) and name not in senses
     ]
-    numbered = [c.name for c in look.columns if _POSITION.match(c.name)]
+    numbered = [c.name for c in contents.columns if _POSITION.match(c.name)]
     parts = {
         "rate": rates[0].name if rates else None,
         "position": next(iter([*words, *named, *numbered]), None),
     }
-    roles = roles_of(look, told, _role, parts)
-    free = [name for name in senses if roles[name] in WORD_ROLES and f"{name} is" not in told]
+    roles = roles_of(contents, answers, _role, parts)
+    free = [name for name in senses if roles[name] in WORD_ROLES and f"{name} is" not in answers]
     return roles | dict.fromkeys(free[:1], "sense")
 
 
@@ -291,7 +295,7 @@ def _radius_unit(column: FileColumn) -> str:
 
 def kind_of_arm_columns(table: ArmTable) -> str:
     """Return the role of several columns of readings: mountings, if they have opposite signs."""
-    columns = of_role(table.look, table.roles, "reading")
+    columns = of_role(table.contents, table.roles, "reading")
     if table.position is None and len(columns) > 1 and table.rate is not None:
         felt = table.acceleration(1.0)
         slopes = np.array([_slope(felt, table.values(column)) for column in columns])
@@ -308,23 +312,23 @@ def _slope(felt: Array, read: Array) -> float:
 
 
 def below_each_other(
-    look: Look, roles: Mapping[str, str], told: Mapping[str, str]
-) -> tuple[Look, Mapping[str, str]]:
+    contents: FileContents, roles: Mapping[str, str], answers: Mapping[str, str]
+) -> tuple[FileContents, Mapping[str, str]]:
     """Return a table in long format if its columns of readings are those of mountings."""
-    table, columns = ArmTable.of(look, roles, told), of_role(look, roles, "reading")
-    kind = told.get(SEVERAL) or kind_of_arm_columns(table)
+    table, columns = ArmTable.of(contents, roles, answers), of_role(contents, roles, "reading")
+    kind = answers.get(SEVERAL) or kind_of_arm_columns(table)
     if kind != MOUNTINGS or table.position is not None or not columns:
-        return look, roles
+        return contents, roles
     rows, count, names = len(table.words), len(columns), [column.name for column in columns]
     tall = [
         replace(column, values=np.tile(table.values(column), count))
-        for column in look.columns
+        for column in contents.columns
         if column not in columns
     ]
     read = replace(columns[0], values=np.concatenate([table.values(c) for c in columns]))
     words = {MOUNTINGS: [word for word in mountings_beside(columns) for _ in range(rows)]}
     kept = {name: role for name, role in roles.items() if name not in names[1:]}
-    below = replace(look, columns=(*tall, read), words=words, others=(MOUNTINGS,))
+    below = replace(contents, columns=(*tall, read), words=words, others=(MOUNTINGS,))
     return below, {**kept, MOUNTINGS: "position"}
 
 
@@ -352,6 +356,6 @@ def direction_of(word: str) -> str | None:
 
 def _direction(text: str) -> str | None:
     try:
-        return ExportQuestion("axis", "", "", DIRECTIONS).judged(text)
+        return FileQuestion("axis", "", "", DIRECTIONS).judged(text)
     except ValueError:
         return None
