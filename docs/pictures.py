@@ -99,15 +99,15 @@ def draw_the_tutorial() -> None:
         y_label="displacement, m",
         series=(PlotSeries("recorded", tuple(time[seconds]), tuple(east[seconds])),),
     )
-    (left,) = result.residuals("Qx", campaign.runs[-1].name)
-    some = slice(None, None, max(1, left.time.size // 100))
+    residuals = result.residuals("Qx", campaign.runs[-1].name)
+    some = residuals.gather_every(max(1, residuals.height // 100))
     error = Plot(
         title="The whole record less the true motion, and the fit through it",
         x_label="time, s",
         y_label="error, m",
         series=(
-            PlotSeries("recorded", tuple(left.time[some]), tuple(left.error[some]), kind="points"),
-            PlotSeries("fitted", tuple(left.time[some]), tuple(left.fitted[some]), colour=1),
+            PlotSeries("recorded", tuple(some["time"]), tuple(some["error"]), kind="points"),
+            PlotSeries("fitted", tuple(some["time"]), tuple(some["fitted"]), colour=1),
         ),
     )
     save([recorded, error], IMAGES / "record.svg", overwrite=True)

@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
@@ -265,6 +266,17 @@ def _scipy() -> str:
 # Results that print and draw themselves. Pages import results: a result names its pages. ---------
 
 _PUBLICATION: Final = "counterspin.reports.publication"
+
+
+def make_frame(columns: Mapping[str, list[Any]], numeric: Iterable[str], library: str) -> Any:
+    """Return columns as a frame of a library; `numeric` hold numbers, even if all are None."""
+    if library == "pandas":
+        return import_module("pandas").DataFrame(columns)
+    if library != "polars":
+        raise ValueError(f"library: {library!r} is not polars or pandas")
+    import polars as pl
+
+    return pl.DataFrame(columns, schema_overrides=dict.fromkeys(numeric, pl.Float64))
 
 
 def draw_pictures(pictures: Iterable[Picture], axes: Any = None) -> list[Any]:

@@ -14,7 +14,7 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.pages.document import print_result
 from counterspin.calibration.result import Result
 from counterspin.cli import main
-from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
+from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError, RecordError
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
 from counterspin.records.averages import read_rows
@@ -86,24 +86,21 @@ def test_a_tumble(tmp_path):
     assert len(a.readings) == 12
 
 
-def test_residuals_of_readings_are_arrays_and_kept_by_the_file(tmp_path):
+def test_residuals_of_readings_are_kept_by_the_file(tmp_path):
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
     result.write(tmp_path / "result.json")
-    for one in (result, Result.read(tmp_path / "result.json")):
-        (left,) = one.residuals("A")
-        assert (left.accelerometer, left.run, left.names[1]) == ("A", "static", "tumble 1")
-        found = {s: c.value for s, c in one.accelerometers["A"].coefficients.items()}
-        np.testing.assert_allclose(left.value, values, rtol=0, atol=1e-15)
-        again = simulated(tumble(), np.random.default_rng(1), 0.0, truth=found)
-        np.testing.assert_allclose(left.fitted, again, rtol=0, atol=1e-12)
-        np.testing.assert_array_equal(left.value - left.residual, left.fitted)
-        np.testing.assert_allclose(left.u, SIGMA, rtol=1e-6)
-        assert left.frame()["names"].to_list() == list(left.names)
-        assert repr(left) == "<residuals of A, static: 12 readings in g>"
-        assert one.residuals(run="static")[0].names == left.names
-        with pytest.raises(KeyError, match="those of A in static"):
-            one.residuals("A", "arm")
+    found = {s: c.value for s, c in result.accelerometers["A"].coefficients.items()}
+    fitted = simulated(tumble(), np.random.default_rng(1), 0.0, truth=found)
+    readings = Result.read(tmp_path / "result.json").accelerometers["A"].readings
+    assert [reading.motion for reading in readings] == ["static"] * 12
+    assert readings[1].name == "tumble 1"
+    np.testing.assert_allclose([r.value for r in readings], values, rtol=0, atol=1e-15)
+    residuals = np.array([r.residual for r in readings])
+    np.testing.assert_allclose(values - residuals, fitted, rtol=0, atol=1e-12)
+    np.testing.assert_allclose([r.u for r in readings], SIGMA, rtol=1e-6)
+    with pytest.raises(CounterspinError, match="no residuals of records"):
+        result.residuals("A")
 
 
 def test_the_arm_tells_k_ii_and_the_machine_is_in_its_budget(tmp_path):

@@ -56,9 +56,9 @@ def test_uncertainties_and_correlations_are_those_of_the_parameters(tmp_path):
     # An angle's derivatives, and a sensitivity's, by differences of the matrix.
     result = cs.calibrate(triads.table(tmp_path, _values(30, 2), u=NOISE))
     triad = result.triad
-    covariance = np.array(result.covariance.values)
+    covariance = result.covariance.matrix
     order = [f"{name}.{symbol}" for name, symbol in triads.PARAMETERS]
-    places = [result.covariance.labels.index(name) for name in order]
+    places = [result.covariance.terms.index(name) for name in order]
     covariance = covariance[np.ix_(places, places)]
     at = np.array([result.coefficient(name).value for name in order])
 
@@ -77,7 +77,7 @@ def test_uncertainties_and_correlations_are_those_of_the_parameters(tmp_path):
     expected = slopes @ covariance @ slopes.T
     u = np.array([c.u for c in triad.parameters.values()])
     np.testing.assert_allclose(u, np.sqrt(np.diag(expected)), rtol=1e-6)
-    np.testing.assert_allclose(triad.correlation.values, expected / np.outer(u, u), atol=1e-6)
+    np.testing.assert_allclose(triad.correlation.matrix, expected / np.outer(u, u), atol=1e-6)
     assert triad.by_gravity == {}
 
     def inverse(x):

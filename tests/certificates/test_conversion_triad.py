@@ -68,7 +68,9 @@ def test_parameters_stand_in_si_with_their_covariance(tmp_path, poses):
         float(one.text) for one in find(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
     ]
     np.testing.assert_allclose(
-        np.reshape(covariance, (9, 9)), triad.correlation.values * np.outer(u, u), rtol=1e-12
+        np.reshape(covariance, (9, 9)),
+        np.array(triad.correlation.matrix) * np.outer(u, u),
+        rtol=1e-12,
     )
     assert _numbers(made, f"{PART}//si:coverageFactorXMLList[../si:covarianceMatrixXMLList]") == (
         pytest.approx(region_factor(9, 16.0), abs=1e-4)
@@ -88,7 +90,7 @@ def test_parameters_and_matrix_are_read_back(tmp_path, poses):
         assert (read.value, read.u) == pytest.approx((c.value, c.u), rel=1e-4)  # k has five digits
     u = [c.u for c in triad.parameters.values()]
     np.testing.assert_allclose(
-        found.parameters.covariance, triad.correlation.values * np.outer(u, u), rtol=1e-9
+        found.parameters.covariance, np.array(triad.correlation.matrix) * np.outer(u, u), rtol=1e-9
     )
     np.testing.assert_allclose(found.matrix, triad.matrix, rtol=1e-15)
     np.testing.assert_allclose(found.expanded / found.factor, triad.u_matrix, rtol=1e-4)

@@ -19,7 +19,6 @@ from workbooks import write_workbook
 import counterspin as cs
 from counterspin import cli
 from counterspin.calibration.findings import judge_result, not_determined
-from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.outcome import own_description
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -30,6 +29,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
+from counterspin.correction.instrument import instrument_of
 from counterspin.errors import CampaignError, ConvergenceError, RecordError
 from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated

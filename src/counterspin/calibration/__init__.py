@@ -20,6 +20,6 @@
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `result_file`: results of earlier schemas, and numbers that no result has
-- `notebook`: what else a researcher asks of a result
+- `notebook`: coefficients as frames, for uncertainties and GTC; `si_estimates`: in SI units
 - `pages`: the result as a person reads it
 """

@@ -14,7 +14,7 @@ from counterspin.calibration.joint_problem import AccelerometerView, JointProble
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import Outcome
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Comparison
+from counterspin.calibration.result_parts import AccelerometerResult, Comparison, Trace
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.loading import is_installed, load_name
@@ -26,6 +26,7 @@ DIAGNOSIS: Final = "counterspin.calibration.diagnosis.search:diagnose"
 TWO_STAGE: Final = "counterspin.calibration.two_stage.method:in_two_stages"
 CONFORMITY: Final = "counterspin.calibration.conformity:with_conformity"
 TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare"
+TRACES: Final = "counterspin.calibration.pages.traces:traces"
 
 
 @frozen
@@ -60,6 +61,12 @@ def compare_two_stage(view: AccelerometerView) -> Comparison | None:
     """Return the two-stage K_II beside the joint one; None where the method does not apply."""
     compare = _find(TWO_STAGE_COMPARISON)
     return None if compare is None else cast("Comparison | None", compare(view))
+
+
+def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
+    """Return the residuals that pictures show, by run; none where no pages are installed."""
+    traces = _find(TRACES)
+    return {} if traces is None else cast("dict[str, Trace]", traces(view))
 
 
 def apply_specifications(result: Result, specifications: Specifications) -> Result:

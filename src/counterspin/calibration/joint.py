@@ -21,13 +21,17 @@ from counterspin.calibration.checks.residuals import (
 )
 from counterspin.calibration.checks.small_angles import large_drifts, large_tilts
 from counterspin.calibration.checks.unseen_faults import remarks_of, unseen_faults
-from counterspin.calibration.extensions import Diagnosis, compare_two_stage, find_diagnosis
+from counterspin.calibration.extensions import (
+    Diagnosis,
+    compare_two_stage,
+    find_diagnosis,
+    thin_residuals,
+)
 from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
 from counterspin.calibration.model import SQUARES, inputs_of, is_requested
-from counterspin.calibration.notebook.residuals import residuals_of, traces
 from counterspin.calibration.outcome import (
     Outcome,
     coefficient,
@@ -38,6 +42,7 @@ from counterspin.calibration.outcome import (
     noise_lines,
     own_description,
     residual,
+    residual_frame,
     run_result,
     whole_correlation,
 )
@@ -160,7 +165,7 @@ def joint(problem: JointProblem) -> Outcome:
             *warn_of_stated_rates(read.recorded.without_angle),
         ),
         arm_rates=read.recorded.rates,
-        residuals=residuals_of(estimated.fit, units),
+        residuals=residual_frame(estimated.fit, units),
     )
 
 
@@ -224,7 +229,7 @@ def _accelerometer(
         what_if=what_if(estimated.fit, view.places, budgets, name),
         jackknife=view.jackknife(),
         two_stage=compare_two_stage(view) if view.problem.observed else None,
-        traces=traces(view),
+        traces=thin_residuals(view),
         readings=[line for part in view.readings for line in results_of(part, means)],
         kinds=compared.results,
         output=in_output_units(view.campaign, name, own),

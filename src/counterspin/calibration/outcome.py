@@ -8,10 +8,10 @@ from dataclasses import field
 from typing import Any, Final
 
 import numpy as np
+import polars as pl
 
 from counterspin.calibration.findings import Cause
 from counterspin.calibration.joint_problem import AccelerometerView
-from counterspin.calibration.notebook.residuals import RunResiduals
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.readings import readings_noise, residual_of
 from counterspin.calibration.result_parts import (
@@ -38,6 +38,7 @@ from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import by_kind, kind_of
 from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
 from counterspin.inference.noise.search import FoundNoise
@@ -233,6 +234,32 @@ def record_noise(
     return lines
 
 
+def residual_frame(fit: JointFit, units: Mapping[str, str]) -> pl.DataFrame | None:
+    """Return the residuals of every record for `Result.residuals`; None without records.
+
+    units: Of each accelerometer's records.
+    """
+    frames = []
+    for prepared, residuals in zip(fit.prepared, fit.residuals, strict=True):
+        series, plain = prepared.series, residuals.plain
+        whitened = np.full(plain.size, np.nan)
+        # Differences belong to the later rows.
+        whitened[plain.size - residuals.whitened.size :] = residuals.whitened
+        columns = {
+            "accelerometer": pl.repeat(prepared.accelerometer, plain.size, eager=True),
+            "run": pl.repeat(prepared.run, plain.size, eager=True),
+            "time": series.time,
+            "count": series.count,
+            "error": series.error,
+            "fitted": series.error - plain,
+            "residual": plain,
+            "whitened": pl.Series(whitened, nan_to_null=True),
+            "unit": pl.repeat(units[prepared.accelerometer], plain.size, eager=True),
+        }
+        frames.append(pl.DataFrame(columns))
+    return pl.concat(frames) if frames else None
+
+
 @frozen
 class Outcome:
     """The findings of a method; attributes are those of `Result`, except the last four."""
@@ -248,7 +275,7 @@ class Outcome:
     findings: list[Finding] = field(default_factory=list)
     causes: tuple[Cause, ...] = ()  #: What may be behind a misfit, the likeliest first.
     remarks: tuple[str, ...] = ()  #: What the result warns of, beside the campaign's own remarks.
-    residuals: tuple[RunResiduals, ...] = ()  #: Whole ones, which no file keeps.
+    residuals: pl.DataFrame | None = None  #: By `residual_frame`; no file has them.
     #: Run on the arm -> its rate by the recorded angle, and the stated rate, rad/s.
     arm_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

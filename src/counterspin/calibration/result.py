@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from counterspin.calibration.notebook.forms import Covariance, StatedGravity
 from counterspin.calibration.result_file import faults_of, matrix_faults, upgrade
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Correlation,
+    Covariance,
     Finding,
     Inputs,
     Knowledge,
@@ -30,6 +30,7 @@ from counterspin.calibration.result_parts import (
     State,
     TriadResult,
 )
+from counterspin.calibration.si_estimates import StatedGravity
 from counterspin.errors import CounterspinError
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.loading import load_name
@@ -37,20 +38,20 @@ from counterspin.physics.terms import TERMS
 from counterspin.results import ShownResult, draw_pictures
 
 if TYPE_CHECKING:
-    from counterspin.calibration.notebook.forms import Prediction
-    from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
+    import polars as pl
+
+    from counterspin.physics.correction import Prediction
     from counterspin.reports.blocks import Picture
     from counterspin.reports.publication import Publication
 
-#: Where its pictures are made, and its whole residuals.
+#: Where its pictures are made, and its forms for other programs.
 _PICTURES: Final = "counterspin.calibration.pages.pictures"
-_PACKAGES: Final = "counterspin.calibration.notebook.exports"
-_RESIDUALS: Final = "counterspin.calibration.notebook.residuals"
+_NOTEBOOK: Final = "counterspin.calibration.notebook"
 
-#: Why a result has no whole residuals: its file holds what the pictures need, and no more.
+#: Why a result has no frame of residuals: its file holds those that the pictures show.
 _NO_RESIDUALS = (
-    "a result file does not contain all residuals; calibrate the campaign "
-    "again with the joint method"
+    "the result has no residuals of records: a file does not contain them; calibrate a campaign "
+    "with records again with the joint method"
 )
 
 
@@ -99,7 +100,7 @@ class Result(ShownResult):
     warnings: list[str] = []  #: About the campaign as a whole: remarks, and its findings in words.
     provenance: Provenance  #: Program and input files.
 
-    _residuals: tuple[RunResiduals, ...] = PrivateAttr(default=())
+    _residuals: pl.DataFrame | None = PrivateAttr(default=None)
     _assumes_all: bool = PrivateAttr(default=False)
 
     @model_validator(mode="wrap")
@@ -138,7 +139,7 @@ class Result(ShownResult):
         """Return what is pickled: the numbers, without whole residuals."""
         state = super().__getstate__()
         private = dict(state["__pydantic_private__"] or {})
-        return state | {"__pydantic_private__": private | {"_residuals": ()}}
+        return state | {"__pydantic_private__": private | {"_residuals": None}}
 
     def coefficient(self, name: str) -> Coefficient:
         """Return a coefficient by its whole name.
@@ -170,8 +171,18 @@ class Result(ShownResult):
 
     def _ipython_key_completions_(self) -> list[str]:
         """Return the names that ``result["`` may be followed by."""
-        rows = load_name("counterspin.calibration.notebook.exports:rows")(self)
-        return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in rows]
+        return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in self.rows()]
+
+    def rows(self) -> Iterator[tuple[str, str, Coefficient]]:
+        """Yield owner, symbol and coefficient: accelerometers, platform (no owner), runs."""
+        for name, accelerometer in self.accelerometers.items():
+            for symbol, c in accelerometer.coefficients.items():
+                yield name, symbol, c
+        for symbol, c in self.platform.items():
+            yield "", symbol, c
+        for name, run in self.runs.items():
+            for symbol, c in run.terms.items():
+                yield name, symbol, c
 
     def predict(
         self,
@@ -207,7 +218,7 @@ class Result(ShownResult):
         ValueError
             If the forces are not finite, or of different lengths.
         """
-        made: Prediction = load_name("counterspin.calibration.notebook.instrument:predict")(
+        made: Prediction = load_name("counterspin.correction.instrument:predict")(
             self, self._name(accelerometer), force, pendulous, output_axis
         )
         return made
@@ -230,7 +241,7 @@ class Result(ShownResult):
         places, u = list(found), np.array([c.u for c in found.values()], dtype=float)
         return Covariance(
             tuple(correlation.terms[place] for place in places),
-            np.outer(u, u) * correlation.values[np.ix_(places, places)],
+            np.outer(u, u) * np.array(correlation.matrix)[np.ix_(places, places)],
             tuple(c.unit for c in found.values()),
         )
 
@@ -253,57 +264,55 @@ class Result(ShownResult):
         return covariance
 
     def table(self, library: str = "polars") -> Any:
-        """Return the coefficients as a frame; see `counterspin.calibration.notebook.exports`."""
-        return load_name("counterspin.calibration.notebook.exports:frame")(self, library)
-
-    def to_latex(self) -> str:
-        """Return the coefficients as a LaTeX ``tabular``."""
-        made: str = load_name("counterspin.calibration.notebook.exports:latex_table")(self)
-        return made
+        """Return the coefficients as a frame of ``polars`` or ``pandas``, in units of the field."""
+        return load_name(f"{_NOTEBOOK}:frame")(self, library)
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        made: dict[str, Any] = load_name(f"{_PACKAGES}:to_uncertainties")(self)
+        made: dict[str, Any] = load_name(f"{_NOTEBOOK}:to_uncertainties")(self)
         return made
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        made: dict[str, Any] = load_name(f"{_PACKAGES}:to_gtc")(self)
+        made: dict[str, Any] = load_name(f"{_NOTEBOOK}:to_gtc")(self)
         return made
 
-    def residuals(
-        self, accelerometer: str | None = None, run: str | None = None
-    ) -> list[RunResiduals | ReadingResiduals]:
-        """Return whole residuals as arrays, of all accelerometers and runs or of those named.
+    def residuals(self, accelerometer: str | None = None, run: str | None = None) -> pl.DataFrame:
+        """Return the residuals of the records, of all accelerometers and runs or of those named.
+
+        Those of readings are in `readings` of each accelerometer.
 
         Returns
         -------
-        list of RunResiduals and ReadingResiduals
-            Of records by run; of readings by motion, whose name stands for a run's.
+        polars.DataFrame
+            A row for each sample or mean of `count` samples: `accelerometer`, `run`, `time` (s from
+            the start of the run), `count`, `error` (recorded output minus the output of a perfect
+            accelerometer), `fitted`, `residual` (error - fitted), `whitened` (of unit variance;
+            null in the first rows of differences), `unit` (of error, fitted and residual).
 
         Raises
         ------
         CounterspinError
-            If there are runs, and the result was read from a file or is of the two-stage method.
+            If the result was read from a file, or is of the two-stage method, or has no records.
         KeyError
             If there are none of that name.
         """
-        if self.runs and not self._residuals:
+        if self._residuals is None:
             raise CounterspinError(_NO_RESIDUALS)
-        of_readings = load_name(f"{_RESIDUALS}:of_readings")(self.accelerometers)
-        chosen: list[RunResiduals | ReadingResiduals]
-        chosen = load_name(f"{_RESIDUALS}:choose")(
-            [*self._residuals, *of_readings], accelerometer, run
-        )
+        named = {"accelerometer": accelerometer, "run": run}
+        asked = {column: name for column, name in named.items() if name is not None}
+        chosen = self._residuals.filter(**asked) if asked else self._residuals
+        if chosen.is_empty():
+            known = self._residuals.select(*named).unique(maintain_order=True).rows()
+            names = ", ".join(f"{owner} in {name}" for owner, name in known)
+            raise KeyError(f"no residuals of {accelerometer} in {run}; there are those of {names}")
         return chosen
 
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
-        """Draw data and fit, a picture a run; residuals where a file has kept no more.
+        """Draw the residuals over time, a picture a run.
 
         `axes` as for `reports.publication.on_axes`.
         """
-        if self._residuals:
-            return self.plot_displacement(accelerometer, axes=axes)
         return self.plot_residuals(accelerometer, axes=axes)
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
@@ -321,11 +330,6 @@ class Result(ShownResult):
         name = self._name(accelerometer)
         bars = load_name(f"{_PICTURES}:budget_bars")(name, self.accelerometers[name], coefficient)
         return self._drawn([] if bars is None else [bars], axes)
-
-    def plot_displacement(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
-        """Draw what was recorded less the reference, and the fit, a picture a run."""
-        residuals = self.residuals(self._name(accelerometer))
-        return self._drawn(load_name(f"{_RESIDUALS}:displacement_pictures")(residuals), axes)
 
     def _pictures(self, which: str, accelerometer: str | None, axes: Any) -> list[Any]:
         name = self._name(accelerometer)
@@ -346,7 +350,7 @@ class Result(ShownResult):
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        made: str = load_name("counterspin.calibration.notebook.exports:brief")(self)
+        made: str = load_name(f"{_NOTEBOOK}:brief")(self)
         return made
 
     __str__ = __repr__

@@ -6,22 +6,17 @@ beside it.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import PrivateAttr
 
 from counterspin.arrays import Array
-from counterspin.calibration.notebook.forms import (
-    LabelledMatrix,
-    SiEstimate,
-    StatedGravity,
-    latex_number,
-    latex_unit,
-    si_estimate,
-)
+from counterspin.calibration.si_estimates import SiEstimate, StatedGravity, si_estimate
 from counterspin.campaign.quantity import Quantity
 from counterspin.characters import escape_controls
+from counterspin.frozen import frozen
 from counterspin.inference.conformity import Conformity, expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import BudgetLine, Jackknife, Kind, WhatIf
@@ -29,6 +24,9 @@ from counterspin.loading import load_name
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 from counterspin.units import unit_factor
+
+if TYPE_CHECKING:
+    import polars as pl
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
 #: not, for its records contradict it.
@@ -64,13 +62,6 @@ class Coefficient(ResultPart):
         return text if self.estimated else f"{text} (prior, {NOT_DETERMINED})"
 
     __repr__ = __str__
-
-    def _repr_latex_(self) -> str:
-        unit, factor = field_unit(self.unit)
-        if self.value is None or self.u is None:
-            return NOT_DETERMINED
-        number = latex_number(format_compact(self.value * factor, self.u * factor))
-        return rf"${number}\,{latex_unit(unit)}$"
 
     def interval(self, coverage: float = 0.95) -> tuple[float, float]:
         """Return the coverage interval by Student's t, in `unit` (GUM G.3).
@@ -113,27 +104,35 @@ class Coefficient(ResultPart):
         return self.value, self.u
 
 
-class Correlation(ResultPart, LabelledMatrix):
-    """Correlation matrix of the estimated coefficients, rows in the order of `terms`.
-
-    ``correlation["K_F", "K_II"]`` is one of them, ``np.asarray(correlation)`` all.
-    """
+class Correlation(ResultPart):
+    """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
 
     terms: list[str]  #: Order of rows and columns.
     matrix: list[list[float]]  #: Correlation coefficients.
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The terms."""
-        return tuple(self.terms)
+    def frame(self) -> pl.DataFrame:
+        """Return a polars frame: the names in the column ``term``, and a column for each."""
+        return matrix_frame(self.terms, np.array(self.matrix))
 
-    @property
-    def values(self) -> Array:
-        """The correlations, shape (p, p)."""
-        return np.array(self.matrix)
 
-    __repr__ = LabelledMatrix.__repr__
-    __str__ = LabelledMatrix.__repr__
+@frozen(eq=False)
+class Covariance:
+    """Covariance matrix of the coefficients of a result."""
+
+    terms: tuple[str, ...]  #: Names such as ``Qx.K_II``, p of them.
+    matrix: Array  #: Covariances in the units of the coefficients, shape (p, p).
+    units: tuple[str, ...]  #: Those units, p of them.
+
+    def frame(self) -> pl.DataFrame:
+        """Return a polars frame: the names in the column ``term``, and a column for each."""
+        return matrix_frame(self.terms, self.matrix)
+
+
+def matrix_frame(terms: Sequence[str], matrix: Array) -> pl.DataFrame:
+    """Return a square matrix as a polars frame with the names of its rows and columns."""
+    import polars as pl
+
+    return pl.DataFrame({"term": terms, **dict(zip(terms, matrix.T, strict=True))})
 
 
 class Residual(ResultPart):
@@ -367,7 +366,7 @@ class TriadResult(ResultPart):
         polars.DataFrame or pandas.DataFrame
             The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
         """
-        made = load_name("counterspin.calibration.notebook.exports:frame_of_rows")
+        made = load_name("counterspin.calibration.notebook:frame_of_rows")
         return made((("triad", n, c) for n, c in self.parameters.items()), library)
 
     def __repr__(self) -> str:

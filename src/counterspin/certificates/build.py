@@ -19,11 +19,11 @@ from markupsafe import Markup
 
 from counterspin._version import __version__
 from counterspin.calibration.findings import judge_result, refusal
-from counterspin.calibration.notebook.forms import SiEstimate
 from counterspin.calibration.pages.methods import readings_of
 from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Correlation
+from counterspin.calibration.si_estimates import SiEstimate
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import PROCEDURE, amendment_reasons
 from counterspin.certificates.conversion import (

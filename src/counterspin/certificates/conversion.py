@@ -12,15 +12,15 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.notebook.forms import (
+from counterspin.calibration.pages.triad import nominal_outputs, parameter_words, shown_parameter
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
+from counterspin.calibration.si_estimates import (
     SiEstimate,
     StatedGravity,
     own_estimate,
     si_estimate,
 )
-from counterspin.calibration.pages.triad import nominal_outputs, parameter_words, shown_parameter
-from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
 from counterspin.certificates import wording
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.schema import factor

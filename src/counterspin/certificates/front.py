@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from counterspin.calibration.notebook.forms import SiEstimate
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, TriadResult
+from counterspin.calibration.si_estimates import SiEstimate
 from counterspin.certificates import wording
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.conversion import (

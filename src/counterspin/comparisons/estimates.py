@@ -237,7 +237,8 @@ def estimates_of(
     stated = accelerometer.correlation
     known = stated is not None and set(symbols) <= set(stated.terms)
     if stated is not None and known:
-        correlation = stated[list(symbols)]
+        places = [stated.terms.index(symbol) for symbol in symbols]
+        correlation = np.array(stated.matrix)[np.ix_(places, places)]
     sources = {
         source: _scale_source(shared, factor)
         for source, shared in _sources(result, name, symbols).items()

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
-from counterspin.results import ResultPart, ShownResult
+from counterspin.results import ResultPart, ShownResult, make_frame
 
 
 class ComparedResult(ResultPart):
@@ -125,8 +125,6 @@ class ResultComparison(ShownResult):
         ValueError
             If the library is unknown.
         """
-        from counterspin.calibration.notebook.exports import frame_of
-
         columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for coefficient in self.coefficients:
             unit, factor = field_unit(coefficient.unit)
@@ -139,7 +137,7 @@ class ResultComparison(ShownResult):
                 )
                 for column, cell in zip(columns.values(), row, strict=True):
                     column.append(cell)
-        return frame_of(columns, _COLUMNS[3:8], library)
+        return make_frame(columns, _COLUMNS[3:8], library)
 
     @property
     def identifier(self) -> str:

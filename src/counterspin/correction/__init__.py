@@ -1,6 +1,7 @@
 """Apply a result: correct an indicated specific force.
 
 - `apply`: in memory
+- `instrument`: the accelerometer that a result describes, and its indications
 - `related`: further inputs of a correction: temperature differences, and correlations of errors
 - `apply_file`: a column of a file, corrected in a new file
 - `page`: a correction, as a person reads it

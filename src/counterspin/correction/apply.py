@@ -12,7 +12,10 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.calibration.findings import judge_result, refusal
-from counterspin.calibration.notebook.instrument import (
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.campaign.quantity import parse
+from counterspin.correction.instrument import (
     HYSTERESIS,
     acts,
     covariance_of,
@@ -22,9 +25,6 @@ from counterspin.calibration.notebook.instrument import (
     terms_of,
     with_unstated,
 )
-from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.campaign.quantity import parse
 from counterspin.correction.related import (
     covariances_between,
     notes_of_warmth,

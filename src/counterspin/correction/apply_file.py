@@ -12,9 +12,9 @@ import numpy as np
 import polars as pl
 
 from counterspin.arrays import Array
-from counterspin.calibration.notebook.instrument import instrument_of
 from counterspin.calibration.result import Result
 from counterspin.correction.apply import ApplyOptions, Correction, apply
+from counterspin.correction.instrument import instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, holds, reserve, write_open, write_whole

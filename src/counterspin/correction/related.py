@@ -129,7 +129,7 @@ def covariances_between(
     for (k, first), (m, second) in combinations(enumerate(instruments), 2):
         covariance = np.zeros((len(first.coefficients), len(second.coefficients)))
         for i, j, at in _pairs(first, second, places):
-            covariance[i, j] = result.covariance.values[at]
+            covariance[i, j] = result.covariance.matrix[at]
         _add_known(result, first, second, places, covariance)
         _add_known(result, second, first, places, covariance.T)
         covariances[k, m] = covariance

@@ -263,8 +263,8 @@ def _si_estimate(module: Any, given: Given) -> Found:
 
 
 def _si_covariance(module: Any, given: Given) -> Found:
-    from counterspin.calibration.notebook.forms import StatedGravity, si_estimate
     from counterspin.calibration.result_parts import Correlation
+    from counterspin.calibration.si_estimates import StatedGravity, si_estimate
 
     if "observations" in given:
         inputs, related = _quotients(given)

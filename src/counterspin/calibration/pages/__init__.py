@@ -2,4 +2,5 @@
 
 - `document`: the whole of it, in a terminal, in a notebook, as a report; many campaigns in a table
 - `verdict`, `accelerometer`, `triad`, `uncertainty`, `methods`, `pictures`: its chapters
+- `traces`: thinned residuals for its pictures
 """

@@ -1,4 +1,4 @@
-"""The coefficients of a result for other programs: frames, LaTeX tables, uncertainties, GTC.
+"""Coefficients of a result for other programs: frames, uncertainties, GTC; and as short text.
 
 The packages are no requirements; each function says so where its own is missing.
 """
@@ -6,23 +6,18 @@ The packages are no requirements; each function says so where its own is missing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.notebook.forms import (
-    latex_number,
-    latex_symbol,
-    latex_text,
-    latex_unit,
-)
 from counterspin.characters import escape_controls
 from counterspin.errors import CounterspinError
-from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
+from counterspin.reports.numbers import field_unit
 from counterspin.reports.publication import LINES
+from counterspin.results import make_frame
 
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result
@@ -33,21 +28,9 @@ if TYPE_CHECKING:
 _LINE_CHARACTERS: Final = 100
 
 
-def rows(result: Result) -> Iterator[tuple[str, str, Coefficient]]:
-    """Yield owner, symbol and coefficient of all: accelerometers', the platform's, the runs'."""
-    for name, accelerometer in result.accelerometers.items():
-        for symbol, c in accelerometer.coefficients.items():
-            yield name, symbol, c
-    for symbol, c in result.platform.items():
-        yield "", symbol, c
-    for name, run in result.runs.items():
-        for symbol, c in run.terms.items():
-            yield name, symbol, c
-
-
 def frame(result: Result, library: str = "polars") -> Any:
     """Return the coefficients as a frame, in the units of the field."""
-    return frame_of_rows(rows(result), library)
+    return frame_of_rows(result.rows(), library)
 
 
 def frame_of_rows(every: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
@@ -70,32 +53,7 @@ def frame_of_rows(every: Iterable[tuple[str, str, Coefficient]], library: str) -
         row = (owner, symbol, value, u, unit, low, high, typical, c.dof, c.estimated)
         for column, cell in zip(columns.values(), row, strict=True):
             column.append(cell)
-    return frame_of(columns, ("value", "u", "low", "high", "u_unstated", "dof"), library)
-
-
-def frame_of(columns: Mapping[str, list[Any]], numeric: Sequence[str], library: str) -> Any:
-    """Return columns as a frame of a library; `numeric` hold numbers, even if all are None."""
-    if library == "pandas":
-        return import_module("pandas").DataFrame(columns)
-    if library != "polars":
-        raise ValueError(f"library: {library!r} is not polars or pandas")
-    import polars as pl
-
-    return pl.DataFrame(columns, schema_overrides=dict.fromkeys(numeric, pl.Float64))
-
-
-def latex_table(result: Result) -> str:
-    r"""Return the coefficients as a LaTeX ``tabular``: owner, symbol, value(u), unit."""
-    lines = [r"\begin{tabular}{llrl}", r"& & value & unit \\", r"\hline"]
-    for owner, symbol, c in rows(result):
-        unit, factor = field_unit(c.unit)
-        if c.value is None or c.u is None or not c.estimated:
-            number = NOT_DETERMINED
-        else:
-            number = f"${latex_number(format_compact(c.value * factor, c.u * factor))}$"
-        cells = (latex_text(owner), f"${latex_symbol(symbol)}$", number, f"${latex_unit(unit)}$")
-        lines.append(rf"{' & '.join(cells)} \\")
-    return "\n".join([*lines, r"\end{tabular}", ""])
+    return make_frame(columns, ("value", "u", "low", "high", "u_unstated", "dof"), library)
 
 
 def brief(result: Result) -> str:
@@ -104,7 +62,7 @@ def brief(result: Result) -> str:
         f"{result.title or 'Calibration'}: {result.method} method, {result.state or 'not judged'}"
     )
     named = [
-        (f"{owner}.{symbol}" if owner else symbol, str(c)) for owner, symbol, c in rows(result)
+        (f"{owner}.{symbol}" if owner else symbol, str(c)) for owner, symbol, c in result.rows()
     ]
     width = max((len(name) for name, _ in named), default=0)
     lines = [f"{name.ljust(width)}  {text}" for name, text in named]

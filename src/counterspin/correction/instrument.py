@@ -9,11 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, semidefinite_root
-from counterspin.calibration.notebook.forms import Prediction
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.correction import CalibratedAccelerometer, indication, product_of
+from counterspin.physics.correction import (
+    CalibratedAccelerometer,
+    Prediction,
+    indication,
+    product_of,
+)
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtri
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.notebook.residuals import (
+from counterspin.calibration.pages.traces import (
     _rounded,
     normal_quantiles,
     over_revolution,

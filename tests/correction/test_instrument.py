@@ -56,7 +56,9 @@ def test_u_is_that_of_the_covariance(result):
     """J C J^T, with the result's own covariance; the prior of K_I is exact here."""
     names = ["Qx.K_F", "Qx.K_II", "Qx.K_III"]
     jacobian = np.stack([np.ones_like(FORCE), FORCE**2, FORCE**3], axis=1)
-    variance = np.einsum("ni,ij,nj->n", jacobian, result.covariance[names], jacobian)
+    places = [result.covariance.terms.index(name) for name in names]
+    covariance = result.covariance.matrix[np.ix_(places, places)]
+    variance = np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian)
     found = result.predict("Qx", FORCE)
     assert found.u == pytest.approx(np.sqrt(variance), rel=1e-9)
     assert repr(found).startswith("<5 indications from ")

@@ -11,12 +11,6 @@ from campaigns import SMALL, changed, write
 from results import result as made_by_hand
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.notebook.forms import (
-    latex_number,
-    latex_symbol,
-    latex_text,
-    latex_unit,
-)
 from counterspin.calibration.result import Result, read_result
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
@@ -53,7 +47,6 @@ def result(folder):
 def test_coefficient_prints_as_its_field_writes_it(result):
     c = made_by_hand().accelerometers["Qx"].coefficients["K_II"]
     assert str(c) == repr(c) == "27.0000(10) ug/g^2"
-    assert c._repr_latex_() == r"$27.0000(10)\,\mathrm{\mu g/g^{2}}$"
     prior = c.model_copy(update={"estimated": False})
     assert str(prior) == "27.0000(10) ug/g^2 (prior, not determined)"
     assert str(c.model_copy(update={"value": None})) == "not determined"
@@ -96,14 +89,6 @@ def test_table_value_and_text_agree_in_one_unit(result):
     assert c.in_units("ug/g^2").u == pytest.approx(1e6 * c.u, rel=1e-15)
     with pytest.raises(ValueError, match="rad"):
         c.in_units("rad")
-
-
-def test_plot_draws_data_and_fit_or_what_a_file_has_kept(result, folder):
-    assert [axes.get_ylabel() for axes in result.plot()] == 3 * ["recorded less reference, m"]
-    kept = Result.model_validate_json(result.to_json())
-    labels = [axes.get_ylabel() for axes in kept.plot()]
-    assert labels == [axes.get_ylabel() for axes in kept.plot_residuals()]
-    assert not {"recorded less reference, m"} & set(labels)
 
 
 def test_what_a_cell_shows_is_short(result, folder):
@@ -154,29 +139,28 @@ def test_covariance_has_the_names_of_all_coefficients(result):
     assert "Qx.K_F" in covariance.terms
     assert "Qy.K_II" in covariance.terms
     assert any(term.startswith("slow.platform.tilt") for term in covariance.terms)
-    for term in covariance.terms:
-        assert covariance[term, term] == pytest.approx(result.coefficient(term).u ** 2, rel=1e-12)
-    a, b = "Qx.K_F", "slow.platform.tilt.north"
-    r = covariance[a, b] / math.sqrt(covariance[a, a] * covariance[b, b])
-    assert r == pytest.approx(result.correlation[a, b], rel=1e-12)
-    own = result.accelerometers["Qx"].correlation
-    assert own["K_F", "K_II"] == pytest.approx(result.correlation["Qx.K_F", "Qx.K_II"], rel=1e-9)
-    # Both see the same uncertain gravity.
-    assert abs(result.correlation["Qx.K_F", "Qy.K_F"]) > 1e-3
-    assert np.asarray(covariance).shape == (len(covariance),) * 2
-    mine = np.array(covariance)
-    mine[:] = 0.0
-    assert covariance[a, a] > 0.0  # a copy is the caller's own
-    assert np.asarray(covariance, dtype=np.float32).dtype == np.float32
-    np.testing.assert_array_equal(covariance[[a, b]], covariance[[b, a]][::-1, ::-1])
-    assert covariance["Qx.K_F"][b] == covariance[a, b]
-    with pytest.raises(KeyError, match=r"K_IV.*there are Qx\.K_F"):
-        covariance["K_IV", a]
+    size = len(covariance.terms)
+    assert covariance.matrix.shape == (size, size) == (len(covariance.units),) * 2
     frame = covariance.frame()
     assert frame["term"].to_list() == list(covariance.terms)
-    assert frame[b][covariance.terms.index(a)] == covariance[a, b]
-    assert len(repr(covariance).split("\n")) <= LINES
-    assert "<table>" in covariance._repr_html_()
+    correlation = result.correlation.frame()
+    u = {term: result.coefficient(term).u for term in covariance.terms}
+    for term in covariance.terms:
+        assert element(frame, term, term) == pytest.approx(u[term] ** 2, rel=1e-12)
+    a, b = "Qx.K_F", "slow.platform.tilt.north"
+    r = element(frame, a, b) / (u[a] * u[b])
+    assert r == pytest.approx(element(correlation, a, b), rel=1e-12)
+    own = result.accelerometers["Qx"].correlation.frame()
+    assert element(own, "K_F", "K_II") == pytest.approx(
+        element(correlation, "Qx.K_F", "Qx.K_II"), rel=1e-9
+    )
+    # Both accelerometers share the uncertain gravity.
+    assert abs(element(correlation, "Qx.K_F", "Qy.K_F")) > 1e-3
+
+
+def element(frame, row, column):
+    """Return an element of a matrix by the names of its row and column."""
+    return frame.filter(pl.col("term") == row)[column].item()
 
 
 def test_covariance_is_missing_with_its_reason(folder):
@@ -204,31 +188,26 @@ def test_table_has_a_row_for_each_coefficient(result):
         result.table("sql")
 
 
-def test_latex_table_escapes_what_latex_acts_on(result):
-    text = result.to_latex()
-    assert r"Qx & $K_{\mathrm{II}}$ & $" in text
-    assert text.count(r"\\") == len(result.table()) + 1
-    assert latex_text("a_b & 50 % \\ {x}") == r"a\_b \& 50 \% \textbackslash{} \{x\}"
-    assert latex_symbol("platform.tilt.north") == r"\text{platform.tilt.north}"
-    assert latex_number("2.70(37)e-5") == r"2.70(37) \times 10^{-5}"
-    assert latex_unit("m^-1 s^2") == r"\mathrm{m^{-1}\,s^{2}}"
-
-
 def test_other_packages_get_the_same_correlations(result):
     uncertainties = pytest.importorskip("uncertainties")
     package = pytest.importorskip("GTC")
-    ours, theirs, third = result.covariance, result.to_uncertainties(), result.to_gtc()
+    covariance = result.covariance
+    ours, theirs, third = covariance.frame(), result.to_uncertainties(), result.to_gtc()
     for name, one in theirs.items():
         assert one.n == result.coefficient(name).value
-        assert one.s == pytest.approx(math.sqrt(ours[name, name]), rel=1e-9)
-        assert third[name].u == pytest.approx(math.sqrt(ours[name, name]), rel=1e-12)
+        assert one.s == pytest.approx(math.sqrt(element(ours, name, name)), rel=1e-9)
+        assert third[name].u == pytest.approx(math.sqrt(element(ours, name, name)), rel=1e-12)
     a, b = "Qx.K_F", "Qx.K_II"
-    variance = ours[a, a] + ours[b, b] + 2.0 * ours[a, b]
+    variance = element(ours, a, a) + element(ours, b, b) + 2.0 * element(ours, a, b)
     assert (theirs[a] + theirs[b]).s == pytest.approx(math.sqrt(variance), rel=1e-9)
     assert (third[a] + third[b]).u == pytest.approx(math.sqrt(variance), rel=1e-9)
     matrix = uncertainties.covariance_matrix(list(theirs.values()))
-    np.testing.assert_allclose(matrix, ours.matrix, rtol=1e-6, atol=1e-9 * ours.matrix.max())
-    assert package.get_correlation(third[a], third[b]) == pytest.approx(result.correlation[a, b])
+    np.testing.assert_allclose(
+        matrix, covariance.matrix, rtol=1e-6, atol=1e-9 * covariance.matrix.max()
+    )
+    assert package.get_correlation(third[a], third[b]) == pytest.approx(
+        element(result.correlation.frame(), a, b)
+    )
 
 
 def test_missing_package_is_named(result, monkeypatch):
@@ -237,21 +216,25 @@ def test_missing_package_is_named(result, monkeypatch):
         result.to_gtc()
 
 
-def test_whole_residuals_are_arrays(result):
-    for left in result.residuals("Qx"):
-        assert left.accelerometer == "Qx"
-        assert left.time.shape == left.error.shape == left.fitted.shape == left.residual.shape
-        rounding = 8.0 * np.finfo(float).eps * np.abs(left.error).max()
-        np.testing.assert_allclose(left.fitted + left.residual, left.error, rtol=0, atol=rounding)
-        trace = result.accelerometers["Qx"].traces[left.run]
-        assert math.sqrt(np.mean(left.residual**2)) == pytest.approx(
+def test_residuals_are_a_frame(result):
+    residuals = result.residuals("Qx")
+    assert residuals["accelerometer"].unique().to_list() == ["Qx"]
+    assert residuals["unit"].unique().to_list() == ["m"]
+    for (run,), rows in residuals.group_by("run"):
+        error, fitted, residual = (
+            rows[name].to_numpy() for name in ("error", "fitted", "residual")
+        )
+        rounding = 8.0 * np.finfo(float).eps * np.abs(error).max()
+        np.testing.assert_allclose(fitted + residual, error, rtol=0, atol=rounding)
+        trace = result.accelerometers["Qx"].traces[run]
+        assert rows.height == trace.rows
+        assert math.sqrt(np.mean(residual**2)) == pytest.approx(
             trace.rms, rel=5e-4
         )  # it has four digits
-        assert np.std(left.whitened) == pytest.approx(1.0, abs=5.0 / math.sqrt(left.whitened.size))
-        assert left.frame()["residual"].to_numpy() == pytest.approx(left.residual)
-    (fast,) = result.residuals("Qy", "fast")
-    assert fast.run == "fast"
-    assert "Qy in fast" in repr(fast)
+        whitened = rows["whitened"].drop_nulls()
+        assert whitened.std() == pytest.approx(1.0, abs=5.0 / math.sqrt(len(whitened)))
+    fast = result.residuals("Qy", "fast")
+    assert fast["run"].unique().to_list() == ["fast"]
     with pytest.raises(KeyError, match="Qx in slow"):
         result.residuals("Qz")
 
@@ -261,7 +244,7 @@ def test_residuals_stay_with_the_calibration_and_not_with_its_file(result, tmp_p
     again = read_result(tmp_path / "result.json")
     assert again == result
     assert again.coefficient("Qx.K_F").to_si() == result.coefficient("Qx.K_F").to_si()
-    with pytest.raises(CounterspinError, match="calibrate the campaign again"):
+    with pytest.raises(CounterspinError, match="a file does not contain them"):
         again.residuals()
     pickled = pickle.dumps(result)
     assert len(pickled) < 2 * len(pickle.dumps(again))
@@ -274,7 +257,7 @@ def test_residuals_stay_with_the_calibration_and_not_with_its_file(result, tmp_p
         (Result.plot_residuals, 3),
         (Result.plot_spectrum, 3),
         (Result.plot_budget, 1),
-        (Result.plot_displacement, 3),
+        (Result.plot, 3),
     ],
 )
 def test_plots_are_drawn_on_the_axes_given(result, plot, pictures):
@@ -314,5 +297,7 @@ def test_damaged_correlation_is_refused(result):
 def test_what_was_taken_out_of_a_result_is_not_in_its_covariance(result):
     alone = {"Qy": result.accelerometers["Qy"]}
     covariance = result.model_copy(update={"accelerometers": alone}).covariance
-    assert covariance["Qy.K_F", "Qy.K_II"] == result.covariance["Qy.K_F", "Qy.K_II"]
+    assert element(covariance.frame(), "Qy.K_F", "Qy.K_II") == element(
+        result.covariance.frame(), "Qy.K_F", "Qy.K_II"
+    )
     assert not any(term.startswith("Qx.") for term in covariance.terms)
