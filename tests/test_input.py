@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from counterspin.input import FileIdentity, open_file, read_file
+from counterspin.input import FileIdentity, open_file, parse_json, read_file
 
 
 def test_a_file_is_read_whole_up_to_a_size(tmp_path):
@@ -42,3 +42,27 @@ def test_an_identity_is_of_the_content(tmp_path):
         assert FileIdentity.of(stream.fileno()) == identity
     file.touch()
     assert FileIdentity.of(file) != identity
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1, "b": {"c": 2, "c": 2}}', "the key 'c' occurs twice in one object"),
+        (r'{"a": 1, "\u0061": 2}', "the key 'a' occurs twice in one object"),
+        ("[1, NaN]", "NaN is not a valid number in JSON"),
+        ("[-Infinity]", "-Infinity is not a valid number in JSON"),
+        ("1" * 5000, "a number has 5000 digits; at most 400 are read"),
+        ("[" * 100_000, "it is nested too deeply"),
+    ],
+)
+def test_json_that_programs_read_differently_is_refused(text, words):
+    for document in (text, text.encode()):
+        with pytest.raises(ValueError, match=words):
+            parse_json(document)
+
+
+def test_other_json_is_read():
+    assert parse_json(b'{"a": [1, 2.5, null, -3e400], "b": {"a": true}}') == {
+        "a": [1, 2.5, None, -float("inf")],
+        "b": {"a": True},
+    }

@@ -1,18 +1,23 @@
-"""Files that are read: ordinary files, under the very name that is given."""
+"""Files that are read: ordinary files, under the very name that is given, and JSON in them."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
 import stat
+from collections import Counter
 from io import FileIO
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from counterspin.frozen import frozen
 
 #: No document (campaign, plan, result, certificate) has more bytes.
 DOCUMENT_BYTES: Final = 200_000_000
+
+#: Most digits of an integer in JSON; the largest floating-point number has 309.
+_MOST_DIGITS: Final = 400
 
 #: What is no file -> what it is.
 _KINDS: Final = (
@@ -82,6 +87,42 @@ def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
             if left < 0:
                 raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
     return b"".join(parts)
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the document in a JSON text; ValueError if programs may read it differently.
+
+    Refused are a key that occurs twice in one object, NaN and infinity, integers of many digits,
+    and a nesting that is too deep for the parser.
+    """
+    try:
+        return json.loads(
+            text,
+            parse_int=_integer,
+            parse_constant=_refuse_constant,
+            object_pairs_hook=_unique_keys,
+        )
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"a number has {len(digits)} digits; at most {_MOST_DIGITS} are read")
+    return int(digits)
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; ValueError if a key occurs twice."""
+    document = dict(pairs)
+    if len(document) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {twice!r} occurs twice in one object")
+    return document
+
+
+def _refuse_constant(word: str) -> None:
+    raise ValueError(f"{word} is not a valid number in JSON")
 
 
 def looks_like(content: bytes) -> str:

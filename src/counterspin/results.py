@@ -6,8 +6,7 @@ import hashlib
 import json
 import platform
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
-from counterspin.input import looks_like, read_file
+from counterspin.input import looks_like, parse_json, read_file
 from counterspin.loading import load_name
 from counterspin.output import FileType, write_text
 
@@ -34,6 +33,9 @@ _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
 #: How JSON writes half of a character of two halves.
 _HALF: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
+
+#: Most results that one sentence names.
+_LISTED: Final = 5
 
 #: No number of any result is larger; squares of larger ones would be beyond all numbers.
 _LARGEST_NUMBER: Final = 1e100
@@ -137,8 +139,8 @@ class ResultFile(ResultPart):
 
         def recognises(path: Path) -> bool:
             try:
-                document = json.loads(read_file(path))
-            except (ValueError, RecursionError):
+                document = parse_json(read_file(path))
+            except ValueError:
                 return False
             return isinstance(document, dict) and needed <= set(document)
 
@@ -153,14 +155,12 @@ class ResultFile(ResultPart):
         try:
             content = read_file(path)
             text = content.decode("utf-8")
-            document = json.loads(
-                text, parse_constant=_not_a_number, object_pairs_hook=_unique_keys
-            )
+            document = parse_json(text)
             if _HALF.search(text) and document != _escaped(document):
                 raise ValueError("a text in it contains half of a character")
         except OSError as error:
             raise RecordError(f"{path}: cannot be read ({error.strerror}); {wanted}") from error
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             reason = str(error)
             if content.lstrip()[:1] not in (b"{", b"["):
                 reason = f"it is {looks_like(content) or 'no JSON'}"
@@ -232,17 +232,14 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
             yield f"{path} is {value:g}, and an uncertainty is {wrong}"
 
 
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object; ValueError if a key occurs twice, which programs read differently."""
-    document = dict(pairs)
-    if len(document) < len(pairs):
-        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the key {twice!r} occurs twice in one object")
-    return document
-
-
-def _not_a_number(word: str) -> None:
-    raise ValueError(f"{word} is not a valid number in JSON")
+def unsealed_sentences(names: Sequence[str]) -> list[str]:
+    """Return the warning of results whose files have no seal; nothing without such results."""
+    if not names:
+        return []
+    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    which = f"The file of {listed} has" if len(names) == 1 else f"{len(names)} files have"
+    named = "" if len(names) == 1 else f" ({listed})"
+    return [f"{which} no seal{named}: changes after writing cannot be excluded."]
 
 
 def environment() -> dict[str, str]:
@@ -297,7 +294,10 @@ class ShownResult(ResultFile):
 
     def blocks(self) -> list[Block]:
         """Return the blocks of its screen, pictures included."""
-        return list(load_name(self.BLOCKS)(self))
+        blocks: list[Block] = load_name(f"{_PUBLICATION}:with_seal_warning")(
+            self, load_name(self.BLOCKS)(self)
+        )
+        return blocks
 
     @property
     def identifier(self) -> str:

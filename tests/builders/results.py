@@ -156,6 +156,13 @@ def sealed(document):
     return Result.model_validate(document).to_json()
 
 
+def remove_seal(path):
+    """Remove the seal from a result's file."""
+    document = json.loads(path.read_text(encoding="utf-8"))
+    del document["seal"]
+    path.write_text(json.dumps(document), encoding="utf-8")
+
+
 def two_accelerometers(given, terms, matrix):
     """Return a result whose Qy has the numbers of its Qx, with correlations across both."""
     both = dict.fromkeys(("Qx", "Qy"), given.accelerometers["Qx"])

@@ -78,6 +78,16 @@ def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
     assert altered(path).startswith("entry 1 calls itself entry 2")
 
 
+@pytest.mark.parametrize("key", ["who", "file"])
+def test_an_entry_with_a_key_that_occurs_twice_is_found(tmp_path, key):
+    path = tmp_path / "ledger.jsonl"
+    entered(path, 2)
+    first, second = path.read_bytes().splitlines(keepends=True)
+    name = f'"{key}":'.encode()
+    path.write_bytes(first + second.replace(name, name + b'"B",' + name))
+    assert altered(path).startswith("entry 2 is not as it was written")
+
+
 def test_only_the_last_hash_tells_that_the_last_entries_are_gone(tmp_path):
     path = tmp_path / "ledger.jsonl"
     entered(path, 3)

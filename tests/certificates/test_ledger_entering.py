@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
-from results import result
+from results import remove_seal, result
 from signing_keys import write_pair
 
 from certificates import LAB, write_lab
@@ -132,6 +132,28 @@ def test_one_entered_on_another_day_is_found_and_told(desk, killed, monkeypatch,
     found = verify_ledger(desk / "ledger.jsonl").entries
     assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(desk / "a.xml")]
     assert b"2027-01-15" in (desk / "a.xml").read_bytes()
+
+
+def test_a_missing_seal_is_entered_with_the_result(desk):
+    remove_seal(desk / "r.json")
+    words = ("--who", "B. Zweite", "--why", "yearly")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *words]) == 0
+    assert verify_ledger(desk / "ledger.jsonl").entries[0].why == "yearly; the file has no seal"
+
+
+def test_only_the_issued_file_of_an_entered_certificate_is_amended(desk, capsys):
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    issued = (desk / "a.xml").read_bytes()
+    (desk / "a.xml").write_bytes(issued.replace(b"A. Erste", b"A. Zweit"))
+    why = ("--amends", "a.xml", "--reason", "The customer has moved.")
+    assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 1
+    complaint = " ".join(capsys.readouterr().err.split())
+    assert "the file to be amended was changed after it was issued" in complaint
+    assert not (desk / "b.xml").exists()
+    (desk / "a.xml").write_bytes(issued)
+    assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 0
+    amendment = verify_ledger(desk / "ledger.jsonl").entries[-1]
+    assert amendment.of["amends_sha256"] == digest(desk / "a.xml")
 
 
 @pytest.mark.parametrize("lab", [KEPT, LAB], ids=["ledger", "no ledger"])

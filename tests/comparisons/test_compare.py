@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from pathlib import Path
 
 import frames
 import numpy as np
@@ -354,6 +355,23 @@ def test_a_comparison_shows_itself_and_is_read_back(one, tmp_path):
     row = table.filter(term="K_II", result="large").row(0, named=True)
     assert row["difference"] == pytest.approx(k_ii(compared).difference * 1e6)
     assert row["unit"] == "ug/g^2"
+
+
+def test_missing_seals_are_reported(one, tmp_path):
+    names = [str(tmp_path / f"{name}.json") for name in ("sealed", "unsealed")]
+    for name in names:
+        one[1].write(name)
+    by_hand.remove_seal(Path(names[1]))
+    compared = cs.compare(*names)
+    assert compared.unsealed == names[1:]
+    assert f"The file of {names[1]} has no seal" in comparison_text(compared)
+    kept = tmp_path / "c.json"
+    compared.write(kept)
+    assert "this comparison" not in cs.report(ResultComparison.read(kept), "md")
+    by_hand.remove_seal(kept)
+    text = cs.report(ResultComparison.read(kept), "md")
+    assert text.count("The file of this comparison has no seal") == 1
+    assert "The file of this comparison has no seal" in repr(ResultComparison.read(kept))
 
 
 @pytest.mark.parametrize("ending", ["html", "md", "pdf"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from campaigns import SMALL, write
-from results import sealed
+from results import remove_seal, sealed
 
 import counterspin as cs
 from counterspin.calibration.options import TwoStageOptions, asked_by, command_words, without_words
@@ -42,6 +42,15 @@ def test_the_same_files_give_the_same_numbers(camp, capsys, tmp_path):
     by_name = {c.name: c for c in repeated.coefficients}
     assert by_name["Qx.K_II"].before == stated.coefficient("Qx.K_II").value
     assert set(by_name) >= {f"Qx.{s}" for s in stated.accelerometers["Qx"].coefficients}
+
+
+def test_a_missing_seal_is_reported(camp):
+    assert cs.rerun(camp / "result.json").unsealed == []
+    remove_seal(camp / "result.json")
+    repeated = cs.rerun(camp / "result.json")
+    assert repeated.same
+    assert repeated.unsealed == [str(camp / "result.json")]
+    assert "result.json has no seal" in cs.report(repeated, "md")
 
 
 def test_inputs_are_found_by_their_checksums_wherever_they_are(camp, tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 from results import accelerometer as found_of
-from results import bare_result
+from results import bare_result, remove_seal
 from results import run as moved
 from scipy.io import savemat
 from workbooks import write_workbook
@@ -181,6 +181,14 @@ def test_round_trip_through_files_of_both_kinds(folder, capsys):
     said = capsys.readouterr().out
     assert "157 rows of east" in said
     assert "Warning" not in said
+
+
+def test_a_missing_seal_is_reported(folder, capsys):
+    pl.DataFrame({"east": [1.0, 2.0]}).write_csv("in.csv")
+    words = ["result.json", "in.csv", "--accelerometer", "Qx", "--input", "east", "-o", "out.csv"]
+    remove_seal(Path("result.json"))
+    assert run(*words) == 0
+    assert "The file of the result has no seal" in " ".join(capsys.readouterr().out.split())
 
 
 def test_metres_per_second_squared_use_the_site_s_gravity(folder):

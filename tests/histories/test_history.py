@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from results import FROZEN as FROZEN_RESULT
-from results import dated
+from results import dated, sealed
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
@@ -235,10 +235,20 @@ def test_shared_records_are_told(tmp_path):
     first, second = dated(2.7e-5, DATES[0]), dated(2.71e-5, DATES[1])
     for document, own in ((first, "b"), (second, "c")):
         document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
-    found = history([stored(tmp_path, first=first, second=second)])
+    found = history([stored(tmp_path, first=sealed(first), second=sealed(second))])
     assert len(only(found).points) == 2
     (note,) = found.notes
     assert "second.json shares 1 of its 2 records with" in note
+
+
+def test_missing_seals_are_reported(tmp_path):
+    folder = stored(tmp_path, a=sealed(dated(2.71e-5, DATES[0])), b=dated(2.7e-5, DATES[1]))
+    (note,) = history([folder]).notes
+    assert note.startswith(f"The file of {folder / 'b.json'} has no seal")
+    stored(tmp_path, **{f"c{n}": dated(2.7e-5 + 1e-8 * n, DATES[2]) for n in range(6)})
+    (note,) = history([folder]).notes
+    assert note.startswith(f"7 files have no seal ({folder / 'b.json'}, {folder / 'c0.json'}, ")
+    assert "c4.json" not in note
 
 
 def test_other_json_files_are_passed_over(tmp_path):
@@ -262,8 +272,9 @@ def test_other_json_files_are_passed_over(tmp_path):
         ),
         (json.dumps(dated(u=-1.0)), "damaged result"),
         ("\udc80", "damaged"),
+        ('{"campaigns": [], "campaigns": [], ' + json.dumps(dated())[1:], "occurs twice"),
     ],
-    ids=["cut", "empty", "deep", "newer", "negative", "bytes"],
+    ids=["cut", "empty", "deep", "newer", "negative", "bytes", "twice"],
 )
 def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
     folder = stored(tmp_path, good=dated(), bad=text)

@@ -91,6 +91,14 @@ def test_columns_that_cannot_be_used(values, words):
         course(values)
 
 
+@pytest.mark.parametrize("infinity", [np.inf, -np.inf])
+@pytest.mark.parametrize("row", [0, 1, T.size // 2, T.size - 1])
+def test_an_infinite_time_is_refused_with_its_row(row, infinity):
+    time = np.where(np.arange(T.size) == row, infinity, T)
+    with pytest.raises(RecordError, match=f"row {row + 1}: the time is infinite"):
+        course(20.0 + 0.01 * T, time=time)
+
+
 def test_what_goes_straight_on_over_a_gap():
     found = course(_hole(100.0, 190.0))
     np.testing.assert_allclose(found, 293.15 + np.linspace(0, 0.01 * T[-1], MOST_KNOTS), atol=1e-6)

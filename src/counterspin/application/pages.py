@@ -239,12 +239,13 @@ def forecast_into(there: Connection, file: Path) -> None:
 
 
 def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
+    from counterspin.reports.publication import with_seal_warning
     from counterspin.studies.page import report_blocks
     from counterspin.studies.result import StudyResult
 
     file = desk.file(names[0])
     found = StudyResult.read(file)
-    blocks = _typeset(report_blocks(found))
+    blocks = _typeset(with_seal_warning(found, report_blocks(found)))
     return Page(found.title, blocks, study_command(file.parent, found.trials_asked, file))
 
 

@@ -307,7 +307,11 @@ def certificate(
         xml=xml,
         ledger=_ledger(data, lab),
         entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
-        | ({} if amended is None else {"amends": amended.identifier}),
+        | (
+            {}
+            if amended is None
+            else {"amends": amended.identifier, "amends_sha256": amended.checksum}
+        ),
         signed_by=data.persons[0].name,
         reason=_reason(issue, judged),
         result=None if isinstance(result, Result) else Path(result),

@@ -22,7 +22,7 @@ from typing import Any, Final
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.input import DOCUMENT_BYTES, read_file, require_file
+from counterspin.input import DOCUMENT_BYTES, parse_json, read_file, require_file
 from counterspin.output import finish, require_valid_name, reserve, write_whole
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 
@@ -256,8 +256,8 @@ def _begins_entry(line: bytes) -> bool:
 def _content(line: bytes) -> dict[str, Any] | None:
     """Return the content of an entry; None if the line is not an entry."""
     try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
+        content = parse_json(line)
+    except ValueError:
         return None
     if not isinstance(content, dict) or tuple(content) != _KEYS:
         return None
@@ -313,7 +313,8 @@ def check_ledger(ledger: Path) -> None:
 
 def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
     """Append an entry for a result's file."""
-    Result.read(file)
+    if not Result.read(file).sealed:
+        why += "; the file has no seal"
     of = {"file": file.name, "sha256": _checksum(file)}
     return append(ledger, "result", of, who=who, why=why, when=_moment(date))
 
@@ -345,6 +346,7 @@ def enter_certificate(
                 "with different content; issue an amendment (`amends`), or "
                 "choose another certificate.identifier"
             )
+        _check_amended(ledger, kept, of)
         part = _hidden(path, checksum)
         write_whole(part, lambda place: _write_to_disk(place, data), overwrite=True)
         known = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
@@ -352,6 +354,18 @@ def enter_certificate(
             _enter(ledger, {"file": path.name, **of, "file_sha256": checksum}, said)
         _finish(path, checksum)
     return None
+
+
+def _check_amended(ledger: OpenLedger, kept: Path, of: Mapping[str, str]) -> None:
+    """Refuse to amend a certificate whose content is not that of its entries, if it has entries."""
+    if "amends" not in of:
+        return
+    amended = [entry for entry in ledger.entries if entry.of.get("identifier") == of["amends"]]
+    if amended and all(entry.of.get("sha256") != of["amends_sha256"] for entry in amended):
+        raise RecordError(
+            f"{kept}: entry {amended[-1].number} is of certificate {of['amends']} with different "
+            "content: the file to be amended was changed after it was issued; give the issued file"
+        )
 
 
 def _enter(ledger: OpenLedger, of: Mapping[str, str], said: IssueDetails) -> None:

@@ -98,6 +98,7 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         coefficients=coefficients,
         agreements=agreements,
         changes=changes(read),
+        unsealed=[name for name, result in zip(called, read, strict=True) if not result.sealed],
     )
 
 

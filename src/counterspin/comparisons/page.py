@@ -26,6 +26,7 @@ from counterspin.reports.blocks import (
     Table,
 )
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_estimate, format_number
+from counterspin.results import unsealed_sentences
 
 _TITLE: Final = "Comparison of results"
 
@@ -42,6 +43,7 @@ _RECORDS: Final = {
 def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
     """Yield the verdict on agreement, the values and differences, and the changes."""
     yield Heading(_TITLE, 1)
+    yield from _unsealed(compared.unsealed)
     for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
         yield Paragraph(in_words(compared, agreement), _style(agreement))
     for result in compared.results:
@@ -68,6 +70,11 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         yield Table(tuple(columns), rows)
     else:
         yield Paragraph("Their model, noise and inputs are the same.")
+
+
+def _unsealed(names: Sequence[str]) -> list[Paragraph]:
+    """Return the warning of results whose files have no seal."""
+    return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
 
 
 def _style(agreement: AgreementOfTwo) -> Style:
@@ -230,6 +237,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     """Return the verdict on a repeated result, and the changes."""
     blocks: list[Block] = [
         Heading("A result calibrated again", 1),
+        *_unsealed(repeated.unsealed),
         Paragraph(repetition_in_words(repeated), "answer" if repeated.same else "warning"),
     ]
     if repeated.moved:

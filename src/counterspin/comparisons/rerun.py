@@ -274,6 +274,7 @@ def _compare_coefficients(
         state_now=again.state,
         changes=changes([before, again]),
         moved=moved,
+        unsealed=[] if before.sealed else [called],
     )
 
 

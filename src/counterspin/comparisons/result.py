@@ -102,6 +102,7 @@ class ResultComparison(ShownResult):
     #: Each later result with the first that has the accelerometer.
     agreements: list[AgreementOfTwo]
     changes: list[Change]  #: What is not the same: files, terms, noise, options, versions.
+    unsealed: list[str] = []  #: Names of the results whose files have no seal.
 
     def reference(self, accelerometer: str) -> ComparedResult:
         """Return the first result that has an accelerometer: the others are compared with it."""
@@ -180,3 +181,4 @@ class RepeatedCalibration(ShownResult):
     changes: list[Change]
     #: Inputs that were found under another name: name in the result -> where.
     moved: dict[str, str] = {}
+    unsealed: list[str] = []  #: The name of the result, if its file has no seal.

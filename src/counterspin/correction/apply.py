@@ -41,6 +41,7 @@ from counterspin.physics.correction import (
 )
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.results import unsealed_sentences
 from counterspin.units import unit_factor
 
 _SOURCE: Final = "apply"  #: what the command's own refusals begin with
@@ -230,6 +231,7 @@ def apply(
             *notes_of_warmth(result, instruments, options.temperature),
         ),
         warnings=(
+            *unsealed_sentences([] if judged.sealed else ["the result"]),
             *_accepted(judged),
             *warnings_of_warmth(result, warmth, options.temperature),
             *(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
@@ -19,7 +18,7 @@ from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
 from counterspin.inference.conformity import Conformity
 from counterspin.inference.joint.summary import BudgetLine
-from counterspin.input import read_file
+from counterspin.input import parse_json, read_file
 from counterspin.physics.effects import Product
 from counterspin.physics.terms import TERMS, Term, is_term, term
 
@@ -130,6 +129,7 @@ class CollectedResults:
     left_out: list[UnusedResult] = field(default_factory=list)
     damaged: list[UnusedResult] = field(default_factory=list)
     passed_over: list[str] = field(default_factory=list)
+    unsealed: list[str] = field(default_factory=list)  #: Names of the results without a seal.
 
 
 def collect(given: Sequence[Path | Result], term: str) -> CollectedResults:
@@ -192,8 +192,8 @@ def _results_inside(folder: Path) -> Iterator[Path]:
 def _reason_not_a_result(content: bytes) -> str | None:
     """Return the reason against a readable document as a result; a damaged one may be one."""
     try:
-        document: Any = json.loads(content)
-    except (ValueError, RecursionError):
+        document = parse_json(content)
+    except ValueError:
         return None
     if not isinstance(document, dict):
         return "other"
@@ -214,6 +214,8 @@ def _enter(file: Path, term: str, collected: CollectedResults) -> None:
 
 def _enter_result(result: Result, file: str, term: str, collected: CollectedResults) -> None:
     date = _date(result.details.get("date"))
+    if not result.sealed:
+        collected.unsealed.append(file)
     for value in followed_in(result, term):
         outcome = _record(result, value, term, file, date)
         if isinstance(outcome, str):

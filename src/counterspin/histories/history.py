@@ -42,6 +42,7 @@ from counterspin.histories.result import (
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.terms import SHARED_TERMS, TERMS
+from counterspin.results import unsealed_sentences
 from counterspin.workers import one_blas_thread
 
 
@@ -113,7 +114,7 @@ def history(
         left_out=collected.left_out,
         damaged=collected.damaged,
         passed_over=collected.passed_over,
-        notes=_shared(by_serial),
+        notes=[*unsealed_sentences(collected.unsealed), *_shared(by_serial)],
     )
 
 

@@ -286,6 +286,10 @@ def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, 
     parts: list[Array] = []
     for piece in in_pieces(file.batches(columns.names), lambda _: piece_rows(1)):
         time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
+        infinite = np.flatnonzero(np.isinf(time))
+        if len(infinite):
+            place = file.locate(rows + int(infinite[0]))
+            raise RecordError(f"{file.path}, {place}: the time is infinite.")
         coldest, warmest = WORKING_TEMPERATURES
         impossible = np.flatnonzero((warm < coldest) | (warm > warmest))
         if len(impossible):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, date, datetime, time
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from counterspin.loading import load_name
 from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
-from counterspin.results import ShownResult
+from counterspin.results import ResultFile, ShownResult, unsealed_sentences
 
 #: Endings of the files that are written.
 FORMATS: Final = (".html", ".pdf", ".md")
@@ -89,9 +89,23 @@ def publish(result: ShownResult, identifier: str | None = None) -> Publication:
 
     identifier: Of the report; None: that of the result.
     """
-    blocks = list(load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
+    blocks = with_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
     title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
     return Publication(result.report_kind(), title, identifier or result.identifier, blocks)
+
+
+def seal_warnings(result: ResultFile) -> list[Paragraph]:
+    """Return the warning of a result whose file has no seal; nothing for a sealed result."""
+    names = [] if result.sealed else [f"this {result.KIND}"]
+    return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
+
+
+def with_seal_warning(result: ResultFile, blocks: Iterable[Block]) -> list[Block]:
+    """Return the blocks of a result, with a warning behind the title if its file has no seal."""
+    whole = list(blocks)
+    missing = [warning for warning in seal_warnings(result) if warning not in whole]
+    after_title = 1 if whole and isinstance(whole[0], Heading) else 0
+    return [*whole[:after_title], *missing, *whole[after_title:]]
 
 
 def issue_date(text: str | None = None) -> datetime:

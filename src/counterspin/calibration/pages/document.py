@@ -35,7 +35,6 @@ from counterspin.calibration.pages.uncertainty import (
 from counterspin.calibration.pages.verdict import (
     conformity_blocks,
     misfit_blocks,
-    seal_blocks,
     verdict_blocks,
     verdict_tables,
 )
@@ -53,6 +52,7 @@ from counterspin.reports.numbers import (
     format_interval,
     format_number,
 )
+from counterspin.reports.publication import seal_warnings
 from counterspin.reports.text import Report, report_console
 from counterspin.reports.typography import typeset_block
 
@@ -127,7 +127,7 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     """
     yield Heading(result.title or "Calibration", 1)
     yield from misfit_blocks(result)
-    yield from seal_blocks(result)
+    yield from seal_warnings(result)
     for name, accelerometer in result.accelerometers.items():
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
             state = accelerometer.state

@@ -146,16 +146,6 @@ def misfit_blocks(result: Result) -> Iterator[Block]:
         yield Paragraph(f"The misfit was accepted: {result.accepted_misfit}", "warning")
 
 
-def seal_blocks(result: Result) -> Iterator[Block]:
-    """Yield a warning for a result whose file has no seal; nothing for a sealed result."""
-    if not result.sealed:
-        yield Paragraph(
-            "The file of this result has no seal: changes after it was written cannot be excluded. "
-            "Its state was judged again from its numbers.",
-            "warning",
-        )
-
-
 # Specifications
 
 
