@@ -181,7 +181,7 @@ _OFFERED = {
     "reproduction.demo": ("Demonstration", "demo"),
     "histories.history": ("history",),
     "histories.result": ("History",),
-    "exports.starter": ("init",),
+    "ingest.starter": ("init",),
     "planning.plan": ("PlannedCampaign", "plan"),
     "simulation.simulate": ("simulate",),
     "calibration.options": ("TwoStageOptions",),
