@@ -14,7 +14,8 @@ from counterspin.campaign.description import make_campaign
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.studies import study as study_module
-from counterspin.workers import Workers, one_blas_thread
+from counterspin.threads import BLAS_THREADS, one_blas_thread
+from counterspin.workers import Workers
 
 
 def test_more_workers_than_a_machine_can_use_are_capped_and_told(monkeypatch):
@@ -72,7 +73,7 @@ def threads():
 
 @pytest.fixture
 def two_threads(monkeypatch):
-    for name in workers._THREADS:
+    for name in BLAS_THREADS:
         monkeypatch.delenv(name, raising=False)
     with threadpoolctl().threadpool_limits(limits=2, user_api="blas"):
         yield

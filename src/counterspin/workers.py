@@ -19,9 +19,7 @@ from typing import Any, Final
 
 from counterspin.errors import CounterspinError, CounterspinWarning, installing
 from counterspin.frozen import frozen
-
-#: What BLAS libraries read the number of their threads from.
-_THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+from counterspin.threads import BLAS_THREADS
 
 #: Most processes that are started for each processor core.
 _PROCESSES_PER_CORE: Final = 2
@@ -40,7 +38,7 @@ _COUNT_INTERVAL: Final = 2.0
 #: for the cores; libraries read that when they are loaded. And no module from the working folder,
 #: where Python looks first when it is started for multiprocessing, until it has the path of the
 #: process that starts it: whatever lies beside a campaign would be run.
-_INHERITED: Final = {**dict.fromkeys(_THREADS, "1"), "PYTHONSAFEPATH": "1"}
+_INHERITED: Final = {**dict.fromkeys(BLAS_THREADS, "1"), "PYTHONSAFEPATH": "1"}
 
 _INHERITING: Final = threading.RLock()
 
@@ -80,52 +78,6 @@ class _Spawning(SpawnContext):
 
 
 SPAWNING: Final = _Spawning()
-
-
-class _ThreadLimit:
-    """A limit that is set by the first who asks for it, and lifted by the last."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._asking = 0
-        self._limit: Any = None
-
-    def set(self) -> None:
-        """Limit the threads of the libraries that are loaded."""
-        from threadpoolctl import threadpool_limits
-
-        with self._lock:
-            self._asking += 1
-            if self._asking == 1:
-                self._limit = threadpool_limits(limits=1, user_api="blas")
-
-    def lift(self) -> None:
-        """Give the libraries the threads that they had."""
-        with self._lock:
-            self._asking -= 1
-            if self._asking == 0:
-                self._limit.restore_original_limits()
-                self._limit = None
-
-
-_ONE_THREAD: Final = _ThreadLimit()
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Keep linear algebra to one thread: matrices are small here, and more threads take longer.
-
-    Nothing is done where the environment says how many threads there are to be, as the command line
-    does for its own process. The libraries must be loaded. It is a decorator, too.
-    """
-    if any(os.environ.get(name) for name in _THREADS):
-        yield
-        return
-    _ONE_THREAD.set()
-    try:
-        yield
-    finally:
-        _ONE_THREAD.lift()
 
 
 @frozen

@@ -17,7 +17,7 @@ from counterspin.certificates.schema import NAMESPACES, clean, factor, number
 from counterspin.certificates.statements import Issue
 from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
-from counterspin.inference.conformity import Conformity
+from counterspin.inference.verdicts import Conformity
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.units import from_si, si_unit, to_si, unit_factor
 

@@ -7,7 +7,7 @@ from results import CONFORMITY, coefficient, result, two_accelerometers
 
 from certificates import LAB, document
 from counterspin import calibrate
-from counterspin.inference.conformity import Conformity
+from counterspin.inference.verdicts import Conformity
 
 dcclib = pytest.importorskip("dcclib.validation", reason="PTB's dcclib is not installed")
 

@@ -6,7 +6,7 @@ from results import CONFORMITY, coefficient, result
 from certificates import SCHEMA, document, needs_schema
 from counterspin.certificates.schema import check_schema
 from counterspin.errors import CounterspinError, RecordError
-from counterspin.inference.conformity import Conformity
+from counterspin.inference.verdicts import Conformity
 
 #: Files as PTB publishes them: each names the next by an address.
 DCC = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"

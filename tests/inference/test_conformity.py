@@ -15,9 +15,9 @@ from counterspin.inference.conformity import (
     acceptance_limits,
     conformance_probability,
     decide,
-    expanded_uncertainty,
     nonconformance_probability,
 )
+from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.validation.cases import cases
 
 RULES = ("simple", "guarded", "probability")

@@ -78,7 +78,7 @@ def fit_into(there: Connection, campaign: Path) -> None:
         from counterspin.calibration.joint_problem import JointProblem
         from counterspin.calibration.observed import observe, with_recorded_temperatures
         from counterspin.campaign.description import read_campaign
-        from counterspin.workers import one_blas_thread
+        from counterspin.threads import one_blas_thread
 
         with one_blas_thread():
             read = with_recorded_temperatures(read_campaign(campaign))

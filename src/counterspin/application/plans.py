@@ -41,8 +41,8 @@ from counterspin.planning.stations import ReadingPlan, read_any_plan
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.reports.typography import typeset
+from counterspin.threads import one_blas_thread
 from counterspin.units import unit_factor
-from counterspin.workers import one_blas_thread
 
 #: How far limits on time and rate can be moved, as factors of what the plan says.
 LIMIT_FACTORS: Final = (4.0, 2.0)

@@ -18,7 +18,7 @@ from counterspin.errors import CampaignError, RecordError
 from counterspin.input import FileIdentity
 from counterspin.records.isolation import uses_reader_process
 from counterspin.records.memory import MemoryTable
-from counterspin.workers import one_blas_thread
+from counterspin.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from counterspin.calibration.observed import ObservedRun

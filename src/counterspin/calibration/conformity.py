@@ -8,13 +8,8 @@ from typing import Final
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.specification import Specifications
-from counterspin.inference.conformity import (
-    Conformity,
-    DecisionRule,
-    Specification,
-    decide,
-    undecided,
-)
+from counterspin.inference.conformity import DecisionRule, Specification, decide, undecided
+from counterspin.inference.verdicts import Conformity
 
 _AS_PRINTED: Final = "the equations as printed return half the true K_II and support no verdict"
 _REJECTED: Final = "the records contradict the result, which supports no verdict"

@@ -17,7 +17,6 @@ from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.settings import StatedNoise
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
@@ -35,7 +34,11 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.linear_readings import Readings
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.inference.poses import TriadPoses
+from counterspin.loading import load_name
 from counterspin.physics import observation
+
+#: The function that reads the noise of a campaign from a record at rest.
+NOISE_AT_REST: Final = "counterspin.campaign.noise_at_rest:said_noise"
 
 #: Degrees of freedom of a very short record, whose every row the fit may follow.
 _FEWEST_DOF: Final = 0.5
@@ -143,10 +146,17 @@ def noise_of(campaign: Campaign) -> dict[str, Noise]:
     a record of specific force the accelerometer's white noise cannot be told from that of the
     record: only one of the two is estimated.
     """
-    said = said_noise(campaign)
+    if campaign.rest is None:
+        return {
+            name: _noise_of(campaign.noise, accelerometer)
+            for name, accelerometer in campaign.accelerometers.items()
+        }
+    stated = load_name(NOISE_AT_REST)(campaign)
     return {
-        name: replace(_noise_of(said[name].sizes, one), covariance=said[name].covariance)
-        for name, one in campaign.accelerometers.items()
+        name: replace(
+            _noise_of(stated[name].sizes, accelerometer), covariance=stated[name].covariance
+        )
+        for name, accelerometer in campaign.accelerometers.items()
     }
 
 

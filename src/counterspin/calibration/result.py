@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from counterspin.calibration.result_file import faults_of, matrix_faults, upgrade
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -46,6 +45,8 @@ if TYPE_CHECKING:
 
 #: Where its pictures are made, and its forms for other programs.
 _PICTURES: Final = "counterspin.calibration.pages.pictures"
+#: Earlier schemas and faults of a file that is read.
+_FILE: Final = "counterspin.calibration.result_file"
 _NOTEBOOK: Final = "counterspin.calibration.notebook"
 
 #: Why a result has no frame of residuals: its file holds those that the pictures show.
@@ -108,7 +109,7 @@ class Result(ShownResult):
     def _of_schema_1(cls, document: Any, read: ModelWrapValidatorHandler[Self]) -> Self:
         """Read what earlier versions have written."""
         earlier = isinstance(document, dict) and document.get("schema") == 1
-        result = read(upgrade(document) if earlier else document)
+        result = read(load_name(f"{_FILE}:upgrade")(document) if earlier else document)
         if earlier:
             result._assumes_all = True
         return result
@@ -366,22 +367,7 @@ class Result(ShownResult):
 
     def faults(self) -> Iterator[str]:
         """Yield what would be applied or shown wrongly, though each part looks like one."""
-        if not 0.0 < self.inputs.gravity < math.inf:
-            yield f"the gravity is {self.inputs.gravity} m/s^2"
-        if not self.accelerometers:
-            yield "it has no accelerometers"
-        together = [*self.confounded]
-        for accelerometer in self.accelerometers.values():
-            together += accelerometer.confounded
-        if any(len(confounded.terms) < 2 for confounded in together):
-            yield "fewer than two terms are listed as inseparable"
-        for name, run in self.runs.items():
-            if not 0.0 < abs(run.rate) < math.inf:
-                yield f"the rate of {name} is {run.rate} rad/s"
-        if self.correlation is not None:
-            yield from matrix_faults("its correlation matrix", self.correlation)
-        for name, accelerometer in self.accelerometers.items():
-            yield from faults_of(name, accelerometer)
+        yield from load_name(f"{_FILE}:faults_of_result")(self)
 
 
 read_result = Result.read

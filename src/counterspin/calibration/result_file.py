@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sized
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.calibration.result_parts import AccelerometerResult, Correlation, Trace
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
+
+if TYPE_CHECKING:
+    from counterspin.calibration.result import Result
 
 _LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
 
@@ -81,6 +84,26 @@ def _line(line: dict[str, Any]) -> dict[str, Any]:
 
 
 # Numbers that would be applied or shown wrongly
+
+
+def faults_of_result(result: Result) -> Iterator[str]:
+    """Yield what would be applied or shown wrongly of a result."""
+    if not 0.0 < result.inputs.gravity < math.inf:
+        yield f"the gravity is {result.inputs.gravity} m/s^2"
+    if not result.accelerometers:
+        yield "it has no accelerometers"
+    together = [*result.confounded]
+    for accelerometer in result.accelerometers.values():
+        together += accelerometer.confounded
+    if any(len(confounded.terms) < 2 for confounded in together):
+        yield "fewer than two terms are listed as inseparable"
+    for name, run in result.runs.items():
+        if not 0.0 < abs(run.rate) < math.inf:
+            yield f"the rate of {name} is {run.rate} rad/s"
+    if result.correlation is not None:
+        yield from matrix_faults("its correlation matrix", result.correlation)
+    for name, accelerometer in result.accelerometers.items():
+        yield from faults_of(name, accelerometer)
 
 
 def faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:

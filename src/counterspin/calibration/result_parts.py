@@ -17,9 +17,10 @@ from counterspin.calibration.si_estimates import SiEstimate, StatedGravity, si_e
 from counterspin.campaign.quantity import Quantity
 from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
-from counterspin.inference.conformity import Conformity, expanded_uncertainty
+from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import BudgetLine, Jackknife, Kind, WhatIf
+from counterspin.inference.verdicts import Conformity
 from counterspin.loading import load_name
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart

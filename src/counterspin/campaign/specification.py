@@ -16,7 +16,8 @@ from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.kinds import Contradiction, SettingsSection, described, exact
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
-from counterspin.inference.conformity import DecisionRule, RuleName, Specification
+from counterspin.inference.conformity import DecisionRule, Specification
+from counterspin.inference.verdicts import RuleName
 from counterspin.physics.terms import TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'

@@ -43,7 +43,7 @@ from counterspin.certificates.schema import DCC, NAMESPACES, Element, clean, fac
 from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
 from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
-from counterspin.inference.conformity import COVERAGE
+from counterspin.inference.distributions import COVERAGE
 from counterspin.physics.terms import SHARED_TERMS
 from counterspin.reports.numbers import round_to_uncertainty
 from counterspin.units import SiUnit, si_unit, to_si

@@ -20,7 +20,7 @@ from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.schema import ENGLISH
 from counterspin.frozen import frozen
-from counterspin.inference.conformity import Conformity
+from counterspin.inference.verdicts import Conformity
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
 

@@ -18,7 +18,8 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.lab import CertificateSettings
 from counterspin.certificates.schema import factor
-from counterspin.inference.conformity import COVERAGE, Conformity, expanded_uncertainty
+from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
+from counterspin.inference.verdicts import Conformity
 from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (

@@ -18,8 +18,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.histories.files import DatedResult
 from counterspin.histories.result import ControlLimits, Repeatability, RepeatComponent, Scatter
-from counterspin.inference.conformity import expanded_uncertainty
-from counterspin.inference.distributions import chi_square_tail, normal_cdf
+from counterspin.inference.distributions import chi_square_tail, expanded_uncertainty, normal_cdf
 from counterspin.inference.least_squares import Fit, fit
 from counterspin.inference.variance_components import variance_components
 

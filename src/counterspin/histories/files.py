@@ -16,8 +16,8 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
-from counterspin.inference.conformity import Conformity
 from counterspin.inference.joint.summary import BudgetLine
+from counterspin.inference.verdicts import Conformity
 from counterspin.input import parse_json, read_file
 from counterspin.physics.effects import Product
 from counterspin.physics.terms import TERMS, Term, is_term, term

@@ -43,7 +43,7 @@ from counterspin.histories.result import (
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.results import unsealed_sentences
-from counterspin.workers import one_blas_thread
+from counterspin.threads import one_blas_thread
 
 
 @one_blas_thread()

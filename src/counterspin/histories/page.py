@@ -15,7 +15,7 @@ from counterspin.histories.result import (
     RepeatComponent,
     Scatter,
 )
-from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
     field_unit,

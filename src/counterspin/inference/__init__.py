@@ -7,7 +7,8 @@ What stands in this room:
 - `identifiability`: what the data cannot tell apart, by name
 - `distributions`: normal, chi-square and Student's, of single numbers
 - `diagnostics`: whether the model fits the records
-- `conformity`: whether a quantity meets a specification, and the risk of being wrong
+- `conformity`: whether a quantity meets a specification, and the risk of being wrong;
+  `verdicts`: what a result states of that
 - `noise`: models of a record's noise, whitening, estimation of its size
 - `joint`: full records of all runs and accelerometers, solved together
 - `linear_readings`: single values at rest, on an arm or on a turntable, as rows

@@ -7,17 +7,11 @@ uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of o
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, replace
-from typing import Final, Literal
+from dataclasses import replace
 
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import student_cdf, student_quantile
-
-RuleName = Literal["simple", "guarded", "probability"]
-Verdict = Literal["pass", "fail", "undecided"]
-
-#: Coverage probability of the expanded uncertainty that is the unit of a guard band.
-COVERAGE: Final = 0.95
+from counterspin.inference.distributions import expanded_uncertainty, student_cdf
+from counterspin.inference.verdicts import Conformity, RuleName, Verdict
 
 
 @frozen
@@ -53,29 +47,6 @@ class Specification:
     unit: str  #: That of the coefficient.
 
 
-@frozen
-class Conformity:
-    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106)."""
-
-    _: KW_ONLY
-    specification: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
-    low: float | None  #: Lower tolerance limit, in `unit`; None without one.
-    high: float | None  #: Upper tolerance limit, in `unit`; None without one.
-    unit: str  #: Of the limits and the guard band: that of the coefficient.
-    rule: RuleName  #: Decision rule: ``simple``, ``guarded`` or ``probability``.
-    #: Width in `unit` by which the acceptance limits lie inside the tolerance limits, 0 without
-    #: guard bands; None without an estimate.
-    guard_band: float | None
-    needed: float | None = None  #: Probability that the rule asks for; None where it asks for none.
-    verdict: Verdict  #: What the rule says: ``pass``, ``fail`` or ``undecided``.
-    #: That the coefficient conforms, given the estimate and its uncertainty.
-    probability: float | None
-    #: Probability that the verdict is wrong: the specific consumer's risk of a pass, the specific
-    #: producer's risk of a fail; None if it is undecided.
-    risk: float | None
-    reason: str | None = None  #: Why it is undecided; None if it is not.
-
-
 def conformance_probability(
     value: float, u: float, dof: float | None, low: float | None, high: float | None
 ) -> float:
@@ -101,12 +72,6 @@ def nonconformance_probability(
     """
     below, above = _standardised(value, u, dof, low, high)
     return _distribution(below, dof) + _distribution(-above, dof)
-
-
-def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE) -> float:
-    """Return half the width of the coverage interval: Student's factor times u (GUM G.3)."""
-    tail = 0.5 * (1.0 + coverage)
-    return student_quantile(math.inf if dof is None else dof, tail) * u
 
 
 def acceptance_limits(

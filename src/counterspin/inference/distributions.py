@@ -14,6 +14,9 @@ from functools import lru_cache
 from statistics import NormalDist
 from typing import Final
 
+#: Coverage probability of an expanded uncertainty, also of one that is the unit of a guard band.
+COVERAGE: Final = 0.95
+
 #: Relative change at which a series or a continued fraction ends.
 _SERIES_TOLERANCE: Final = 4e-16
 
@@ -279,3 +282,9 @@ def countable(dof: float) -> float | None:
     Satterthwaite's formula gives numbers such as 9e16 where next to nothing of u was estimated.
     """
     return dof if dof < _INFINITE_DOF else None
+
+
+def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE) -> float:
+    """Return half the width of the coverage interval: Student's factor times u (GUM G.3)."""
+    tail = 0.5 * (1.0 + coverage)
+    return student_quantile(math.inf if dof is None else dof, tail) * u

@@ -31,7 +31,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import as_recorded, noise_of_fit, with_pose_noise
 from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
-from counterspin.workers import one_blas_thread
+from counterspin.threads import one_blas_thread
 
 
 def check(

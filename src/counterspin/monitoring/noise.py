@@ -32,8 +32,8 @@ from counterspin.physics import observation
 from counterspin.records.dialect import file_unit
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.reports.numbers import format_number
+from counterspin.threads import one_blas_thread
 from counterspin.units import base_unit, unit_factor
-from counterspin.workers import one_blas_thread
 
 #: Frequencies of mains, Hz, and the part of them by which they wander.
 _MAINS: Final = (50.0, 60.0)

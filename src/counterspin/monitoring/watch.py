@@ -27,7 +27,7 @@ from counterspin.monitoring.run_state import (
     run_state,
     shown_names,
 )
-from counterspin.workers import one_blas_thread
+from counterspin.threads import one_blas_thread
 
 #: A run is complete at this part of its stated duration.
 _COMPLETE_PART: Final = 1.0 - 1e-3

@@ -12,6 +12,9 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics.terms import TERMS
 
+#: Flicker of a bias has a longest period of a day, Hz; slower changes are bias.
+SLOWEST_FLICKER: Final = 1.0 / 86400.0
+
 DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "east": (1.0, 0.0, 0.0),
     "west": (-1.0, 0.0, 0.0),

@@ -15,13 +15,10 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
-from counterspin.physics.accelerometer import Mounting, indicated
+from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicated
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Trajectory, true_trajectory
 from counterspin.physics.terms import CONDITION_TERMS, PLATFORM_TERMS, TERMS
-
-#: Flicker of a bias has a longest period of a day, Hz; what is slower is bias.
-SLOWEST_FLICKER: Final = 1.0 / 86400.0
 
 #: Times for which slow waves are summed at once: there may be a hundred of them.
 _WAVES_AT_ONCE: Final = 100_000

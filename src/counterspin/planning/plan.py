@@ -25,8 +25,8 @@ from counterspin.planning.recorded import from_records, lacks, with_pose_noise
 from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
 from counterspin.planning.search import Search, require_determined, unreachable
 from counterspin.planning.stations import read_reading_plan
+from counterspin.threads import one_blas_thread
 from counterspin.toml_text import write_document
-from counterspin.workers import one_blas_thread
 
 #: How often a plan for a target is changed after its forecast has missed it.
 _MAX_CHANGES: Final = 5

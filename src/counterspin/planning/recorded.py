@@ -29,7 +29,7 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.readings import solve_readings
 from counterspin.planning.forecast import forecast
-from counterspin.workers import one_blas_thread
+from counterspin.threads import one_blas_thread
 
 
 def with_pose_noise(campaign: Campaign) -> Campaign:

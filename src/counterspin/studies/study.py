@@ -27,7 +27,8 @@ from counterspin.studies.result import (
     verdict_of,
 )
 from counterspin.studies.work import Ledger, StudyEngine, expected_duration, run_batches, work
-from counterspin.workers import ALONE, Workers, one_blas_thread, worker_pool
+from counterspin.threads import one_blas_thread
+from counterspin.workers import ALONE, Workers, worker_pool
 
 #: Hours of work above which a user is told before it begins.
 _LONG_HOURS: Final = 0.5

@@ -41,7 +41,7 @@ from counterspin.calibration.pages.verdict import (
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, RunResult, State
 from counterspin.characters import Lines
-from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Picture, Style, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,

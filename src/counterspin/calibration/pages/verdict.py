@@ -9,7 +9,7 @@ from counterspin.calibration.findings import supports
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding, State
-from counterspin.inference.conformity import Conformity
+from counterspin.inference.verdicts import Conformity
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Style, Table
 from counterspin.reports.numbers import (
     field_unit,

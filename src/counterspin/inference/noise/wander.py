@@ -23,7 +23,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.physics.simulation import SLOWEST_FLICKER
+from counterspin.physics.accelerometer import SLOWEST_FLICKER
 
 #: Flicker below this frequency is bias, Hz.
 LOWEST: Final = SLOWEST_FLICKER

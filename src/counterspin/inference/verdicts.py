@@ -1,0 +1,34 @@
+"""The verdict on a coefficient and its specification, as a result states it."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY
+from typing import Literal
+
+from counterspin.frozen import frozen
+
+RuleName = Literal["simple", "guarded", "probability"]
+Verdict = Literal["pass", "fail", "undecided"]
+
+
+@frozen
+class Conformity:
+    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106)."""
+
+    _: KW_ONLY
+    specification: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
+    low: float | None  #: Lower tolerance limit, in `unit`; None without one.
+    high: float | None  #: Upper tolerance limit, in `unit`; None without one.
+    unit: str  #: Of the limits and the guard band: that of the coefficient.
+    rule: RuleName  #: Decision rule: ``simple``, ``guarded`` or ``probability``.
+    #: Width in `unit` by which the acceptance limits lie inside the tolerance limits, 0 without
+    #: guard bands; None without an estimate.
+    guard_band: float | None
+    needed: float | None = None  #: Probability that the rule asks for; None where it asks for none.
+    verdict: Verdict  #: What the rule says: ``pass``, ``fail`` or ``undecided``.
+    #: That the coefficient conforms, given the estimate and its uncertainty.
+    probability: float | None
+    #: Probability that the verdict is wrong: the specific consumer's risk of a pass, the specific
+    #: producer's risk of a fail; None if it is undecided.
+    risk: float | None
+    reason: str | None = None  #: Why it is undecided; None if it is not.
