@@ -50,18 +50,6 @@ def draw_the_demonstration() -> None:
         shutil.copy(Path(folder) / "displacement.svg", IMAGES)
 
 
-def draw_the_plan() -> None:
-    """Draw the figures of the example plan where what it does not state is perfect."""
-    with tempfile.TemporaryDirectory() as folder:
-        example = Path(folder) / "PLAN.toml"
-        run("plan", "--init", example)
-        text = example.read_text(encoding="utf-8")
-        for line in ('assume = "all"', "fewest_rates = 1"):
-            text = text.replace(f"# {line}", line)
-        example.write_text(text, encoding="utf-8")
-        run("plan", example, "--figures", IMAGES, "--overwrite")
-
-
 def calibrate_the_example() -> None:
     """Simulate the example campaign and write its result."""
     with tempfile.TemporaryDirectory() as folder:
@@ -214,7 +202,6 @@ if __name__ == "__main__":
     os.environ["SOURCE_DATE_EPOCH"] = "1772323200"  # DATE, for the certificate
     IMAGES.mkdir(exist_ok=True)
     draw_the_demonstration()
-    draw_the_plan()
     calibrate_the_example()
     write_the_examples()
     draw_the_tutorial()

@@ -58,7 +58,6 @@ _RESULT = "result.json"
 _APPLY = ("apply", _RESULT, "forces.csv", "--accelerometer", "Qx", "-o", "corrected.csv")
 _MADE = ("simulate", "campaign", "-o", "made")
 _STUDY = ("study", "study.toml", "--trials", _TRIALS, "-o", "out", "--keep-trials")
-_FIGURES = ("plan", "plan.toml", "--json", "new.json", "--figures", "figures")
 _LEDGER = "ledger.jsonl"
 _ISSUE = ("certificate", _RESULT, "LAB.toml", "-o")
 
@@ -78,7 +77,6 @@ COMMANDS = {
     "history": Command(("history", _RESULT, "--json", "new.json"), (_RESULT,)),
     "study": Command(_STUDY, ("study.toml",), (*_STUDY, "--resume")),
     "plan": Command(("plan", "plan.toml", "-o", "planned"), ("plan.toml",)),
-    "plan-figures": Command(_FIGURES, ("plan.toml",), (*_FIGURES, "--overwrite")),
     "plan-begin": Command(("plan", "--init", "new.toml")),
     "init": Command(("init", "new")),
     "reproduce": Command(("reproduce", "--json", "new.json")),

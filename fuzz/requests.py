@@ -208,7 +208,6 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"kind": "result", "names": result},
             {"kind": "comparison", "names": both},
             {"kind": "history", "names": both, "term": "K_II"},
-            {"kind": "plan", "names": "PLAN.toml"},
             {"kind": "forecast", "names": "three/campaign.toml"},
             {"kind": "study", "names": "three/study.json"},
         ],
@@ -249,8 +248,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         ],
         "GET plan": [{"name": "PLAN.toml"}],
         "POST plan": [{"name": "new.toml"}, {"name": "poses.toml", "example": "poses"}],
-        "POST plan-try": [{"name": "PLAN.toml", "moved": {"total_time": 2000.0, "runs": 3}}],
-        "DELETE plan-try": [{"name": "PLAN.toml"}],
+        "POST plan-page": [{"name": "PLAN.toml", "moved": {"total_time": 2000.0, "runs": 3}}],
         "POST planned": [{"name": "PLAN.toml", "moved": {"highest_rate": 5.0}, "folder": "new"}],
         "GET jobs": [{}],
         "POST jobs": [

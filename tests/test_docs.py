@@ -79,11 +79,11 @@ def run(command, capsys):
     return printed.out
 
 
-def search_once(plan, file, *, curves, progress):
-    """Plan a file as `plan` does, but not again what was planned in this folder, curves or not."""
+def search_once(plan, file):
+    """Plan a file as `plan` does, but not again what was planned in this folder."""
     key = (Path.cwd(), file.read_text(encoding="utf-8"))
-    if key not in SEARCHED or (curves and SEARCHED[key].result.curves is None):
-        SEARCHED[key] = plan(file, curves=curves, progress=progress)
+    if key not in SEARCHED:
+        SEARCHED[key] = plan(file)
     return SEARCHED[key]
 
 

@@ -5,8 +5,6 @@ import shutil
 import pytest
 from served import wait
 
-from counterspin.planning.plan import write_example
-
 PAGE = {"kind": "result", "names": "three/result.json"}
 
 
@@ -86,11 +84,3 @@ def test_a_forecast_that_has_no_room_fails_in_a_sentence(page, folder):
     job = wait(page, number)
     assert job["state"] == "failed"
     assert "at 1e-09 rev/s" in job["error"]
-
-
-def test_a_plan_s_forecast_can_be_stopped(page, folder):
-    write_example(folder / "PLAN.toml")
-    asked = {"kind": "plan", "names": "PLAN.toml"}
-    number = page.get("/api/page", params=asked).json()["job"]["number"]
-    page.request("DELETE", "/api/jobs", json={"number": number})
-    assert wait(page, number)["state"] == "stopped"

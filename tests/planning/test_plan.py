@@ -18,10 +18,9 @@ from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.planning.design import Design
 from counterspin.planning.forecast import forecast, planned_series
-from counterspin.planning.limits import FIGURES, plan_plots, save_figures
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.plan_file import read_plan
-from counterspin.planning.result import Curve, Curves, PlanResult
+from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
 from counterspin.reports.text import report_console
 from counterspin.simulation.simulate import simulate
@@ -410,50 +409,6 @@ def test_a_plan_is_changed_and_swept(starter):
     assert first._repr_html_() == first.result._repr_html_()
 
 
-def test_a_figure_of_what_hardly_changes_begins_at_zero(plan_of):
-    result = plan_of(SMALL).result
-    u = result.accelerometers["Qx"].coefficients["K_II"].u
-    curves = {
-        name: Curve(x=[1.0, 2.0, 4.0], u=[u, part * u, part * u])
-        for name, part in (("time", 1.0 - 8e-7), ("rate", 0.5))
-    }
-    curves |= {"sources": {"noise": Curve(x=[1.0, 2.0], u=[u, 0.1 * u])}}
-    shown = Curves(coefficient="Qx.K_II", unit="g/g^2", **curves)
-    time, rate, _ = plan_plots(result.model_copy(update={"curves": shown}))
-    assert (time.log_y, time.y_range) == (False, (0.0, pytest.approx(1.2e6 * u)))
-    assert (rate.log_y, rate.y_range) == (True, None)
-
-
-def test_figures(starter, tmp_path):
-    pytest.importorskip("matplotlib")
-    told = []
-    result = plan(
-        starter(SMALL, ("runs = 14", "runs = 2")),
-        curves=True,
-        progress=lambda done, of: told.append((done, of)),
-    ).result
-    assert told == [(done, 27) for done in range(27)]
-    written = save_figures(result, tmp_path / "figures")
-    assert [path.name for path in written] == list(FIGURES)
-    again = save_figures(result, tmp_path / "again")
-    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(written, again, strict=True))
-    assert save_figures(result, tmp_path / "again", overwrite=True) == again
-    again[0].unlink()
-    again[1].unlink()
-    again[2].write_text("mine")
-    for overwrite in (False, True):
-        with pytest.raises(CounterspinError, match="is not a figure of a plan of counterspin"):
-            save_figures(result, tmp_path / "again", overwrite=overwrite)
-    assert [path.name for path in (tmp_path / "again").iterdir()] == [again[2].name]
-    curves = result.curves
-    for curve in (curves.time, curves.rate):
-        assert len(curve.x) > 5
-        # More time or more rate never harms.
-        assert all(b <= a * 1.002 for a, b in pairwise(curve.u))
-    total = math.sqrt(sum(curve.u[-1] ** 2 for curve in curves.sources.values()))
-    assert total == pytest.approx(result.accelerometers["Qx"].coefficients["K_II"].u, rel=1e-3)
-
-
 # The command line
 
 
@@ -464,6 +419,9 @@ def test_command_writes_campaign_and_json(starter, tmp_path, capsys):
     assert "counterspin simulate" in printed
     assert PlanResult.read(tmp_path / "p.json").runs
     document = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
+    earlier = document | {"curves": None, "seal": None}
+    (tmp_path / "earlier.json").write_text(json.dumps(earlier), encoding="utf-8")
+    assert PlanResult.read(tmp_path / "earlier.json").runs
     assert document["schema"] == 1
     u = document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"]
     assert f"{1e6 * u:.3g} ug/g^2" in printed

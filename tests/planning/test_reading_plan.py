@@ -304,8 +304,6 @@ def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
     assert len(told["readings"]) == 24
     assert told["accelerometers"]["A"]["harmonic_share"] is None
     assert {fault["symbol"] for fault in told["accelerometers"]["A"]["faults"]} >= {"K_4"}
-    assert cli.main(["plan", str(file), "--figures", str(tmp_path / "figures")]) == 2
-    assert "for plans of records only" in capsys.readouterr().err
 
 
 # Bad input

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.input import FileIdentity
 from counterspin.reports.numbers import field_unit
 from counterspin.reports.typography import typeset, typeset_block
 from counterspin.workers import SPAWNING
@@ -49,11 +48,6 @@ class Worker:
     def is_alive(self) -> bool:
         """True while it is at work."""
         return self._process.is_alive()
-
-    def ask(self, question: Any) -> None:
-        """Send it a question; a dead process ignores it."""
-        with suppress(OSError):
-            self._here.send(question)
 
     def hear(self, seconds: float = 0.0) -> tuple[Any, ...] | None:
         """Return its next report; None without a report within a time, s.
@@ -262,17 +256,11 @@ UNSEEN_SECONDS: Final = 15.0
 _MAX_FOLLOWED: Final = 4
 
 
-#: How long an answer is waited for before it is said that the work goes on, s.
-_PATIENCE: Final = 1.0
-
-
 @dataclass
 class _View:
     worker: Worker
-    stamp: FileIdentity | None = None
     asked: float = 0.0
     told: dict[str, Any] = field(default_factory=dict)
-    answers: dict[Hashable, Any] = field(default_factory=dict)
 
 
 class LiveViews:
@@ -290,7 +278,7 @@ class LiveViews:
         nothing = {"html": "", "events": [], "complete": False, "reached": None}
         with self._lock:
             key = (campaign, goal)
-            view = self._view(key, None, follow_into, campaign, goal)
+            view = self._view(key)
             over = False
             while not over and (heard := view.worker.hear()) is not None:
                 match heard:
@@ -304,54 +292,13 @@ class LiveViews:
                 self._views.pop(key).worker.end()
             return nothing | view.told
 
-    def ask(self, file: Path, work: Callable[..., None], question: Hashable) -> Any:
-        """Return a process's answer to a question about a file; None while it works on it.
-
-        The process starts with the first question, and is kept for the next.
-        """
-        until = time.monotonic() + _PATIENCE
-        while True:
-            with self._lock:
-                key = (file, work.__name__)
-                view = self._view(key, FileIdentity.of(file), work, file)
-                if question not in view.answers:
-                    view.answers[question] = None
-                    view.worker.ask(question)
-                while (heard := view.worker.hear()) is not None:
-                    match heard:
-                        case ("told", asked, answer):
-                            view.answers[asked] = answer
-                        case (_, why):
-                            self._views.pop(key).worker.end()
-                            raise CounterspinError(why)
-                if view.answers[question] is not None:
-                    return view.answers.pop(question)
-            if time.monotonic() > until:
-                return None
-            time.sleep(0.02)
-
-    def end(self, file: Path) -> None:
-        """End the process of a file."""
-        with self._lock:
-            for key in [key for key in self._views if key[0] == file]:
-                self._views.pop(key).worker.end()
-
-    def _view(
-        self,
-        key: tuple[Path, str],
-        stamp: FileIdentity | None,
-        work: Callable[..., None],
-        *words: Any,
-    ) -> _View:
-        """Return the process of a key; a new one if there is none, or the file has changed."""
+    def _view(self, key: tuple[Path, str]) -> _View:
+        """Return the process that follows a campaign with a goal; start it if there is none."""
         view = self._views.get(key)
-        if view is not None and view.stamp != stamp:
-            self._views.pop(key).worker.end()
-            view = None
         if view is None:
             if len(self._views) >= _MAX_FOLLOWED:
-                raise CounterspinError("too many campaigns and plans are open at once")
-            view = self._views[key] = _View(Worker(work, *words), stamp)
+                raise CounterspinError("too many campaigns are followed at once")
+            view = self._views[key] = _View(Worker(follow_into, *key))
             if len(self._views) == 1:
                 threading.Thread(target=self._forget, daemon=True).start()
         view.asked = time.monotonic()

@@ -17,13 +17,11 @@ from counterspin.application.desk import (
     compare_command,
     forecast_command,
     history_command,
-    plan_command,
     report_command,
     study_command,
 )
 from counterspin.application.folder import NotThereError
 from counterspin.application.jobs import Job, Progress, report_progress
-from counterspin.campaign.documents import load_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Paragraph, Picture
@@ -148,14 +146,13 @@ def _inside(tokens: list[Token], name: str) -> Iterator[Token]:
             yield token
 
 
-Kind = Literal["result", "comparison", "history", "plan", "forecast", "study"]
+Kind = Literal["result", "comparison", "history", "forecast", "study"]
 
 
 @frozen
 class Calculation:
     """A page that takes long, and is made from the report of a job."""
 
-    kind: Literal["plan", "forecast"]  #: Of the job.
     #: What its process does, and with which file; it tells a `PlanResult`.
     work: Callable[..., None]
     file: Path
@@ -204,27 +201,10 @@ def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
     return Page(f"History of {term}", _typeset(list(history_blocks(found))), command)
 
 
-def _plan(desk: Desk, names: Sequence[str], _: str) -> Calculation:
-    file = desk.file(names[0])
-    desk.require_inside(file.parent, load_document(file))
-    return Calculation("plan", plan_result_into, file, plan_command(file, None))
-
-
 def _forecast(desk: Desk, names: Sequence[str], _: str) -> Calculation:
     file = desk.file(names[0])
     desk.campaign(desk.folder.name(file.parent))
-    return Calculation("forecast", forecast_into, file, forecast_command(file.parent))
-
-
-def plan_result_into(there: Connection, file: Path) -> None:
-    """Find the best plan, and report it through `processes.report_progress`."""
-
-    def work(progress: Progress) -> PlanResult:
-        from counterspin.planning.plan import plan
-
-        return plan(file, progress=progress).result
-
-    report_progress(there, work)
+    return Calculation(forecast_into, file, forecast_command(file.parent))
 
 
 def forecast_into(there: Connection, file: Path) -> None:
@@ -257,7 +237,6 @@ _MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page | Calcula
     "result": _result,
     "comparison": _comparison,
     "history": _history,
-    "plan": _plan,
     "forecast": _forecast,
     "study": _study,
 }
@@ -314,7 +293,7 @@ def _page(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> Page | Job
     calculation = made
 
     def make(number: int) -> Job:
-        return Job(number, names[0], "", calculation.command, calculation.kind)
+        return Job(number, names[0], "", calculation.command, "forecast")
 
     def show(found: PlanResult) -> None:
         from counterspin.planning.page import plan_blocks

@@ -55,7 +55,6 @@ def plan(
     start: ExampleOptions = _NO_EXAMPLE,
     output: OutputFile = None,
     saved: SaveOptions = NOT_SAVED,
-    figures: Path | None = None,
     recording: RecordingDetails = _UNKNOWN,
 ) -> None:
     """Choose rates, lengths, senses and attitudes of the runs, and predict the uncertainties.
@@ -68,16 +67,12 @@ def plan(
         Instead of a plan: the folder of a campaign whose uncertainties are predicted.
     output
         Folder for the campaign.toml of the planned campaign; it must not contain one yet.
-    figures
-        Folder for figures: uncertainty against total time and highest rate, and its sources.
     """
     from counterspin.campaign.kinds import exact
-    from counterspin.planning.limits import FIGURE, FIGURES, save_figures
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example
     from counterspin.planning.result import PlanResult
-    from counterspin.reports.charts import reserve_figures
     from counterspin.reports.text import progress, report_console
 
     if sum(given is not None for given in (file, check, start.init)) != 1:
@@ -87,13 +82,11 @@ def plan(
         say(f"  counterspin plan {shell_word(start.init)}")
         return
     saved.reserve(PlanResult.file_kind)
-    if figures is not None:
-        reserve_figures([figures / name for name in FIGURES], FIGURE, overwrite=saved.overwrite)
     if output is not None:
         refuse_other_campaign(output)
     if check is not None:
-        if output is not None or figures is not None:
-            raise CampaignError("plan", ["--output and --figures need a plan, not --check"])
+        if output is not None:
+            raise CampaignError("plan", ["--output needs a plan, not --check"])
         try:
             typed = recording.sampling_rate
             rate = None if typed is None else exact(typed, "Hz")
@@ -102,13 +95,11 @@ def plan(
         result = forecast(check, sampling_rate=rate, revolutions=recording.revolutions)
     else:
         assert file is not None  # one of the three is
-        words = ("Searching", "Points of the figures", "Points of the figures")
-        with progress(words=words) as advance:
-            planned = search(file, curves=figures is not None, progress=advance)
+        with progress(words=("Searching",) * 3):
+            planned = search(file)
         result = planned.result
     with saved.written(result):
         written = None if output is None else write_campaign(planned, output)
-        drawn = figures and save_figures(result, figures, overwrite=saved.overwrite)
         report_console().print(result)
     if output is not None and result.readings:
         say("", f"Wrote {written}. Replace each ? by the reading, then:")
@@ -116,5 +107,3 @@ def plan(
     elif output is not None and written is not None:
         say("", f"Wrote {written}. Record its runs, or simulate them:")
         say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
-    if drawn:
-        say("", f"Wrote {', '.join(path.name for path in drawn)} to {figures}.")

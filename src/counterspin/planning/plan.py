@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -12,14 +12,14 @@ from typing import Any, Final, Literal
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.quantity import attitude_words
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.faults import Requirement, requirements_of
 from counterspin.planning.forecast import Forecast, forecast
-from counterspin.planning.limits import curves_of, limits_of
-from counterspin.planning.plan_file import change_plan, load_plan, plan_name, read_plan
+from counterspin.planning.limits import limits_of
+from counterspin.planning.plan_file import change_plan, load_plan, read_plan
 from counterspin.planning.reading_plan import ReadingSearch
 from counterspin.planning.recorded import from_records, lacks, with_pose_noise
 from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
@@ -111,8 +111,6 @@ class PlannedCampaign:
 def plan(
     where: Mapping[str, Any] | Path | str,
     *,
-    curves: bool = False,
-    progress: Callable[[int, int], None] | None = None,
     file: Path | None = None,
 ) -> PlannedCampaign:
     """Find the best campaign for a plan's goal within its limits.
@@ -121,11 +119,6 @@ def plan(
     ----------
     where
         The plan's file, or its content as nested mappings.
-    curves
-        True: compute the figures' curves too, which takes some seconds more.
-    progress
-        Called before each point of the curves with the number of those that are computed, and of
-        all.
     file
         The file whose content nested mappings are; files that they name are in its folder.
 
@@ -144,7 +137,7 @@ def plan(
     """
     file = file if isinstance(where, Mapping) else Path(where)
     if "stations" in load_plan(where):
-        return _planned_readings(where, curves, file)
+        return _planned_readings(where, file)
     described = read_plan(where, file)
     search = Search(described)
     require_determined(search)
@@ -170,22 +163,15 @@ def plan(
             "limits": limits_of(search, optimum.choice),
             "requirements": requirements,
             "requirements_for": words,
-            "curves": curves_of(described, design, progress) if curves else None,
         }
     )
     document = write_document(search.document(design), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)
 
 
-def _planned_readings(
-    where: Mapping[str, Any] | Path | str, curves: bool, file: Path | None
-) -> PlannedCampaign:
+def _planned_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
     described = read_reading_plan(where, file)
-    if curves:
-        raise CampaignError(
-            str(plan_name(where)), ["curves exist for plans of records only, not of readings"]
-        )
     result, readings = ReadingSearch(described).best()
     document = write_document(described.campaign_document(readings), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)

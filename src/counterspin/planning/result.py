@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import model_validator
 
 from counterspin._version import __version__
 from counterspin.arrays import Array
@@ -23,13 +24,12 @@ from counterspin.campaign.readings import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.summary import BudgetLine, WhatIf
-from counterspin.loading import load_name
 from counterspin.physics.station import FRAMES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Criterion
 from counterspin.planning.faults import FaultEffect, Requirement, unseen_effects
 from counterspin.planning.forecast import Forecast
-from counterspin.results import ResultPart, ShownResult, draw_pictures
+from counterspin.results import ResultPart, ShownResult
 
 
 class PlannedRun(ResultPart):
@@ -134,28 +134,6 @@ class LimitResult(ResultPart):
     gain: float
 
 
-class Curve(ResultPart):
-    """A line of a figure: the criterion's u over an abscissa."""
-
-    x: list[float]
-    u: list[float]
-
-
-class Curves(ResultPart):
-    """The curves of the figures.
-
-    `time` and `rate`: the best plan's u against total time, s, and against the highest rate,
-    rad/s; `sources`: by source its contribution to u against the highest rate of this plan's runs,
-    all rates scaled together.
-    """
-
-    coefficient: str
-    unit: str
-    time: Curve
-    rate: Curve
-    sources: dict[str, Curve]
-
-
 class PlanResult(ShownResult):
     """A plan, or the forecast of a campaign that exists (then without goal and limits).
 
@@ -181,13 +159,16 @@ class PlanResult(ShownResult):
     requirements: list[Requirement] = []
     requirements_for: str = ""
     assumed: list[str] = []
-    curves: Curves | None = None
     warnings: list[str] = []
     provenance: Provenance
 
-    def plot(self, *, axes: Any = None) -> list[Any]:
-        """Draw the limits of the plan; `plan` computes the curves with `curves=True`."""
-        return draw_pictures(load_name("counterspin.planning.limits:plan_plots")(self), axes)
+    @model_validator(mode="before")
+    @classmethod
+    def _without_curves(cls, document: Any) -> Any:
+        """Return a document without the curves that files of earlier versions have."""
+        if isinstance(document, Mapping):
+            return {key: value for key, value in document.items() if key != "curves"}
+        return document
 
 
 def result_of(

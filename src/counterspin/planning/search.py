@@ -34,15 +34,16 @@ _DURATION_STEP: Final = 0.1
 class Search:
     """A plan's problem."""
 
-    def __init__(self, plan: Plan, reach: tuple[float, float] = (1.11, 1.11)) -> None:
+    def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.limits = plan.limits
         low, high = plan.limits.rate
+        # A limit is relaxed by a tenth to find what it costs.
         longest = min(plan.limits.longest_run * 1.11, plan.limits.total_time)
-        turns = longest * reach[0] * high * reach[1] / (2.0 * math.pi)
+        turns = longest * 1.11 * high * 1.11 / (2.0 * math.pi)
         information = RunInformation(
             setup_of(plan.stand_in, plan.sampling_rate),
-            (low * 0.89, high * reach[1]),
+            (low * 0.89, high * 1.11),
             (max(1.0, 0.89 * plan.limits.revolutions), turns),
             (1, -1),
         )

@@ -1,12 +1,11 @@
 // @ts-check
-// Plans: limits as sliders, and the best plan's uncertainty while they move.
+// Plans: limits as sliders, and the best plan within them on request.
 
 import { get, send } from "./api.js";
-import { attempt, commandLine, labelled, make, oneAtATime, submitting, symbols } from "./dom.js";
+import { attempt, commandLine, labelled, make, submitting } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
 import { editorOf } from "./editor.js";
-import { carryOut } from "./job.js";
-import { fill } from "./result.js";
+import { carryOut, follow } from "./job.js";
 
 /** @param {string} name */
 const planAddress = (name) => `#/plan/${encodeURIComponent(name)}`;
@@ -88,109 +87,53 @@ function timeField(id, limit, moved) {
 }
 
 /**
- * A table whose cells are texts; the first of each row names it.
- * @param {string[]} heads
- * @param {string[][]} rows
- * @param {boolean[]} right whether a column's cells stand at the right
- */
-const table = (heads, rows, right) => make("table", {},
-  make("thead", {}, make("tr", {}, ...heads.map((words, i) => make("th", { scope: "col", class: right[i] ? "right" : null }, words)))),
-  make("tbody", {}, ...rows.map(([first, ...others]) => make("tr", {}, make("th", { scope: "row" }, first),
-    ...others.map((cell, i) => make("td", { class: right[i + 1] ? "right" : null }, cell))))));
-
-/**
- * The runs of a plan, with rates in the unit of its file.
- * @param {{rate: number, seconds: number, attitude: string}[]} runs
- * @param {{unit: string, factor: number}} rate
- */
-const runTable = (runs, rate) => table(["Run", `Rate, ${rate.unit}`, "Duration", "Attitude"],
-  runs.map((run, i) => [String(i + 1), short(run.rate / rate.factor).replace("-", "−"), duration(run.seconds), run.attitude]),
-  [false, true, true, false]);
-
-/**
- * The readings of a plan, each with how often it is taken.
- * @param {{name: string, number: number}[]} readings
- */
-const readingTable = (readings) => table(["Reading", "How often"],
-  readings.map(({ name, number }) => [name.replaceAll("-", "−"), String(number)]), [false, true]);
-
-/**
- * How many runs or readings a plan has, and how long they take.
- * @param {any} told
- */
-const extent = (told) => told.runs ? `${told.runs.length} runs in ${duration(told.time)}`
-  : `${told.readings.reduce((/** @type {number} */ sum, /** @type {any} */ { number }) => sum + number, 0)} readings`
-    + (told.time ? ` in ${duration(told.time)}` : "");
-
-/**
  * The page of a plan.
  * @param {string} name
  */
 export async function planView(name) {
   const plan = await get("plan", { name });
-  const answer = make("div", { "aria-live": "polite" });
-  const runs = make("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": "What is planned" });
-  const wrong = make("div");
   /** @type {Record<string, number>} */
   const moved = {};
-  /** @type {any} */
-  let first = null;
+  const planned = make("div");
+  const state = make("p", { class: "quiet", role: "status" });
 
-  /** @param {any} told */
-  const show = (told) => {
-    first ??= told;
-    answer.className = "answers";
-    answer.replaceChildren(...told.u.map(/** @type {(line: any, i: number) => Node} */ (line, i) =>
-      make("p", { class: "answer" },
-        make("strong", {}, ...symbols(`Uncertainty of ${line.name}: ${line.text}`)), " ",
-        make("span", {}, line.text === first.u[i].text ? "as with the limits of the file"
-          : `${short(line.u / first.u[i].u)} times the value with the limits of the file`))),
-    make("p", {}, extent(told)));
-    runs.replaceChildren(told.runs ? runTable(told.runs, plan.rate) : readingTable(told.readings));
-  };
   /**
-   * Ask until there is an answer; whoever leaves the page, or stops, asks no more.
-   * @param {Record<string, number>} wanted
+   * Show the best plan within limits, after the job that searches for it.
+   * @param {Record<string, number>} limits
+   * @returns {Promise<void>}
    */
-  const search = async (wanted) => {
-    let stopped = false;
-    const stop = make("button", {
-      type: "button",
-      onclick: () => {
-        stopped = true;
-        send("DELETE", "plan-try", { name });
-      },
-    }, "Stop");
-    const begun = Date.now();
-    const seconds = make("span");
-    for (let asked = 0; ; asked += 1) {
-      const told = await send("POST", "plan-try", { name, moved: wanted });
-      if (!told.busy) return told;
-      if (stopped || (asked > 4 && !wrong.isConnected)) throw new Error("The search was stopped.");
-      if (asked === 0) wrong.replaceChildren(make("div", { class: "job" }, make("progress", { "aria-label": "Progress of the search" }),
-        make("p", { class: "quiet" }, "Searching for the best plan", seconds), stop));
-      seconds.textContent = `, ${Math.round((Date.now() - begun) / 1000)} s`;
-    }
+  const show = (limits) => attempt(planned, async () => {
+    const told = await send("POST", "plan-page", { name, moved: limits });
+    if (told.job) return follow(told.job, planned, () => show(limits));
+    const part = make("div", { class: "report" });
+    // Escaped by the report's own templates.
+    part.innerHTML = told.html;
+    part.querySelector("h1")?.remove();
+    planned.replaceChildren(part);
+  });
+  /**
+   * Set a limit for the next search.
+   * @param {string} key
+   * @param {number} value in SI
+   */
+  const move = (key, value) => {
+    moved[key] = value;
+    if (planned.childElementCount) state.textContent = "The limits have changed since this plan. Plan again.";
   };
-  const ask = oneAtATime(async () => show(await search({ ...moved })), wrong);
   const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
     const id = `limit-${limit.key}`;
     // The slider itself says its value.
     const shown = (/** @type {number} */ value) => `${short(value)} ${limit.unit}`.trimEnd();
     const words = make("output", { for: id, "aria-live": "off" }, shown(limit.value / limit.factor));
-    if (limit.key === "total_time") return timeField(id, limit, (seconds) => {
-      moved[limit.key] = seconds;
-      ask();
-    });
+    if (limit.key === "total_time") return timeField(id, limit, (seconds) => move(limit.key, seconds));
     const range = make("input", {
       id, type: "range", min: limit.low / limit.factor, max: limit.high / limit.factor, step: limit.whole ? 1 : "any",
       value: limit.value / limit.factor,
       "aria-valuetext": words.textContent,
       oninput: () => {
-        moved[limit.key] = Number(range.value) * limit.factor;
+        move(limit.key, Number(range.value) * limit.factor);
         words.textContent = shown(Number(range.value));
         range.setAttribute("aria-valuetext", words.textContent);
-        ask();
       },
     });
     return make("div", {}, make("label", { for: id }, limit.words), range, words);
@@ -202,11 +145,13 @@ export async function planView(name) {
     onsubmit: carryOut(written, () => send("POST", "planned", { name, moved, folder: folder.value }),
       (job) => { location.hash = campaignAddress(job.output); }),
   }, labelled("Folder of the planned campaign", folder),
-  make("button", { class: "main" }, "Write these limits and the campaign"));
-  const whole = make("div");
-  const forecast = make("details", {
-    ontoggle: () => { if (forecast.open && !whole.childNodes.length) fill(whole, "plan", [name]); },
-  }, make("summary", {}, "The complete plan, with its forecast"), whole);
+  make("button", {}, "Write these limits and the campaign"));
+  const search = make("form", {
+    onsubmit: submitting(planned, () => {
+      state.textContent = "";
+      return show({ ...moved });
+    }),
+  }, make("div", { class: "sliders" }, ...sliders), make("button", { class: "main" }, "Plan within these limits"));
   const edited = make("div");
   const file = make("details", {
     ontoggle: () => {
@@ -218,12 +163,11 @@ export async function planView(name) {
       });
     },
   }, make("summary", {}, "The plan's file: goal, limits and what is known"), edited);
-  ask();
   return {
     title: plan.title,
     content: [
       make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
-      make("div", { class: "sliders" }, ...sliders), wrong, answer, runs, forecast, file,
+      search, state, planned, file,
       make("h2", {}, "Make it"), form, written, commandLine(plan.command),
     ],
   };
