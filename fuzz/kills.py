@@ -58,6 +58,7 @@ _RESULT = "result.json"
 _APPLY = ("apply", _RESULT, "forces.csv", "--accelerometer", "Qx", "-o", "corrected.csv")
 _MADE = ("simulate", "campaign", "-o", "made")
 _STUDY = ("study", "study.toml", "--trials", _TRIALS, "-o", "out", "--keep-trials")
+_PLAN_JSON = ("plan", "plan.toml", "--json", "new.json")
 _LEDGER = "ledger.jsonl"
 _ISSUE = ("certificate", _RESULT, "LAB.toml", "-o")
 
@@ -77,6 +78,7 @@ COMMANDS = {
     "history": Command(("history", _RESULT, "--json", "new.json"), (_RESULT,)),
     "study": Command(_STUDY, ("study.toml",), (*_STUDY, "--resume")),
     "plan": Command(("plan", "plan.toml", "-o", "planned"), ("plan.toml",)),
+    "plan-json": Command(_PLAN_JSON, ("plan.toml",), (*_PLAN_JSON, "--overwrite")),
     "plan-begin": Command(("plan", "--init", "new.toml")),
     "init": Command(("init", "new")),
     "reproduce": Command(("reproduce", "--json", "new.json")),

@@ -13,7 +13,7 @@ from contextlib import suppress
 import pytest
 from served import serving, token_of
 
-from counterspin.application import server
+from counterspin.application import guard, server
 from counterspin.application.server import Connection
 
 HALF = b"GET /api/folder HTTP/1.1\r\nHost: 127.0"
@@ -94,7 +94,8 @@ def _trickle(other):
     ids=["nothing", "half a head", "half a body"],
 )
 def test_a_request_that_does_not_come_ends(served, monkeypatch, sent):
-    monkeypatch.setattr(server, "STRANGER_SECONDS", 0.2)
+    monkeypatch.setattr(server, "HEAD_SECONDS", 0.2)
+    monkeypatch.setattr(guard, "STRANGER_SECONDS", 0.2)
     sent = sent.replace(b"%d", str(served.port).encode())
     with socket.create_connection(("127.0.0.1", served.port), timeout=30) as other:
         other.sendall(sent)
@@ -107,24 +108,25 @@ def test_little_is_read_of_who_has_no_key(served):
     head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n"
     head += f"Origin: http://127.0.0.1:{served.port}\r\nContent-Length: 4000000\r\n\r\n"
     read = []
-    before = Connection.buffer_updated
+    before = Connection.data_received
 
-    def updated(one, nbytes):
-        read.append(nbytes)
-        before(one, nbytes)
+    def received(one, data):
+        read.append(len(data))
+        before(one, data)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Connection, "buffer_updated", updated)
+        patch.setattr(Connection, "data_received", received)
         with socket.create_connection(("127.0.0.1", served.port), timeout=30) as other:
             other.settimeout(30)
             with suppress(ConnectionError):
                 other.sendall(head.encode() + b"x" * 3_900_000)
             _ended(other)
-    assert 0 < sum(read) <= 2 * 4096
+    # asyncio reads 256 KiB at once; uvicorn pauses beyond 64 KiB of a body.
+    assert 0 < sum(read) <= 2 * 2**18
 
 
-def test_who_has_the_key_stays_whatever_others_do(served, monkeypatch):
-    monkeypatch.setattr(server, "MOST_STRANGERS", 3)
+def test_an_idle_connection_stays_whatever_others_do(served, monkeypatch):
+    monkeypatch.setattr(server, "_MOST_CONNECTIONS", 3)
     key = served.key_for(token_of(served))
     page = http.client.HTTPConnection("127.0.0.1", served.port, timeout=30)
     others = []

@@ -11,12 +11,13 @@ Therefore only requests of the application's own page are answered:
   fragment, which no browser sends;
 - a file that a browser fetches by itself, to save it, has an address that is valid once;
 - requests that change something state their Origin;
-- no request exceeds its limit of size; the limit is small without the key.
+- no request exceeds its limit of size; without the key the limit is small, and time is limited too.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import threading
 import time
@@ -44,6 +45,9 @@ _MOST_TICKETS: Final = 100
 STRANGER_BYTES: Final = 4000
 FORM_BYTES: Final = 4_000_000
 FILE_BYTES: Final = 4_000_000_000
+
+#: How long a request without the key may take to arrive, s.
+STRANGER_SECONDS: Final = 5.0
 
 #: Larger forms are read a few at a time, the others wait.
 _LARGE_BYTES: Final = 1 << 16
@@ -176,7 +180,8 @@ class Guard:
             headers = None if known else {"Connection": "close"}
             await JSONResponse({"error": why}, status, headers)(scope, receive, send_guarded)
             return
-        await self._limited(scope, receive, send_guarded, most)
+        seconds = math.inf if known else STRANGER_SECONDS
+        await self._limited(scope, receive, send_guarded, most, seconds)
 
     def _refusals(self, scope: Scope, *, known: bool, most: int) -> Iterator[tuple[int, str]]:
         """Yield the reasons to refuse a request, with the status; the first one is used."""
@@ -199,17 +204,25 @@ class Guard:
         if not (length.isascii() and length.isdigit()) or int(length) > most:
             yield 413, _too_large(most)
 
-    async def _limited(self, scope: Scope, receive: Receive, send: Send, most: int) -> None:
-        """Pass a request on; stop it if its body exceeds the limit."""
+    async def _limited(
+        self, scope: Scope, receive: Receive, send: Send, most: int, seconds: float
+    ) -> None:
+        """Pass a request on; stop it if its body exceeds the limit of size or of time."""
         taken = 0
-        begun = waited = False
+        begun = waited = complete = False
+        deadline = asyncio.get_running_loop().time() + seconds
 
         async def receive_limited() -> Message:
-            nonlocal taken, waited
+            nonlocal taken, waited, complete
             if taken > _LARGE_BYTES and most <= FORM_BYTES and not waited:
                 # Many of them at once would hold much memory.
                 waited = await self._large_forms.acquire()
-            message = await receive()
+            try:
+                async with asyncio.timeout_at(None if complete else deadline):
+                    message = await receive()
+            except TimeoutError as error:
+                raise _TooLateError from error
+            complete = not message.get("more_body", False)
             taken += len(message.get("body", b""))
             if taken > most:
                 raise _TooLargeError
@@ -228,6 +241,11 @@ class Guard:
             if not begun:
                 why = _too_large(most)
                 await JSONResponse({"error": why}, 413)(scope, receive, send)
+        except _TooLateError:
+            if not begun:
+                why = f"The request did not arrive within {seconds:g} s."
+                answer = JSONResponse({"error": why}, 408, {"Connection": "close"})
+                await answer(scope, receive, send)
         except Exception as error:  # no traceback for a user
             if not begun:
                 why = f"internal error ({type(error).__name__}: {error})"
@@ -239,6 +257,10 @@ class Guard:
 
 class _TooLargeError(Exception):
     """The error for a request whose body exceeds its limit."""
+
+
+class _TooLateError(Exception):
+    """The error for a request whose body does not arrive in time."""
 
 
 def _most(path: str) -> int:

@@ -1,14 +1,14 @@
 """`counterspin serve`: a folder as a page for this machine only.
 
-Every user of this machine can connect. Therefore connections without the key are limited in number
-(the oldest is closed first), in time (a few seconds) and in buffer size. The page, which has the
-key, is always answered.
+Every user of this machine can connect. Therefore connections are limited in number, and requests
+without the key in time (a few seconds) and in size.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import signal
 import socket
@@ -18,18 +18,17 @@ import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from html import escape
 from importlib import import_module, resources
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 from urllib.parse import quote
 
 import h11
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -46,108 +45,59 @@ from counterspin.application.temporary_folders import remove_abandoned_folders, 
 from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
 
-#: Most connections without the key; a machine gives a process 256 descriptors or more.
-MOST_STRANGERS: Final = 128
+#: How long the head of a request may take to arrive, s.
+HEAD_SECONDS: Final = 5.0
 
-#: How long a request without the key may take to arrive, s.
-STRANGER_SECONDS: Final = 5.0
+#: Most bytes of the head of a request.
+_HEAD_BYTES: Final = 1 << 14
 
-#: Most bytes that are read at once, without the key and with it.
-_STRANGER_BYTES: Final = 4096
-_KNOWN_BYTES: Final = 1 << 18
+#: Most connections; a machine gives a process 256 descriptors or more.
+_MOST_CONNECTIONS: Final = 128
 
-#: Connections that are taken in one turn, and those that the system keeps waiting meanwhile. A
-#: stranger gives way only after some turns, in which whoever has the key has shown it.
-AT_ONCE: Final = 16
-_WAITING: Final = 1024
+#: Connections that the system keeps waiting, and that are accepted in one turn.
+_BACKLOG: Final = 64
 
 
-class Connection(H11Protocol, asyncio.BufferedProtocol):
-    """A connection; it is closed if its data are not HTTP after an answer, or do not come.
+class Connection(H11Protocol):
+    """A connection that is closed if the head of a request does not arrive in time."""
 
-    words: As of uvicorn's protocols.
-    """
-
-    def __init__(self, door: Door, **words: Any) -> None:
-        super().__init__(**words)
-        self._door = door
-        self._known = False
-        self._space = bytearray(_STRANGER_BYTES)
-        self._end: asyncio.TimerHandle | None = None
+    _end: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Register a connection; close the oldest without the key if there are too many."""
+        """Register a connection; close the one that has waited longest if there are too many."""
         super().connection_made(transport)
-        self._born = self.loop.time()
-        self._wait()
-        strangers = [
-            one
-            for one in self.connections
-            if isinstance(one, Connection) and not (one._known or one.transport.is_closing())
-        ]
-        if len(strangers) > MOST_STRANGERS:
-            min(strangers, key=lambda one: one._born).transport.abort()
+        self._limit_time()
+        made = [c for c in self.connections if isinstance(c, Connection)]
+        timers = [c for c in made if c._end is not None and not c.transport.is_closing()]
+        if len(made) > _MOST_CONNECTIONS and timers:
+            min(timers, key=Connection._deadline).transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Unregister a closed connection."""
-        self._wait_no_longer()
         super().connection_lost(exc)
-
-    def get_buffer(self, _: int) -> bytearray:
-        """Return the buffer for the next bytes."""
-        return self._space
-
-    def buffer_updated(self, nbytes: int) -> None:
-        """Process the bytes in the buffer."""
-        self.data_received(bytes(self._space[:nbytes]))
+        self._stop_timer()
 
     def data_received(self, data: bytes) -> None:
-        """Process bytes; without the key, pause until the request needs more."""
+        """Process bytes; close the connection if they follow an answer and are not HTTP."""
         try:
             super().data_received(data)
         except h11.LocalProtocolError:
             self.transport.close()
-        if self.headers is not None:
-            self._known = self._door.admits(Headers(raw=self.headers))
-        if self._known:
-            if len(self._space) < _KNOWN_BYTES:
-                self._space = bytearray(_KNOWN_BYTES)
-            self._wait_no_longer()
-            return
-        arriving = self.conn.their_state is h11.SEND_BODY
-        if arriving and self.cycle.body and not self.cycle.response_complete:
-            self.flow.pause_reading()
-        if arriving or self.conn.their_state is h11.IDLE:
-            self._wait()
-        else:
-            self._wait_no_longer()
+        self._limit_time()
 
-    def _wait(self) -> None:
-        if self._end is None:
-            self._end = self.loop.call_later(STRANGER_SECONDS, self.transport.abort)
+    def _deadline(self) -> float:
+        return math.inf if self._end is None else self._end.when()
 
-    def _wait_no_longer(self) -> None:
+    def _limit_time(self) -> None:
+        if self.conn.their_state is not h11.IDLE:
+            self._stop_timer()
+        elif self._end is None:
+            self._end = self.loop.call_later(HEAD_SECONDS, self.transport.abort)
+
+    def _stop_timer(self) -> None:
         if self._end is not None:
             self._end.cancel()
             self._end = None
-
-
-class Server(uvicorn.Server):
-    """A server that accepts a few connections in each turn; the system queues the others."""
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start to listen."""
-        asyncio.get_running_loop().set_exception_handler(_complain)
-        await super().startup(sockets)
-        for listener in sockets or ():
-            # How many asyncio takes in a turn is how many the system was to keep.
-            listener.listen(_WAITING)
-
-
-def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log unforeseen errors, except a connection that the system refuses."""
-    if not isinstance(context.get("exception"), OSError):
-        loop.default_exception_handler(context)
 
 
 #: Prefix of the temporary folder of a server.
@@ -219,6 +169,7 @@ def application(desk: Desk, door: Door) -> Starlette:
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        asyncio.get_running_loop().set_exception_handler(_complain)
         yield
         await run_in_threadpool(desk.close)
 
@@ -237,6 +188,12 @@ def application(desk: Desk, door: Door) -> Starlette:
     # An address with a slash too many is no other page's.
     served.router.redirect_slashes = False
     return served
+
+
+def _complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log unforeseen errors, except a connection that the system refuses."""
+    if not isinstance(context.get("exception"), OSError):
+        loop.default_exception_handler(context)
 
 
 def _response(made: Answer) -> Response:
@@ -364,13 +321,13 @@ def _load(desk: Desk, ended: threading.Event) -> None:
     part([bars], title="Title")
 
 
-def server_of(desk: Desk, door: Door) -> Server:
+def server_of(desk: Desk, door: Door) -> uvicorn.Server:
     """Return the server of a folder, to be run with a listening socket."""
     config = uvicorn.Config(
         application(desk, door),
-        # Called as the class is.
-        http=cast(Any, partial(Connection, door)),
-        backlog=AT_ONCE,
+        http=Connection,
+        backlog=_BACKLOG,
+        h11_max_incomplete_event_size=_HEAD_BYTES,
         # What goes wrong is answered. That a request's end was no HTTP is nothing to be told.
         log_level="critical",
         access_log=False,
@@ -379,7 +336,7 @@ def server_of(desk: Desk, door: Door) -> Server:
         ws="none",
         timeout_graceful_shutdown=2,
     )
-    return Server(config)
+    return uvicorn.Server(config)
 
 
 def listening(port: int) -> socket.socket:
