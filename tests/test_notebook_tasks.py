@@ -86,11 +86,6 @@ def task_one_accelerometer(campaign):
     return cs.calibrate(campaign.change(accelerometers=["Qx"]))
 
 
-def task_join(description, spring, autumn):
-    one, other = (cs.make_campaign(description, records) for records in (spring, autumn))
-    return cs.calibrate(one.join(other))
-
-
 # --- what comes of them ---------------------------------------------------------------------------
 
 
@@ -180,11 +175,3 @@ def test_one_accelerometer_alone(campaign, result):
     alone = task_one_accelerometer(campaign)
     assert list(alone.accelerometers) == ["Qx"]
     assert abs(k_ii(alone).value - k_ii(result).value) < k_ii(result).u
-
-
-def test_two_campaigns_in_one_fit(records, result, tmp_path):
-    joined = task_join(frames.untrue(), records, frames.arrays(tmp_path, seed=2))
-    assert len(joined.runs) == 6
-    # Twice the records: the noise's part of the variance is half.
-    assert k_ii(joined).u_noise ** 2 == pytest.approx(0.5 * k_ii(result).u_noise ** 2, rel=0.05)
-    assert abs(k_ii(joined).value - 2.7e-5) < 4.0 * k_ii(joined).u

@@ -10,7 +10,7 @@ from clusters import cluster_of_the_page
 from counterspin import workers
 from counterspin.calibration import assembly
 from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.description import make_campaign
+from counterspin.campaign.memory import make_campaign
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.studies import study as study_module

@@ -87,8 +87,8 @@ if TYPE_CHECKING:
     from counterspin.calibration.result import read_result as read_result
     from counterspin.calibration.result import write_result as write_result
     from counterspin.campaign.description import Campaign as Campaign
-    from counterspin.campaign.description import make_campaign as make_campaign
     from counterspin.campaign.description import read_campaign as read_campaign
+    from counterspin.campaign.memory import make_campaign as make_campaign
     from counterspin.campaign.quantity import Quantity as Quantity
     from counterspin.certificates.issuing import Certificate as Certificate
     from counterspin.certificates.issuing import certificate as certificate
@@ -164,7 +164,8 @@ if TYPE_CHECKING:
 #: a test holds the two together.
 _OFFERED = {
     "_version": ("__version__",),
-    "campaign.description": ("Campaign", "make_campaign", "read_campaign"),
+    "campaign.description": ("Campaign", "read_campaign"),
+    "campaign.memory": ("make_campaign",),
     "planning.forecast": ("Forecast", "forecast"),
     "campaign.quantity": ("Quantity",),
     "calibration.result": ("Result", "read_result", "write_result"),

@@ -12,7 +12,8 @@ from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
-from counterspin.campaign.description import make_campaign, read_campaign
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory import make_campaign
 from counterspin.errors import RecordError
 
 

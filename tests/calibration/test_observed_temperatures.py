@@ -9,7 +9,7 @@ from campaigns import campaign_of
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import with_recorded_temperatures
-from counterspin.campaign.description import make_campaign
+from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError, RecordError
 from counterspin.physics.motion import EARTH_RATE
 from counterspin.simulation.simulate import simulate

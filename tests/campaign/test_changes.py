@@ -4,7 +4,8 @@ import campaigns
 import frames
 import pytest
 
-from counterspin.campaign.description import make_campaign, read_campaign
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.errors import CampaignError, CounterspinError
 

@@ -8,7 +8,7 @@ from campaigns import SMALL, campaign_of, changed, without
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.conditions import conditions_of, directions_of, origin_of
-from counterspin.campaign.description import make_campaign
+from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError
 from counterspin.physics.effects import RunConditions
 

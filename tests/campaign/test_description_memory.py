@@ -3,7 +3,8 @@ import frames
 import polars as pl
 import pytest
 
-from counterspin.campaign.description import make_campaign, read_campaign
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.errors import CampaignError, RecordError
 

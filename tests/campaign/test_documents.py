@@ -17,7 +17,7 @@ from campaigns import SMALL as BASE
 from campaigns import write
 
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.description import make_campaign, read_campaign
+from counterspin.campaign.description import read_campaign
 from counterspin.campaign.documents import (
     differences,
     key_path,
@@ -26,6 +26,7 @@ from counterspin.campaign.documents import (
     patched,
     plain,
 )
+from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.certificates.lab import read_lab, write_example
 from counterspin.errors import CampaignError

@@ -6,7 +6,7 @@ import pytest
 
 from counterspin.errors import RecordError
 from counterspin.records.averages import MOST_KNOTS, read_course
-from counterspin.records.memory import memory_table
+from counterspin.records.frames import memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 
 CELSIUS = ColumnSpec("T", unit="degC", wanted="K", kind="temperature")

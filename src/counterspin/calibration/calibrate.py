@@ -106,7 +106,7 @@ def calibrate(
 
 def _left_out(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without runs; what it came from is still its file."""
-    from counterspin.campaign.memory import keep
+    from counterspin.campaign.documents import keep
 
     _require_runs(campaign, without)
     try:

@@ -16,7 +16,7 @@ from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.memory import keep
+from counterspin.campaign.documents import keep
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES

@@ -21,7 +21,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `resolution`: the sections of ``campaign.toml``, each with its class, and what they say together
 - `description`: the `Campaign`, and how it comes from a file, or from mappings and arrays
 - `changes`: a campaign with named changes
-- `memory`: records in memory; campaigns joined, and written as a folder
+- `memory`: campaigns from mappings and arrays, and campaigns written as a folder
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was; readings and poses grouped with theirs
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded

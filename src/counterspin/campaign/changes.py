@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.documents import KeyPath, flat_keys, patched, plain
-from counterspin.campaign.memory import Documented, give_records, source_of
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.documents import KeyPath, flat_keys, patched, plain, source_of
+from counterspin.campaign.memory import give_records
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError
@@ -45,7 +46,7 @@ _PRIOR_KEYS: Final = (
 
 
 def change_campaign(
-    campaign: Documented, changes: Mapping[str, Any]
+    campaign: Campaign, changes: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[Path, MemoryTable]]:
     """Return a campaign's document with named changes, and the records among them by file."""
     source = source_of(campaign)

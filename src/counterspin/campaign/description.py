@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.accelerometers import Accelerometer
-from counterspin.campaign.changes import change_campaign
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.documents import (
@@ -16,19 +15,11 @@ from counterspin.campaign.documents import (
     DESCRIPTION_NAME,
     Source,
     description_file,
+    keep,
     load_with_checksum,
     mistakes,
-    plain,
-    table_of,
-    unusable,
-)
-from counterspin.campaign.memory import (
-    give_records,
-    join_campaigns,
-    keep,
-    name_records,
     source_of,
-    write_campaign,
+    table_of,
 )
 from counterspin.campaign.model import (
     ErrorModel,
@@ -45,6 +36,7 @@ from counterspin.campaign.settings import (
 from counterspin.campaign.triad import Triad
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.loading import load_name
 from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
 from counterspin.physics.terms import same_for_all, term
@@ -56,6 +48,11 @@ from counterspin.records.record import ColumnSpec
 if TYPE_CHECKING:
     from counterspin.campaign.simulated_truth import Simulation
     from counterspin.campaign.specification import Specifications
+
+
+#: The functions that change a campaign and write it as a folder.
+CHANGES: Final = "counterspin.campaign.changes:change_campaign"
+WRITE: Final = "counterspin.campaign.memory:write_campaign"
 
 
 @frozen
@@ -254,31 +251,9 @@ class Campaign:
         A prior takes the place of one in the accelerometer's own table (``bias``). Where terms
         are changed, the priors of those that are left out go with them.
         """
-        document, frames = change_campaign(self, changes)
+        document, frames = load_name(CHANGES)(self, changes)
         source = replace(source_of(self), document=document)
         return Campaign.of(source, self.folder, {**self.frames, **frames})
-
-    def join(self, *others: Campaign) -> Campaign:
-        """Return one campaign with the runs of this one and of others, for one fit.
-
-        Parameters
-        ----------
-        *others
-            Of the same site, centrifuge, accelerometers, noise, model and columns.
-
-        Returns
-        -------
-        Campaign
-            A run whose name is taken has the campaign's number behind it, ``slow (2)``. The
-            truth is kept where all have the same.
-
-        Raises
-        ------
-        CampaignError
-            With all that they do not have in common.
-        """
-        document, frames = join_campaigns([self, *others])
-        return Campaign.of(Source(document), self.folder, frames)
 
     def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write ``campaign.toml`` and all records, from which the same result comes.
@@ -300,7 +275,8 @@ class Campaign:
         CounterspinError
             If a file is in the way, cannot be written, or a record is not there.
         """
-        return write_campaign(self, folder, overwrite=overwrite)
+        written: Path = load_name(WRITE)(self, folder, overwrite=overwrite)
+        return written
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -361,77 +337,6 @@ def read_campaign(path: Path | str) -> Campaign:
     if campaign is None:
         raise mistakes(file, problems.lines)
     return keep(campaign, Source(raw, campaign.path, checksum, raw))
-
-
-def make_campaign(
-    description: Mapping[str, Any] | Path | str,
-    records: Mapping[str, Any] | None = None,
-    *,
-    readings: Any = None,
-    folder: Path | str | None = None,
-) -> Campaign:
-    """Make a campaign from a description and records, without files where there are none.
-
-    Parameters
-    ----------
-    description
-        What ``campaign.toml`` says, as nested mappings with the same keys; ``schema`` may be left
-        out, and so may the ``record`` of a run for which `records` has one, or of each where
-        there are no records (yet). Quantities are text, or a `Quantity`. Or the file itself.
-    records
-        Run's name -> its record: a frame of polars or pandas, a mapping of arrays, a structured
-        array, or a file. Numbers are copied. ``"noise.from"`` -> a record at rest, from which the
-        noise is taken.
-    readings
-        The table of ``[readings]`` as a frame, in the place of its ``file``; each of its rows
-        becomes a run, as which `Campaign.write` writes it.
-    folder
-        Where the files are that the description names; None: the current one, or the file's.
-
-    Returns
-    -------
-    Campaign
-        As `read_campaign` returns it.
-
-    Raises
-    ------
-    CampaignError
-        With every mistake of the description, as of a file.
-    RecordError
-        If a frame cannot be taken for a record.
-    """
-    source, where = _source(description, folder)
-    document = dict(source.document)
-    problems = Problems(document)
-    if readings is not None:
-        from counterspin.campaign.readings_table import take_readings
-
-        take_readings(document, readings, problems)
-        if problems.lines:
-            raise CampaignError(source.label, problems.lines)
-    if records is None:
-        name_records(document)
-    tables = give_records(document, records or {}, where, problems)
-    return Campaign.of(replace(source, document=document), where, tables, problems)
-
-
-def _source(
-    description: Mapping[str, Any] | Path | str, folder: Path | str | None
-) -> tuple[Source, Path]:
-    """Return the source of a description, and the folder of its files."""
-    if isinstance(description, Mapping):
-        where = Path(folder if folder is not None else ".").absolute()
-        problems = Problems(description)
-        document = {"schema": 1} | plain(description, (), problems.add)
-        problems.lines += unusable(document, "")
-        source = Source(document)
-        if problems.lines:
-            raise CampaignError(source.label, problems.lines)
-        return source, where
-    file = description_file(description).absolute()
-    document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
-    where = file.parent if folder is None else Path(folder).absolute()
-    return Source(document, file, checksum, document), where
 
 
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:

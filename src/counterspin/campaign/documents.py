@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 from pathlib import Path, PurePath
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol, TypeVar
 
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.input import looks_like, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
@@ -390,3 +390,37 @@ class Source:
         if self.checksum is not None and not self.in_memory:
             return self.checksum
         return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
+
+
+class Described(Protocol):
+    """A campaign, as far as its description is concerned."""
+
+    @property
+    def path(self) -> Path:
+        """The path of the description, or a substitute."""
+
+    @property
+    def source(self) -> Source | None:
+        """The document that the campaign was resolved from."""
+
+
+C = TypeVar("C", bound=Described)
+
+
+def source_of(campaign: Described) -> Source:
+    """Return the source of a campaign; CounterspinError if it is unknown."""
+    if campaign.source is None:
+        raise CounterspinError(
+            f"{campaign.path}: the campaign was modified without `change`, so that "
+            "its description is unknown; make all changes with `change`"
+        )
+    return campaign.source
+
+
+def keep(campaign: C, source: Source) -> C:
+    """Set the source of a campaign that has just been resolved, and return it.
+
+    The source is not an argument of the class: a copy that `dataclasses.replace` changes has none.
+    """
+    object.__setattr__(campaign, "source", source)
+    return campaign

@@ -1,21 +1,32 @@
-"""Campaigns in memory: their records, and how they are joined and written as a folder."""
+"""Campaigns from mappings and arrays, and campaigns written as a folder."""
 
 from __future__ import annotations
 
-import copy
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
-from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.documents import DESCRIPTION_NAME, Source, differences, list_of
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.documents import (
+    CAMPAIGN_ADVICE,
+    DESCRIPTION_NAME,
+    Source,
+    description_file,
+    list_of,
+    load_with_checksum,
+    plain,
+    source_of,
+    unusable,
+)
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_open, write_text, write_whole
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.frames import memory_table
+from counterspin.records.memory import MemoryTable
 from counterspin.toml_text import write_document
 
 if TYPE_CHECKING:
@@ -29,6 +40,77 @@ WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
     ".csv": lambda frame, path: write_open(path, frame.write_csv),
     ".parquet": lambda frame, path: write_open(path, frame.write_parquet),
 }
+
+
+def make_campaign(
+    description: Mapping[str, Any] | Path | str,
+    records: Mapping[str, Any] | None = None,
+    *,
+    readings: Any = None,
+    folder: Path | str | None = None,
+) -> Campaign:
+    """Make a campaign from a description and records, without files where there are none.
+
+    Parameters
+    ----------
+    description
+        What ``campaign.toml`` says, as nested mappings with the same keys; ``schema`` may be left
+        out, and so may the ``record`` of a run for which `records` has one, or of each where
+        there are no records (yet). Quantities are text, or a `Quantity`. Or the file itself.
+    records
+        Run's name -> its record: a frame of polars or pandas, a mapping of arrays, a structured
+        array, or a file. Numbers are copied. ``"noise.from"`` -> a record at rest, from which the
+        noise is taken.
+    readings
+        The table of ``[readings]`` as a frame, in the place of its ``file``; each of its rows
+        becomes a run, as which `Campaign.write` writes it.
+    folder
+        Where the files are that the description names; None: the current one, or the file's.
+
+    Returns
+    -------
+    Campaign
+        As `read_campaign` returns it.
+
+    Raises
+    ------
+    CampaignError
+        With every mistake of the description, as of a file.
+    RecordError
+        If a frame cannot be taken for a record.
+    """
+    source, where = _source(description, folder)
+    document = dict(source.document)
+    problems = Problems(document)
+    if readings is not None:
+        from counterspin.campaign.readings_table import take_readings
+
+        take_readings(document, readings, problems)
+        if problems.lines:
+            raise CampaignError(source.label, problems.lines)
+    if records is None:
+        name_records(document)
+    tables = give_records(document, records or {}, where, problems)
+    return Campaign.of(replace(source, document=document), where, tables, problems)
+
+
+def _source(
+    description: Mapping[str, Any] | Path | str, folder: Path | str | None
+) -> tuple[Source, Path]:
+    """Return the source of a description, and the folder of its files."""
+    if isinstance(description, Mapping):
+        where = Path(folder if folder is not None else ".").absolute()
+        problems = Problems(description)
+        document = {"schema": 1} | plain(description, (), problems.add)
+        problems.lines += unusable(document, "")
+        source = Source(document)
+        if problems.lines:
+            raise CampaignError(source.label, problems.lines)
+        return source, where
+    file = description_file(description).absolute()
+    document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
+    where = file.parent if folder is None else Path(folder).absolute()
+    return Source(document, file, checksum, document), where
 
 
 def write_as_it_is(record: Path | MemoryTable, target: Path, *, overwrite: bool) -> None:
@@ -125,219 +207,7 @@ def _file_name(file: Path, folder: Path) -> str:
         return str(file)
 
 
-class Documented(Protocol):
-    """A campaign, as far as its document and its files are concerned."""
-
-    @property
-    def title(self) -> str:
-        """The title in reports."""
-
-    @property
-    def path(self) -> Path:
-        """The path of its description, or a substitute."""
-
-    @property
-    def folder(self) -> Path:
-        """The folder of its files."""
-
-    @property
-    def source(self) -> Source | None:
-        """The document that it was resolved from."""
-
-    @property
-    def accelerometers(self) -> Mapping[str, Accelerometer]:
-        """The accelerometers by name."""
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """All record files."""
-
-    @property
-    def tables(self) -> tuple[Path, ...]:
-        """Files of readings."""
-
-    @property
-    def rest(self) -> Path | None:
-        """The record at rest that says the noise."""
-
-    def record_at(self, file: Path) -> Path | MemoryTable:
-        """Return the record in memory that replaces a file, or else the file."""
-
-
-C = TypeVar("C", bound=Documented)
-
-
-def source_of(campaign: Documented) -> Source:
-    """Return the source of a campaign; CounterspinError if it is unknown."""
-    if campaign.source is None:
-        raise CounterspinError(
-            f"{campaign.path}: the campaign was modified without `change`, so that "
-            "its description is unknown; make all changes with `change`"
-        )
-    return campaign.source
-
-
-def keep(campaign: C, source: Source) -> C:
-    """Set the source of a campaign that has just been resolved, and return it.
-
-    The source is not an argument of the class: a copy that `dataclasses.replace` changes has none.
-    """
-    object.__setattr__(campaign, "source", source)
-    return campaign
-
-
-# Joined
-
-#: What all must have in common -> its key in the description.
-_COMMON: Final = {
-    "gravity": "site.gravity",
-    "latitude": "site.latitude",
-    "radius": "centrifuge.radius",
-    "strapped": "centrifuge.strapped",
-    "reference_temperature": "centrifuge.reference_temperature",
-    "time": "records.time",
-    "angle": "records.angle",
-    "dialect": "records",
-    "timing_offset": "records.timing_offset",
-    "clock": "records.clock",
-    "own_velocity": "records.reference",
-    "noise": "noise",
-    "rest": "noise.from",
-    "specifications": "specification",
-}
-
-#: What each accelerometer must have in common with its namesakes.
-_OF_EACH: Final = (
-    "mounting",
-    "observable",
-    "channel",
-    "priors",
-    "serial_number",
-    "output",
-    "force",
-    "grade",
-)
-
-
-def join_campaigns(
-    campaigns: Sequence[Documented],
-) -> tuple[dict[str, Any], dict[Path, MemoryTable]]:
-    """Return one document with the runs of several campaigns, and the records in memory by file.
-
-    It is for the folder of the first.
-    """
-    first = campaigns[0]
-    problems = [
-        p for place, other in enumerate(campaigns[1:], 2) for p in _apart(first, other, place)
-    ]
-    if problems:
-        raise CampaignError("join", problems)
-    document = copy.deepcopy(dict(source_of(first).document))
-    if not all(_same_simulation(first, other) for other in campaigns[1:]):
-        for key in ("truth", "simulation"):
-            document.pop(key, None)
-    runs: list[dict[str, Any]] = []
-    tables: dict[Path, MemoryTable] = {}
-    for place, campaign in enumerate(campaigns, 1):
-        for run in copy.deepcopy(source_of(campaign).document.get("runs", [])):
-            if "truth" not in document:
-                run.pop("truth", None)
-            run["name"] = _distinct(run["name"], place, [other["name"] for other in runs])
-            for key in ("continued_in", "pulses"):
-                if key in run and campaign.folder != first.folder:
-                    names = run[key]
-                    run[key] = (
-                        str(campaign.folder / names)
-                        if isinstance(names, str)
-                        else [str(campaign.folder / name) for name in names]
-                    )
-            if "record" in run:
-                _place_record(run, campaign, first.folder, runs, tables)
-            runs.append(run)
-    document["runs"] = runs
-    titles = dict.fromkeys(campaign.title for campaign in campaigns if campaign.title)
-    if titles:
-        document["campaign"] = {**document.get("campaign", {}), "title": " + ".join(titles)}
-    if first.rest is not None and isinstance(rest := first.record_at(first.rest), MemoryTable):
-        tables[first.rest] = rest
-    return document, tables
-
-
-def _apart(first: Documented, other: Documented, place: int) -> Iterator[str]:
-    """Yield what two campaigns would have to have in common, and have not."""
-    words = f"is not the same in campaign {place}"
-    for attribute, key in _COMMON.items():
-        if getattr(first, attribute) != getattr(other, attribute):
-            yield f"{key}: {words} ({_said(first, key)}, {_said(other, key)})"
-    rest = [c.rest and c.record_at(c.rest) for c in (first, other)]
-    in_memory = [one.checksum if isinstance(one, MemoryTable) else "" for one in rest]
-    if first.rest == other.rest and in_memory[0] != in_memory[1]:
-        yield f"noise.from: {words}"
-    for name in dict.fromkeys([*first.accelerometers, *other.accelerometers]):
-        one, two = first.accelerometers.get(name), other.accelerometers.get(name)
-        if one is None or two is None:
-            yield f"accelerometers.{name}: is not in campaign {1 if one is None else place}"
-            continue
-        unequal = [key for key in _OF_EACH if getattr(one, key) != getattr(two, key)]
-        if unequal:
-            yield f"accelerometers.{name}: {words} ({', '.join(unequal)})"
-    for section in ("model", "centrifuge"):
-        one, two = (source_of(c).document.get(section, {}) for c in (first, other))
-        for key in differences(one, two, (section,)):
-            if key != "centrifuge.radius":
-                yield f"{key}: {words}"
-    for number, campaign in ((1, first), (place, other)):
-        if "readings" in source_of(campaign).document:
-            yield f"readings: campaign {number} has a table of readings; write them as [[runs]]"
-
-
-def _said(campaign: Documented, key: str) -> str:
-    """Return a description's value at a key."""
-    value: Any = source_of(campaign).document
-    for part in key.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return "nothing" if value is None else str(value)
-
-
-def _same_simulation(first: Documented, other: Documented) -> bool:
-    one, two = (source_of(c).document for c in (first, other))
-    return all(one.get(key) == two.get(key) for key in ("truth", "simulation"))
-
-
-def _distinct(name: str, place: int, taken: Sequence[str]) -> str:
-    """Return a unique name of a run, with the number of its campaign if necessary."""
-    new, number = name, place
-    while new in taken:
-        new, number = f"{name} ({number})", number + 1
-    return new
-
-
-def _place_record(
-    run: dict[str, Any],
-    campaign: Documented,
-    folder: Path,
-    runs: Sequence[Mapping[str, Any]],
-    tables: dict[Path, MemoryTable],
-) -> None:
-    """Name a run's record as the joined campaign finds it, and take along what is in memory."""
-    record = campaign.record_at(campaign.folder / run["record"])
-    if isinstance(record, Path):
-        inside = campaign.folder == folder
-        run["record"] = run["record"] if inside else str(record)
-        return
-    taken = [other.get("record") for other in runs]
-    ending = Path(run["record"]).suffix
-    if str(run["record"]).lower() in {str(name).lower() for name in taken}:
-        run["record"] = record_name(run["name"], ending, taken)
-    tables[folder / run["record"]] = MemoryTable(
-        f"{run['name']} in memory", record.columns, record.others
-    )
-
-
-# Written
-
-
-def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool = False) -> Path:
+def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = False) -> Path:
     """Write a campaign; see `Campaign.write`."""
     source = source_of(campaign)
     folder = Path(folder)
@@ -371,7 +241,7 @@ def write_campaign(campaign: Documented, folder: Path | str, *, overwrite: bool 
 class _Files:
     """The names of a campaign's files in another folder."""
 
-    def __init__(self, campaign: Documented, folder: Path) -> None:
+    def __init__(self, campaign: Campaign, folder: Path) -> None:
         self.campaign, self.folder = campaign, folder
         self.targets: dict[Path, Path | MemoryTable] = {}
 
@@ -406,7 +276,7 @@ class _Files:
         return now
 
 
-def _refuse_overwriting(targets: list[Path], campaign: Documented, *, overwrite: bool) -> None:
+def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:
     """Raise CounterspinError for a file that is in the way, or a record that is not there."""
     for target in targets:
         if target.exists() and not overwrite:

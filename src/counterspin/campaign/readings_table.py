@@ -36,7 +36,7 @@ from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
-from counterspin.records.memory import columns_of
+from counterspin.records.frames import columns_of
 from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:

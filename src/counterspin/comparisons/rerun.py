@@ -17,7 +17,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.memory import keep, source_of
+from counterspin.campaign.documents import keep, source_of
 from counterspin.campaign.model import EVERYTHING
 from counterspin.comparisons.result import Change, RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError

@@ -30,7 +30,8 @@ from counterspin.monitoring.run_state import (
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import as_recorded, noise_of_fit, with_pose_noise
 from counterspin.records.formats import opener_of
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.frames import memory_table
+from counterspin.records.memory import MemoryTable
 from counterspin.threads import one_blas_thread
 
 

@@ -30,7 +30,8 @@ from counterspin.monitoring.result import (
 )
 from counterspin.physics import observation
 from counterspin.records.dialect import file_unit
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.frames import memory_table
+from counterspin.records.memory import MemoryTable
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
 from counterspin.units import base_unit, unit_factor

@@ -17,7 +17,7 @@ from counterspin.calibration.observed import ObservedRun, observe, with_recorded
 from counterspin.calibration.readings import noise_within, poses_of
 from counterspin.campaign.conditions import poses_together
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.memory import source_of
+from counterspin.campaign.documents import source_of
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.quantity import attitude_rows
 from counterspin.campaign.readings import Reading

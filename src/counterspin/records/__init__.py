@@ -11,7 +11,7 @@
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them
 - `signals`: the unit of a signal by its wave, and whether a recorder took a line off it
-- `memory`: columns that a program holds, in the place of a file
+- `memory`: columns that a program holds, in the place of a file; `frames`: columns of frames
 - `averages`: the mean of a record with its uncertainty, and the course of a temperature
 - `poses`: where a sensor with three axes lay still, in one long record
 - `isolation`, `reader_limits`: the process of its own in which native code reads, and the limits

@@ -17,8 +17,8 @@ from counterspin.arrays import Array
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
-from counterspin.campaign.memory import WRITERS, source_of, write_as_it_is
+from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, source_of
+from counterspin.campaign.memory import WRITERS, write_as_it_is
 from counterspin.campaign.noise_at_rest import true_noise
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.runs import Run, sample_count
@@ -29,7 +29,8 @@ from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory, encoder_error, true_trajectory
 from counterspin.physics.own_velocity import AxisError, of_own_velocity
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.frames import memory_table
+from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import forces_in_record, indicated_forces
 from counterspin.simulation.readings import (

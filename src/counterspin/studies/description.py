@@ -27,9 +27,9 @@ from counterspin.campaign.documents import (
     description_file,
     load_document,
     mistakes,
+    source_of,
 )
 from counterspin.campaign.kinds import Schema, SettingsSection, Several, Text, described, exact
-from counterspin.campaign.memory import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.runs import recorders_of

@@ -290,7 +290,7 @@ def _si_covariance(module: Any, given: Given) -> Found:
 
 
 def _forecast(module: Any, given: Given) -> Found:
-    from counterspin.campaign.description import make_campaign
+    from counterspin.campaign.memory import make_campaign
 
     runs = [
         {
