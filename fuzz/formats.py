@@ -38,7 +38,7 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
-from counterspin.certificates.build import certificate, to_bytes
+from counterspin.certificates.build import build_document, to_bytes
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import read_lab
 from counterspin.certificates.signature import sign, sign_pages
@@ -308,7 +308,7 @@ def signed_certificate(place: Path) -> Format:
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
     given = results.result()
     lab_read = certificates.lab_of(place, given)
-    plain = certificate(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7")
+    plain = build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7")
     whole = to_bytes(sign(plain, read_signer(key, cert)))
     root = etree.fromstring(whole)
 
@@ -361,7 +361,9 @@ def signed_pdf(place: Path) -> Format:
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
     signer, given = read_signer(key, cert), results.result()
     lab_read = certificates.lab_of(place, given)
-    xml = to_bytes(sign(certificate(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer))
+    xml = to_bytes(
+        sign(build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
+    )
     writer = pypdf.PdfWriter()
     writer.add_blank_page(100, 100)
     writer.add_attachment("c.xml", xml)

@@ -6,7 +6,7 @@ import pytest
 
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
-from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.certificate_reader import read_certificate
 from counterspin.reports.blocks import Paragraph
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"

@@ -21,7 +21,7 @@ from counterspin.application import guard
 from counterspin.calibration import assembly, outcome
 from counterspin.calibration.pages import pictures
 from counterspin.campaign.kinds import exact
-from counterspin.certificates import signers, wording
+from counterspin.certificates import certificate_text, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import consistency, page
 from counterspin.inference import conformity, diagnostics
@@ -130,7 +130,7 @@ ROWS = {
         ("k is Student's factor for {} %", 100.0 * conformity.COVERAGE),
         ("the least expanded uncertainty ({} %)", 100.0 * conformity.COVERAGE),
         ("ellipsoidal region of {} %", 100.0 * conformity.COVERAGE),
-        ("rounded to {} decimal places", wording._FACTOR_DECIMALS),
+        ("rounded to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (
             "RSA keys have at least {} bits, elliptic curves {};",
             signers._RSA_BITS,

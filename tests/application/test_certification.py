@@ -169,9 +169,9 @@ def test_pictures_are_drawn_while_a_command_signs(with_own_lab, desk, tmp_path):
 
     def sign(data):
         held.append(desk.drawing.locked())
-        return signer.signed(data)
+        return signer.sign(data)
 
-    desk.signer = replace(signer, signed=sign)
+    desk.signer = replace(signer, sign=sign)
     said = SAID | {"signing": {}, "both": True}
     assert with_own_lab.post("/api/certificate", json=said).status_code == 200
     assert held == [False, False]  # of the XML, and of the pages

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from counterspin.certificates.build import certificate, to_bytes
+from counterspin.certificates.build import build_document, to_bytes
 from counterspin.certificates.lab import read_lab, write_example
 from counterspin.certificates.schema import NAMESPACES
 from counterspin.certificates.statements import Issue
@@ -82,7 +82,7 @@ def lab_of(folder, result, text=LAB):
 def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%PDF-1.7"):
     """Return a certificate as bytes."""
     lab = lab_of(folder, result, text)
-    return to_bytes(certificate(result, lab, issue, verdicts or {}, pages))
+    return to_bytes(build_document(result, lab, issue, verdicts or {}, pages))
 
 
 def find(document_bytes, path):

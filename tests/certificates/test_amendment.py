@@ -7,9 +7,9 @@ from results import coefficient, result
 
 from certificates import LAB, find, write_lab
 from counterspin import cli
-from counterspin.certificates.amendment import AmendedCertificate, Amendment, changes
+from counterspin.certificates.amendment import AmendedCertificate, Amendment, describe_changes
+from counterspin.certificates.certificate_reader import read_certificate
 from counterspin.certificates.issuing import certificate, check_certificate
-from counterspin.certificates.reading import read_certificate
 from counterspin.errors import CampaignError, RecordError
 
 CORE = "//dcc:coreData"
@@ -62,19 +62,19 @@ def test_changed_numbers_are_told_and_nothing_else(desk):
         correlation=None,
     )
     made = [certificate(given, "LAB.toml").xml for given in (result(), other)]
-    told = changes(*made)
+    told = describe_changes(*made)
     assert told[:2] == [
         "K_F of Qx: it was 5000.0 ± 2.0 ug, and is not certified.",
         "K_II of Qx: it was 27.0000 ± 0.0020 ug/g^2, and is 27.1000 ± 0.0020 ug/g^2.",
     ]
     assert told[2:] == ['the statement "Not determined, accelerometer Qx" is new.']
-    assert changes(made[0], made[0]) == ["Nothing but identifier and date of issue."]
+    assert describe_changes(made[0], made[0]) == ["Nothing but identifier and date of issue."]
 
 
 def test_statements_that_come_and_go_are_told(desk):
     old = certificate(result(), "LAB.toml").xml
     write_lab(desk, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]'))
-    assert changes(old, certificate(result(), "LAB.toml").xml) == [
+    assert describe_changes(old, certificate(result(), "LAB.toml").xml) == [
         'the statement "Prior knowledge" reads otherwise.',
         'the statement "Remarks" is gone.',
         'the statement "Data supplied by the customer" is new.',

@@ -12,10 +12,10 @@ from certificates import ISSUE, LAB, document, find
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
-from counterspin.certificates.reading import read_certificate
-from counterspin.certificates.schema import NAMESPACES, clean, factor, number
+from counterspin.certificates.certificate_reader import read_certificate
+from counterspin.certificates.certificate_text import coverage_factor, region_factor
+from counterspin.certificates.schema import NAMESPACES, clean_text, format_decimal, format_exact
 from counterspin.certificates.statements import Issue
-from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
 from counterspin.inference.verdicts import Conformity
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
@@ -94,10 +94,10 @@ def test_coverage_factors_are_those_of_the_tables():
 
 
 def test_numbers_are_spelt_as_the_schema_has_them():
-    assert factor(12.7062) == "12.7062"
-    assert factor(0.95) == "0.95"
-    assert factor(2.0) == "2"
-    assert float(number(0.1 + 0.2)) == 0.1 + 0.2
+    assert format_decimal(12.7062) == "12.7062"
+    assert format_decimal(0.95) == "0.95"
+    assert format_decimal(2.0) == "2"
+    assert float(format_exact(0.1 + 0.2)) == 0.1 + 0.2
 
 
 # The numbers of a certificate
@@ -341,7 +341,7 @@ def test_warnings_are_not_hidden_and_no_character_breaks_the_document(tmp_path):
         "Warning: of the campaign",
         r"Warning: Qx: does not fit\x00\nK_II = 1\u202e & more",
     ]
-    assert clean("\x0bab\ud800 ") == r"\x0bab\ud800"
+    assert clean_text("\x0bab\ud800 ") == r"\x0bab\ud800"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,11 @@ from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 from results import coefficient, result
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.certificates.conversion import covariance, in_si, output_in_si
+from counterspin.certificates.conversion import (
+    coefficients_in_si,
+    covariance,
+    output_coefficients_in_si,
+)
 from counterspin.simulation.simulate import simulate
 from counterspin.units import own_unit, to_si
 
@@ -42,7 +46,7 @@ def with_gravity(records, folder, gravity, method):
 def test_si_uncertainty_has_what_another_gravity_would_do(records, tmp_path, method):
     found = calibrate(records, method=method)
     qx = found.accelerometers["Qx"]
-    estimates = in_si(found, "Qx")
+    estimates = coefficients_in_si(found, "Qx")
     assert estimates
     step = 30.0 * U_G
     moved = [with_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)]
@@ -80,7 +84,7 @@ def calibrated_readings(folder, gravity):
 def test_own_units_have_what_another_gravity_would_do(tmp_path):
     """Bias in A, scale factor in A/(m/s^2): 1 mA/g is 1e-3/g of it."""
     found = calibrated_readings(tmp_path, f"{G} ± {U_G}")
-    estimates = output_in_si(found, "A")
+    estimates = output_coefficients_in_si(found, "A")
     assert {key: e.unit.text for key, e in estimates.items()} == {
         "bias": r"\ampere",
         "scale_factor": r"\metre\tothe{-1}\second\tothe{2}\ampere",
@@ -125,7 +129,7 @@ def test_own_units_that_si_has_not(unit):
 
 def test_covariance_follows(records):
     found = calibrate(records)
-    qx, estimates = found.accelerometers["Qx"], in_si(found, "Qx")
+    qx, estimates = found.accelerometers["Qx"], coefficients_in_si(found, "Qx")
     symbols = list(estimates)
     matrix = np.array(
         [
@@ -138,7 +142,7 @@ def test_covariance_follows(records):
     assert np.diag(matrix) == pytest.approx([e.u**2 for e in estimates.values()], rel=1e-12)
     # Without any u(g) the correlations are those of the result.
     exact = found.model_copy(update={"inputs": found.inputs.model_copy(update={"u_gravity": 0.0})})
-    plain = in_si(exact, "Qx")
+    plain = coefficients_in_si(exact, "Qx")
     i, j = (qx.correlation.terms.index(s) for s in ("K_F", "K_II"))
     together = covariance(qx.correlation, plain, "K_F", "K_II")
     assert together == qx.correlation.matrix[max(i, j)][min(i, j)] * (
@@ -161,14 +165,14 @@ def test_degrees_of_freedom_are_those_of_what_remains():
     known = {"K_F": coefficient(0.005, 1e-6, "g", dof=100.0)}
     given = result(coefficients=known, budget={"K_F": [line]})
     inputs = given.inputs.model_copy(update={"u_gravity": u_gravity})
-    found = in_si(given.model_copy(update={"inputs": inputs}), "Qx")["K_F"]
+    found = coefficients_in_si(given.model_copy(update={"inputs": inputs}), "Qx")["K_F"]
     assert found.u == pytest.approx(9.8e-6 * math.sqrt(0.5))
     assert found.dof == pytest.approx(25.0)
 
 
 def test_without_a_stated_uncertainty_of_g_nothing_changes():
     given = result()
-    for symbol, estimate in in_si(given, "Qx").items():
+    for symbol, estimate in coefficients_in_si(given, "Qx").items():
         c = given.accelerometers["Qx"].coefficients[symbol]
         assert estimate.u == to_si(c.u, c.unit, 9.8)
         assert estimate.dof == c.dof

@@ -7,12 +7,12 @@ import triads
 import counterspin as cs
 from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
 from counterspin.calibration.result_parts import Correlation
-from counterspin.certificates.amendment import changes
-from counterspin.certificates.front import front_blocks
-from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.amendment import describe_changes
+from counterspin.certificates.certificate_reader import read_certificate
+from counterspin.certificates.certificate_text import coverage_factor, region_factor
+from counterspin.certificates.pdf_pages import page_blocks
 from counterspin.certificates.schema import NAMESPACES, check_schema
 from counterspin.certificates.statements import statements
-from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.cli import main
 from counterspin.reports.blocks import Paragraph, Table
 from counterspin.reports.numbers import field_unit, format_estimate
@@ -41,7 +41,7 @@ def _numbers(made, path):
 
 def _pages(folder, result, text=OWN):
     lab = lab_of(folder, result, text)
-    return list(front_blocks(lab, result, ISSUE, {}))
+    return list(page_blocks(lab, result, ISSUE, {}))
 
 
 def test_parameters_stand_in_si_with_their_covariance(tmp_path, poses):
@@ -116,7 +116,7 @@ def test_an_amendment_names_changed_parameters(tmp_path, poses):
     one = document(tmp_path, poses, text=OWN)
     other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
     shown = shown_of(poses.triad.parameters["angle.X.Y"])
-    assert [line for line in changes(one, other) if "triad" in line] == [
+    assert [line for line in describe_changes(one, other) if "triad" in line] == [
         f"angle.X.Y of the triad: it was {shown}, and is not certified.",
         f"angle.Y.X of the triad: it was not certified, and is {shown}.",
     ]

@@ -8,9 +8,9 @@ import pytest
 from results import result
 
 from certificates import LAB, find
-from counterspin.certificates.evidence import is_evidence_for_something, terms_without_evidence
+from counterspin.certificates.certificate_text import ASSUMED
+from counterspin.certificates.evidence import names_terms, terms_without_evidence
 from counterspin.certificates.issuing import certificate
-from counterspin.certificates.wording import ASSUMED
 from counterspin.errors import CampaignError
 
 
@@ -59,7 +59,7 @@ def test_what_lacks_a_text(assumed, keys, lacking):
     ],
 )
 def test_a_key_is_of_a_term(key, known):
-    assert is_evidence_for_something(key, ["Qx"]) == known
+    assert names_terms(key, ["Qx"]) == known
 
 
 STATEMENT = f"//dcc:statement[dcc:name/dcc:content = '{ASSUMED}']"

@@ -20,8 +20,8 @@ from certificates import LAB, find, write_lab
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
+from counterspin.certificates.certificate_reader import read_certificate, read_document
 from counterspin.certificates.issuing import certificate, check_certificate
-from counterspin.certificates.reading import read_certificate, read_document
 from counterspin.certificates.signature import sign_pages
 from counterspin.certificates.signers import read_signer
 from counterspin.errors import CampaignError, CounterspinError, RecordError

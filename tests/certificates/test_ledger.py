@@ -35,7 +35,7 @@ def test_entries_read_back_and_each_holds_the_hash_of_the_one_before(tmp_path):
     path = tmp_path / "ledger.jsonl"
     given = entered(path, 3)
     found = verify_ledger(path)
-    assert (list(found.entries), found.unfinished) == (given, b"")
+    assert (list(found.entries), found.partial_entry) == (given, b"")
     lines = [json.loads(line) for line in path.read_bytes().splitlines()]
     assert [line["number"] for line in lines] == [1, 2, 3]
     assert lines[0]["previous"] == "0" * 64
@@ -55,7 +55,7 @@ def test_any_altered_byte_is_found_and_the_entry_named(tmp_path):
         number = sum(end < place for end in ends) + 1
         if place == ends[-1]:
             # Without its end a line is one that nobody finished.
-            assert verify_ledger(path).unfinished
+            assert verify_ledger(path).partial_entry
         else:
             assert altered(path).startswith(f"entry {number} ")
 
@@ -116,7 +116,7 @@ def test_what_an_interrupted_writer_left_is_named_and_kept(tmp_path):
         path.write_bytes(whole[:cut])
         found = verify_ledger(path)
         assert found.entries == (given[0],)
-        assert found.unfinished == whole[start:cut]
+        assert found.partial_entry == whole[start:cut]
     (new,) = entered(path, 1, first=9)
     assert (new.number, new.of["unfinished"].encode()) == (2, whole[start:-1])
     assert verify_ledger(path).entries == (given[0], new)

@@ -14,8 +14,8 @@ from signing_keys import write_pair
 
 from certificates import LAB, write_lab
 from counterspin import cli
+from counterspin.certificates.certificate_reader import read_document
 from counterspin.certificates.ledger import verify_ledger
-from counterspin.certificates.reading import read_document
 
 KEPT = LAB.replace('language = "de"', 'ledger = "ledger.jsonl"')
 
@@ -111,7 +111,7 @@ def killed(monkeypatch):
     return kill
 
 
-@pytest.mark.parametrize("moment", ["write_whole", "_enter", "finish"])
+@pytest.mark.parametrize("moment", ["write_whole", "_append_entry", "finish"])
 def test_a_certificate_that_stands_is_in_its_ledger_wherever_it_was_killed(desk, killed, moment):
     words = ("r.json", "LAB.toml", "-o", "a.xml")
     killed(moment, *words)

@@ -15,10 +15,10 @@ from signing_keys import write_pair
 
 from certificates import ISSUE, lab_of, write_lab
 from counterspin import cli
-from counterspin.certificates.build import certificate, to_bytes
-from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.build import build_document, to_bytes
+from counterspin.certificates.certificate_reader import read_certificate
 from counterspin.certificates.signature import sign, verify
-from counterspin.certificates.signers import read_signer, signer_with
+from counterspin.certificates.signers import read_signer, signer_from_key
 from counterspin.errors import CounterspinError, RecordError
 
 
@@ -34,7 +34,7 @@ def pairs(tmp_path_factory):
 
 def signed(folder, pair):
     given = result()
-    root = certificate(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
+    root = build_document(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
     return to_bytes(sign(root, read_signer(*pair)))
 
 
@@ -124,8 +124,8 @@ def test_a_certificate_that_expired_after_the_day_of_issue_counts(tmp_path):
         folder = tmp_path / str(days[0])
         _, cert = write_pair(folder, key, days=days)
         given = result()
-        root = certificate(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
-        signer = signer_with(key, load_pem_x509_certificates(cert.read_bytes()))
+        root = build_document(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
+        signer = signer_from_key(key, load_pem_x509_certificates(cert.read_bytes()))
         return verify(to_bytes(sign(root, signer)), cert, "x.xml")
 
     assert made_and_verified(since - 10, -1).expired == today - timedelta(days=1)
@@ -148,7 +148,7 @@ def test_a_signature_of_something_else_in_the_document_does_not_count(tmp_path, 
 
 def test_an_unsigned_certificate_is_told(tmp_path, pairs):
     given = result()
-    made = to_bytes(certificate(given, lab_of(tmp_path, given), ISSUE, {}, None))
+    made = to_bytes(build_document(given, lab_of(tmp_path, given), ISSUE, {}, None))
     with pytest.raises(RecordError, match="is not signed"):
         verify(made, pairs["rsa"][1], "x.xml")
     with pytest.raises(RecordError, match="is not XML"):
@@ -168,7 +168,7 @@ def test_a_number_with_something_in_it_reads_alike_with_and_without_the_signer(
     tmp_path, pairs, put, reads
 ):
     given = result()
-    plain = to_bytes(certificate(given, lab_of(tmp_path, given), ISSUE, {}, b"%PDF"))
+    plain = to_bytes(build_document(given, lab_of(tmp_path, given), ISSUE, {}, b"%PDF"))
     (value,) = re.findall(rb"<si:label>K_II</si:label>\s*<si:value>([^<]*)<", plain)
     spoilt = plain.replace(b"<si:value>" + value, b"<si:value>" + value[:3] + put + value[3:], 1)
     made = to_bytes(sign(etree.fromstring(spoilt), read_signer(*pairs["rsa"])))

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.serialization import Encoding
 from signing_keys import write_pair
 
-from counterspin.certificates.signature import pages_signature, sign_pages
+from counterspin.certificates.signature import sign_pages, verify_pdf_signature
 from counterspin.certificates.signers import read_signer
 from counterspin.errors import CounterspinError
 
@@ -46,10 +46,10 @@ def public(signer):
 
 @pytest.mark.parametrize("kind", KEYS)
 def test_signed_pages_are_of_their_signer_alone(signers, signed, kind):
-    assert pages_signature(signed[kind], public(signers[kind])) == "valid"
+    assert verify_pdf_signature(signed[kind], public(signers[kind])) == "valid"
     for other in set(KEYS) - {kind}:
-        assert pages_signature(signed[kind], public(signers[other])) == "invalid"
-    assert pages_signature(PAGES.read_bytes(), public(signers[kind])) == "none"
+        assert verify_pdf_signature(signed[kind], public(signers[other])) == "invalid"
+    assert verify_pdf_signature(PAGES.read_bytes(), public(signers[kind])) == "none"
 
 
 def ranges(made):
@@ -64,13 +64,13 @@ def test_any_change_is_found(signers, signed):
     for mark in (b"/StructTreeRoot", b"<pdfaid:part>3", b"20260309"):
         place = made.rindex(mark) + len(mark) - 1
         changed = made[:place] + bytes([made[place] ^ 1]) + made[place + 1 :]
-        assert pages_signature(changed, of) == "changed", mark
-    assert pages_signature(made + b"\n% more\n", of) == "changed"
-    assert pages_signature(made.replace(b"/SubFilter", b"/SubFiltre"), of) == "invalid"
+        assert verify_pdf_signature(changed, of) == "changed", mark
+    assert verify_pdf_signature(made + b"\n% more\n", of) == "changed"
+    assert verify_pdf_signature(made.replace(b"/SubFilter", b"/SubFiltre"), of) == "invalid"
     _, start, end, _ = ranges(made)
     place = start + len(made[start : end - 1].rstrip(b"0")) - 20
     changed = made[:place] + (b"1" if made[place : place + 1] != b"1" else b"2") + made[place + 1 :]
-    assert pages_signature(changed, of) == "invalid"
+    assert verify_pdf_signature(changed, of) == "invalid"
 
 
 def test_what_is_added_later_is_covered_by_no_signature(signers, signed):
@@ -80,7 +80,7 @@ def test_what_is_added_later_is_covered_by_no_signature(signers, signed):
     out = io.BytesIO()
     writer.write(out)
     assert out.getvalue().startswith(signed["ec"])
-    assert pages_signature(out.getvalue(), public(signers["ec"])) == "changed"
+    assert verify_pdf_signature(out.getvalue(), public(signers["ec"])) == "changed"
 
 
 def test_a_second_signature_of_somebody_else_does_not_count(signers, signed, tmp_path):
@@ -94,8 +94,8 @@ def test_a_second_signature_of_somebody_else_does_not_count(signers, signed, tmp
     once = theirs.sign_pdf(plain, PdfSignatureMetadata(field_name="A"), other)
     writer = IncrementalPdfFileWriter(once)
     twice = theirs.sign_pdf(writer, PdfSignatureMetadata(field_name="B"), other).getvalue()
-    assert pages_signature(twice, public(signers["ec"])) == "invalid"
-    assert pages_signature(twice, public(read_signer(key, cert))) == "valid"
+    assert verify_pdf_signature(twice, public(signers["ec"])) == "invalid"
+    assert verify_pdf_signature(twice, public(read_signer(key, cert))) == "valid"
 
 
 @pytest.mark.parametrize("kind", KEYS)
@@ -156,9 +156,9 @@ def test_a_key_is_asked_once(signers):
 
     def sign(data):
         asked.append(data)
-        return signers["ec"].signed(data)
+        return signers["ec"].sign(data)
 
-    sign_pages(PAGES.read_bytes(), replace(signers["ec"], signed=sign), DATE)
+    sign_pages(PAGES.read_bytes(), replace(signers["ec"], sign=sign), DATE)
     assert len(asked) == 1
 
 

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from signing_keys import write_pair, write_pkcs12
 
 from counterspin.certificates.signers import (
-    KeyFile,
+    KeyMaterial,
     PasswordNeededError,
     command_signer,
     read_signer,
@@ -30,8 +30,8 @@ def keys():
 
 def fits(signer, key):
     """Tell whether a signer signs with a key; raises InvalidSignature if not."""
-    made = signer.signed(b"words")
-    way = (padding.PKCS1v15(), SHA256()) if signer.with_rsa else (ec.ECDSA(SHA256()),)
+    made = signer.sign(b"words")
+    way = (padding.PKCS1v15(), SHA256()) if signer.uses_rsa else (ec.ECDSA(SHA256()),)
     key.public_key().verify(made, b"words", *way)
     return True
 
@@ -49,7 +49,7 @@ def test_a_key_is_read_from_pem_and_pkcs12(tmp_path, keys, kind, password):
         assert held.name == "CN=Example laboratory"
     # A certificate may stand behind its key, in one file.
     key, cert = write_pair(tmp_path / "one", keys[kind], secret)
-    one = KeyFile("one.pem", key.read_bytes() + cert.read_bytes())
+    one = KeyMaterial("one.pem", key.read_bytes() + cert.read_bytes())
     assert fits(read_signer(one, password=password), keys[kind])
 
 
@@ -70,7 +70,7 @@ def test_a_password_is_asked_for_and_a_wrong_one_is_refused(tmp_path, keys, writ
 
 def test_nothing_shows_a_key(tmp_path, keys):
     key, cert = write_pair(tmp_path / "k", keys["ec"])
-    shown = repr(read_signer(key, cert)) + repr(KeyFile.read(key))
+    shown = repr(read_signer(key, cert)) + repr(KeyMaterial.read(key))
     inner = key.read_text().splitlines()[1]
     assert inner not in shown
     assert "PRIVATE" not in shown
@@ -92,7 +92,7 @@ def test_a_signer_s_certificate_is_checked_at_issue(tmp_path, made, more, words)
     key = made() if made else ec.generate_private_key(ec.SECP256R1())
     pair = write_pair(tmp_path / "k", key, **more)
     if words is None:
-        assert read_signer(*pair).public.key_size == 256
+        assert read_signer(*pair).public_key.key_size == 256
     else:
         with pytest.raises(CounterspinError, match=words):
             read_signer(*pair)
@@ -110,9 +110,9 @@ def test_a_key_that_cannot_sign_is_told(tmp_path, keys):
     with pytest.raises(CounterspinError, match=r"is not an X\.509 certificate in PEM form"):
         read_signer(key)
     with pytest.raises(CounterspinError, match=r"not a private key in PEM form, nor a PKCS #12"):
-        read_signer(KeyFile("x", b"words"))
+        read_signer(KeyMaterial("x", b"words"))
     with pytest.raises(CounterspinError, match=r"cannot be read with this password, or is not a"):
-        read_signer(KeyFile("x", b"\x30\x82words"), None, "x")
+        read_signer(KeyMaterial("x", b"\x30\x82words"), None, "x")
     with pytest.raises(CounterspinError, match="is not the certificate of the key"):
         read_signer(key, write_pair(tmp_path / "ec", keys["ec"])[1])
     with pytest.raises(CounterspinError, match=r"none\.pem: cannot be read"):
@@ -156,12 +156,12 @@ def test_a_command_of_windows_keeps_its_backslashes(tmp_path, keys, monkeypatch)
     monkeypatch.setattr("subprocess.run", run)
     signer = command_signer(r'"C:\my tools\sign.exe" --slot 1', cert)
     with pytest.raises(CounterspinError, match=r'command "C:\\my tools\\sign.exe" --slot 1 ended'):
-        signer.signed(b"x")
+        signer.sign(b"x")
     assert started == [[r"C:\my tools\sign.exe", "--slot", "1"]]
     with pytest.raises(
         CounterspinError, match=r"cannot be run \(there is no such program in PATH\)"
     ):
-        command_signer("no-such-signer", cert).signed(b"x")
+        command_signer("no-such-signer", cert).sign(b"x")
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):
     _, cert = write_pair(tmp_path / "k", keys["ec"])
     signer = command_signer(program(tmp_path, text), cert)
     with pytest.raises(CounterspinError, match=words):
-        signer.signed(b"words")
+        signer.sign(b"words")
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_a_command_that_does_not_sign_is_told(tmp_path, keys, text, words):
 def test_what_is_no_command_is_told(tmp_path, keys, command, words):
     _, cert = write_pair(tmp_path / "k", keys["ec"])
     with pytest.raises(CounterspinError, match=words):
-        command_signer(command, cert).signed(b"words")
+        command_signer(command, cert).sign(b"words")
     _, odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
     with pytest.raises(CounterspinError, match="must be an RSA or an elliptic-curve key"):
         command_signer("sign", odd)

@@ -12,8 +12,13 @@ from pydantic import Base64Bytes, BaseModel, ConfigDict, SecretStr
 from counterspin.application.desk import Desk, certificate_command
 from counterspin.application.folder import OutsideError
 from counterspin.campaign.documents import load_document
-from counterspin.certificates.issuing import certificate, check_place, check_places, other_kind
-from counterspin.certificates.signers import KeyFile, PasswordNeededError, Signer, read_signer
+from counterspin.certificates.issuing import (
+    certificate,
+    check_output_path,
+    check_output_paths,
+    paired_path,
+)
+from counterspin.certificates.signers import KeyMaterial, PasswordNeededError, Signer, read_signer
 from counterspin.errors import CounterspinError
 from counterspin.input import read_file
 
@@ -29,9 +34,9 @@ class BroughtFile(BaseModel):
     name: str
     content: Base64Bytes
 
-    def read(self) -> KeyFile:
+    def read(self) -> KeyMaterial:
         """Return its content, read in the same way as a file of the command line."""
-        return KeyFile(self.name, self.content)
+        return KeyMaterial(self.name, self.content)
 
 
 class Signing(BaseModel):
@@ -51,7 +56,7 @@ class Signing(BaseModel):
                 raise CounterspinError(
                     "This server was started without a signing command; use a key file."
                 )
-            return replace(desk.signer, signed=partial(_while_others_draw, desk))
+            return replace(desk.signer, sign=partial(_while_others_draw, desk))
         own = None if self.certificate is None else self.certificate.read()
         secret = None if self.password is None else self.password.get_secret_value() or None
         try:
@@ -65,7 +70,7 @@ def _while_others_draw(desk: Desk, data: bytes) -> bytes:
     assert desk.signer is not None
     desk.drawing.release()
     try:
-        return desk.signer.signed(data)
+        return desk.signer.sign(data)
     finally:
         desk.drawing.acquire()
 
@@ -85,10 +90,10 @@ def begin_certificate(
     files = desk.file(result), desk.file(lab)
     place = desk.folder.path(output)
     if both:
-        check_places(place)
-        desk.folder.path(desk.folder.name(other_kind(place)))
+        check_output_paths(place)
+        desk.folder.path(desk.folder.name(paired_path(place)))
     else:
-        check_place(place)
+        check_output_path(place)
     # The ledger, too.
     desk.require_inside(files[1].parent, load_document(files[1]))
     with desk.drawing:

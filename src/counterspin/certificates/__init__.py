@@ -6,14 +6,15 @@ do not determine is named as such, and missing data of the laboratory is an erro
 - `lab`: the laboratory's data, ``LAB.toml``
 - `issuing`: write a result's certificate, and read its file
 - `build`: the document, set by the template `assets/certificate.xml.jinja`
-- `statements`: its claims; `wording`: the sentences, and coverage factors; `front`: the pages
-- `schema`: the words and numbers of its XML, and validation
+- `statements`: its claims; `certificate_text`: the sentences, and coverage factors; `pdf_pages`:
+  the pages of the PDF
+- `schema`: the text and numbers of its XML, and validation
 - `conversion`: the numbers in SI, with the remaining uncertainty of g, and no U below the
   laboratory's capability
 - `evidence`: the bounds of terms that were assumed perfect
-- `amendment`: a certificate that another one replaces
+- `amendment`: the replacement of an issued certificate
 - `ledger`: the append-only ledger of an instrument: results, certificates and amendments, one line
   each
 - `signers`: keys and commands that sign; `signature`: of the XML and of the pages (PAdES)
-- `reading`: the numbers of a written certificate, XML or PDF
+- `certificate_reader`: the numbers of a written certificate, XML or PDF
 """

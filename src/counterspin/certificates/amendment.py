@@ -1,4 +1,4 @@
-"""An issued certificate that another one replaces (ISO/IEC 17025:2017, 7.8.8)."""
+"""Replacement of an issued certificate by an amended one (ISO/IEC 17025:2017, 7.8.8)."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from pathlib import Path
 from typing import Any, Final
 from unicodedata import normalize
 
-from counterspin.certificates.reading import (
-    EARLIER,
+from counterspin.certificates.certificate_reader import (
+    EARLIER_PREFIX,
     CertificateNumbers,
     CertifiedAccelerometer,
     read_certificate,
     read_document,
 )
+from counterspin.certificates.certificate_text import coverage_factor
 from counterspin.certificates.schema import NAMESPACES, Element, parse
-from counterspin.certificates.wording import coverage_factor
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import field_unit, format_estimate
 
-#: How the hash of a replaced certificate is made, as the new one states it.
-PROCEDURE: Final = "SHA-256"
+#: Hash algorithm of a replaced certificate's checksum, as the new certificate states it.
+HASH_ALGORITHM: Final = "SHA-256"
 
 _ADMINISTRATIVE: Final = "/dcc:digitalCalibrationCertificate/dcc:administrativeData"
 
-#: What is compared as a whole, by what it is called.
-_PARTS: Final = {
+#: Sections that are compared as text, by name -> XPath.
+_COMPARED_SECTIONS: Final = {
     "calibrated item": f"{_ADMINISTRATIVE}/dcc:items",
     "laboratory": f"{_ADMINISTRATIVE}/dcc:calibrationLaboratory/dcc:contact",
     "accreditation": f"{_ADMINISTRATIVE}/dcc:calibrationLaboratory/dcc:calibrationLaboratoryCode",
@@ -50,17 +50,17 @@ class Amendment:
     """The certificate to be replaced, and the reason."""
 
     path: Path  #: The issued certificate, XML or PDF.
-    reason: str  #: Why, in words.
+    reason: str  #: Reason for the replacement.
 
 
 @frozen
 class AmendedCertificate:
     """A certificate that a new one replaces."""
 
-    identifier: str  #: Of the one replaced.
+    identifier: str  #: Identifier of the replaced certificate.
     checksum: str  #: SHA-256 of its XML, hexadecimal.
-    reason: str  #: Why it is replaced.
-    changes: tuple[str, ...] = ()  #: What is otherwise in the new one, in sentences.
+    reason: str  #: Reason for the replacement.
+    changes: tuple[str, ...] = ()  #: Changes in the new certificate, in sentences.
     #: Identifiers of the certificates that the replaced one replaced, newest first.
     earlier: tuple[str, ...] = ()
 
@@ -73,58 +73,58 @@ class AmendedCertificate:
 
 
 def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
-    """Return the statements about a certificate that is replaced, and its XML."""
+    """Return the data of the replaced certificate, and its XML."""
     if not amendment.reason.strip():
         raise CampaignError("certificate", ["`reason`: state why the certificate is replaced"])
     data = read_document(amendment.path)
-    found = read_certificate(data, str(amendment.path))
-    if found.identifier.startswith("DRAFT-"):
+    numbers = read_certificate(data, str(amendment.path))
+    if numbers.identifier.startswith("DRAFT-"):
         raise RecordError(
             f"{amendment.path}: is a draft, which was never issued and cannot be amended"
         )
     checksum = hashlib.sha256(data).hexdigest()
     reason = " ".join(amendment.reason.split())
-    amended = AmendedCertificate(found.identifier, checksum, reason, earlier=found.replaced)
+    amended = AmendedCertificate(numbers.identifier, checksum, reason, earlier=numbers.replaced)
     return amended, data
 
 
 def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
-    """Refuse an identifier that the amended certificate or one before it has.
+    """Refuse the identifier of the amended certificate or of an earlier one.
 
-    Blanks and capitals do not make another identifier.
+    Identifiers that differ only in blanks or capitals count as equal.
     """
-    if _same(identifier, amended.identifier):
-        words = "is the identifier of the amended certificate"
-    elif any(_same(identifier, other) for other in amended.earlier):
-        words = f"is the identifier of a certificate that {amended.identifier} amends"
+    if _is_same_identifier(identifier, amended.identifier):
+        problem = "is the identifier of the amended certificate"
+    elif any(_is_same_identifier(identifier, earlier) for earlier in amended.earlier):
+        problem = f"is the identifier of a certificate that {amended.identifier} amends"
     else:
         return
     raise CampaignError(
-        "certificate.identifier", [f'"{identifier}" {words}; each certificate needs its own']
+        "certificate.identifier", [f'"{identifier}" {problem}; each certificate needs its own']
     )
 
 
-def _same(first: str, second: str) -> bool:
+def _is_same_identifier(first: str, second: str) -> bool:
     keys = ["".join(normalize("NFKC", text).split()).casefold() for text in (first, second)]
     return keys[0] == keys[1]
 
 
-def with_changes(amended: AmendedCertificate, old: bytes, new: bytes) -> AmendedCertificate:
-    """Return the amendment with the other changes in the new certificate's XML."""
-    return replace(amended, changes=tuple(changes(old, new)))
+def record_changes(amended: AmendedCertificate, old: bytes, new: bytes) -> AmendedCertificate:
+    """Return the amendment with the changes between the old and the new XML."""
+    return replace(amended, changes=tuple(describe_changes(old, new)))
 
 
-def changes(old: bytes, new: bytes) -> list[str]:
+def describe_changes(old: bytes, new: bytes) -> list[str]:
     """Return sentences about the differences between two certificates, numbers first."""
     before, after = (read_certificate(data, "the certificate") for data in (old, new))
     return [
-        *_numbers(before, after),
-        *_words(parse(old, "the certificate"), parse(new, "the certificate")),
+        *_number_changes(before, after),
+        *_text_changes(parse(old, "the certificate"), parse(new, "the certificate")),
     ] or ["Nothing but identifier and date of issue."]
 
 
 def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
-    """Return a certificate's statements about the one that it replaces; none without one."""
+    """Return the statements about the replaced certificate; an empty list without one."""
     if amended is None:
         return []
     return [
@@ -136,14 +136,14 @@ def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
 
 
 def amendment_reasons(amended: AmendedCertificate) -> list[str]:
-    """Return why a certificate was replaced, and which certificates it had replaced."""
-    earlier = [f"{EARLIER}{identifier}" for identifier in amended.earlier]
+    """Return the reason of the replacement, and the earlier replaced certificates."""
+    earlier = [f"{EARLIER_PREFIX}{identifier}" for identifier in amended.earlier]
     return [f"Reason: {amended.reason}", *earlier]
 
 
-def check_amends(new: bytes, old: Path, source: str) -> str:
-    """Return the identifier of the certificate that another replaces."""
-    previous = _found(
+def verify_amended(new: bytes, old: Path, source: str) -> str:
+    """Return the identifier of a replaced certificate; RecordError if `new` does not amend it."""
+    previous = _select(
         parse(new, source), f"{_ADMINISTRATIVE}/dcc:coreData/dcc:previousReport/dcc:value"
     )
     data = read_document(old)
@@ -152,7 +152,10 @@ def check_amends(new: bytes, old: Path, source: str) -> str:
     if previous[0].text != hashlib.sha256(data).hexdigest():
         raise RecordError(f"{source}: does not amend {old}, or {old} has been changed since")
     before, after = read_certificate(data, str(old)), read_certificate(new, source)
-    if any(_same(after.identifier, other) for other in (before.identifier, *before.replaced)):
+    if any(
+        _is_same_identifier(after.identifier, earlier)
+        for earlier in (before.identifier, *before.replaced)
+    ):
         raise RecordError(
             f"{source}: has the identifier of {old} or of a certificate that {old} amends: the "
             "amendments return to their beginning; do not rely on any of them"
@@ -160,23 +163,26 @@ def check_amends(new: bytes, old: Path, source: str) -> str:
     return before.identifier
 
 
-def _numbers(before: CertificateNumbers, after: CertificateNumbers) -> Iterator[str]:
-    first, second = _certified(before), _certified(after)
-    for name in dict.fromkeys([*first, *second]):
-        sides = [side[name].coefficients if name in side else {} for side in (first, second)]
-        for symbol in dict.fromkeys([*sides[0], *sides[1]]):
-            was, is_ = (_shown(side.get(symbol)) for side in sides)
-            if sides[0].get(symbol) != sides[1].get(symbol):
-                yield f"{symbol} of {name}: it was {was}, and is {is_}."
+def _number_changes(before: CertificateNumbers, after: CertificateNumbers) -> Iterator[str]:
+    old_values, new_values = _certified_values(before), _certified_values(after)
+    for name in dict.fromkeys([*old_values, *new_values]):
+        versions = [
+            values[name].coefficients if name in values else {}
+            for values in (old_values, new_values)
+        ]
+        for symbol in dict.fromkeys([*versions[0], *versions[1]]):
+            old_text, new_text = (_format_coefficient(values.get(symbol)) for values in versions)
+            if versions[0].get(symbol) != versions[1].get(symbol):
+                yield f"{symbol} of {name}: it was {old_text}, and is {new_text}."
 
 
-def _certified(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
+def _certified_values(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
     """Return the accelerometers and the triad that have certified values."""
     triad = certified.triad
     return certified.accelerometers | ({"the triad": triad.parameters} if triad else {})
 
 
-def _shown(coefficient: Any) -> str:
+def _format_coefficient(coefficient: Any) -> str:
     if coefficient is None:
         return "not certified"
     unit, factor = field_unit(coefficient.unit)
@@ -184,62 +190,62 @@ def _shown(coefficient: Any) -> str:
     return format_estimate(coefficient.value * factor, u * factor, unit)
 
 
-def _words(before: Element, after: Element) -> Iterator[str]:
-    for part, path in _PARTS.items():
-        was, is_ = (_text(root, path) for root in (before, after))
-        if was != is_:
-            yield f"{part}, {_difference(was.split(), is_.split())}."
-    was_said, is_said = (_statements(root) for root in (before, after))
-    for name in dict.fromkeys([*was_said, *is_said]):
-        if was_said.get(name) != is_said.get(name):
-            how = (
+def _text_changes(before: Element, after: Element) -> Iterator[str]:
+    for section, path in _COMPARED_SECTIONS.items():
+        old_text, new_text = (_section_text(root, path) for root in (before, after))
+        if old_text != new_text:
+            yield f"{section}, {_difference(old_text.split(), new_text.split())}."
+    old_statements, new_statements = (_statements(root) for root in (before, after))
+    for name in dict.fromkeys([*old_statements, *new_statements]):
+        if old_statements.get(name) != new_statements.get(name):
+            change = (
                 "is new"
-                if name not in was_said
+                if name not in old_statements
                 else "is gone"
-                if name not in is_said
+                if name not in new_statements
                 else "reads otherwise"
             )
-            yield f'the statement "{name}" {how}.'
+            yield f'the statement "{name}" {change}.'
 
 
 def _statements(root: Element) -> dict[str, str]:
-    found = _found(root, f"{_ADMINISTRATIVE}/dcc:statements/dcc:statement")
-    said: dict[str, str] = {}
-    for statement in found:
+    elements = _select(root, f"{_ADMINISTRATIVE}/dcc:statements/dcc:statement")
+    texts: dict[str, str] = {}
+    for statement in elements:
         name = " ".join(statement[0].itertext()).strip()
         if name != "Amendment":
-            said[name] = said.get(name, "") + _joined(statement)
-    return said
+            texts[name] = texts.get(name, "") + _element_text(statement)
+    return texts
 
 
-def _text(root: Element, path: str) -> str:
-    return "; ".join(_joined(element) for element in _found(root, path))
+def _section_text(root: Element, path: str) -> str:
+    return "; ".join(_element_text(element) for element in _select(root, path))
 
 
-def _joined(element: Element) -> str:
+def _element_text(element: Element) -> str:
     return " ".join(" ".join(element.itertext()).split())
 
 
-#: Characters of a changed text that are repeated.
-_SHOWN: Final = 120
+#: Maximum length of a quoted text, in characters.
+_MAX_QUOTED: Final = 120
 
 
-def _difference(was: list[str], is_: list[str]) -> str:
+def _difference(old: list[str], new: list[str]) -> str:
     """Return the old and the new words, without the words common to the start and the end."""
-    same = 0
-    while same < min(len(was), len(is_)) and was[same] == is_[same]:
-        same += 1
-    was, is_ = was[same:], is_[same:]
-    while was and is_ and was[-1] == is_[-1]:
-        was, is_ = was[:-1], is_[:-1]
-    return f"from {_short(' '.join(was))} to {_short(' '.join(is_))}"
+    prefix = 0
+    while prefix < min(len(old), len(new)) and old[prefix] == new[prefix]:
+        prefix += 1
+    old, new = old[prefix:], new[prefix:]
+    while old and new and old[-1] == new[-1]:
+        old, new = old[:-1], new[:-1]
+    return f"from {_quote(' '.join(old))} to {_quote(' '.join(new))}"
 
 
-def _short(words: str) -> str:
+def _quote(words: str) -> str:
     if not words:
         return "nothing"
-    return f'"{words}"' if len(words) <= _SHOWN else f'"{words[:_SHOWN]}..."'
+    return f'"{words}"' if len(words) <= _MAX_QUOTED else f'"{words[:_MAX_QUOTED]}..."'
 
 
-def _found(root: Element, path: str) -> list[Any]:
+def _select(root: Element, path: str) -> list[Any]:
     return list(root.xpath(path, namespaces=NAMESPACES))

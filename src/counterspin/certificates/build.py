@@ -1,7 +1,7 @@
-"""The Digital Calibration Certificate (DCC 3.3.0) of a result: its data, set by a template.
+"""Build the Digital Calibration Certificate (DCC 3.3.0) of a result from a template.
 
-Numbers are written with all digits of a double, so that a machine reads back what was computed;
-`significantDigit` tells where they are to be rounded, and the words beside them are rounded.
+Numbers have all digits of a double, so that a machine reads back the computed values.
+`significantDigit` gives the digit to round to; numbers in the accompanying text are rounded.
 """
 
 from __future__ import annotations
@@ -24,24 +24,31 @@ from counterspin.calibration.pages.triad import parameter_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Correlation
 from counterspin.calibration.si_estimates import SiEstimate
-from counterspin.certificates import wording
-from counterspin.certificates.amendment import PROCEDURE, amendment_reasons
+from counterspin.certificates import certificate_text
+from counterspin.certificates.amendment import HASH_ALGORITHM, amendment_reasons
+from counterspin.certificates.certificate_text import coverage_factor, region_factor
 from counterspin.certificates.conversion import (
+    apply_cmc_floor,
     certified_triad,
+    coefficients_in_si,
     covariance,
-    in_si,
     matrix_dof,
-    output_in_si,
+    output_coefficients_in_si,
     output_lines,
     parameter_line,
-    title,
-    triad_in_si,
-    with_capability,
+    triad_parameters_in_si,
+    triad_title,
 )
 from counterspin.certificates.lab import ITEM_STATES, Lab
-from counterspin.certificates.schema import DCC, NAMESPACES, Element, clean, factor, number
+from counterspin.certificates.schema import (
+    DCC,
+    NAMESPACES,
+    Element,
+    clean_text,
+    format_decimal,
+    format_exact,
+)
 from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
-from counterspin.certificates.wording import coverage_factor, region_factor
 from counterspin.errors import RecordError
 from counterspin.inference.distributions import COVERAGE
 from counterspin.physics.terms import SHARED_TERMS
@@ -61,14 +68,16 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
     if (refused := refusal(judge_result(result), names)) is not None:
         raise RecordError(refused)
     by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
-    if not any(wording.is_determined(c) for coefficients in by_accelerometer for c in coefficients):
+    if not any(
+        certificate_text.is_determined(c) for coefficients in by_accelerometer for c in coefficients
+    ):
         raise RecordError(
             "the records determine no coefficient of "
             f"{', '.join(names)}: there is nothing to certify"
         )
 
 
-def certificate(
+def build_document(
     result: Result,
     lab: Lab,
     issue: Issue,
@@ -79,10 +88,10 @@ def certificate(
     """Return the root element of the certificate of a result that `check_certifiable` accepts.
 
     verdicts: Conformity of the certified coefficients.
-    pages: The same as PDF, or None.
-    original: The result as its file has it, if it differs from `result`.
+    pages: The certificate as PDF, or None.
+    original: The unmodified result of the file, if it differs from `result`.
     """
-    names, stated = lab.certified(result), with_capability(result, lab)
+    names, stated = lab.certified(result), apply_cmc_floor(result, lab)
     written = _template().render(
         version=__version__,
         schema_version=SCHEMA_VERSION,
@@ -95,21 +104,21 @@ def certificate(
         names=names,
         statements=statements(lab, result, stated, issue, verdicts),
         inputs=[f"{file} {checksum}" for file, checksum in result.provenance.shown],
-        rates=_rates(stated),
+        rates=_reading_rates(stated),
         platform={
             symbol: c
             for symbol, c in stated.platform.items()
-            if symbol in SHARED_TERMS and wording.is_determined(c)
+            if symbol in SHARED_TERMS and certificate_text.is_determined(c)
         },
-        all_together=_all_together(stated, names),
+        joint_covariance=_joint_covariance(stated, names),
         triad=certified_triad(stated, names),
         warnings=_warnings(result, names),
         pages=pages,
     )
     parser = etree.XMLParser(remove_blank_text=True, huge_tree=True, resolve_entities=False)
     root = etree.fromstring(written.encode(), parser)
-    _drop_unlinked(root)
-    _drop_single_languages(root)
+    _remove_unreferenced_ids(root)
+    _remove_lone_languages(root)
     etree.indent(root, " ")
     return root
 
@@ -122,25 +131,25 @@ def to_bytes(root: Element) -> bytes:
 
 @cache
 def _template() -> Template:
-    # Whatever is text is cleaned where it is set; what macros return is set already.
-    made = Environment(
+    # `finalize` cleans plain strings; the output of macros is Markup, which is clean already.
+    environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: clean(value) if type(value) is str else value,
+        finalize=lambda value: clean_text(value) if type(value) is str else value,
     )
-    made.filters |= {
-        "paragraphs": lambda lines: Markup("\n").join(map(clean, lines)),
-        "number": number,
-        "factor": factor,
+    environment.filters |= {
+        "paragraphs": lambda lines: Markup("\n").join(map(clean_text, lines)),
+        "number": format_exact,
+        "factor": format_decimal,
         "times": lambda values, by: [value * by for value in values],
-        "plainly": wording.without_plus_minus,
+        "plainly": certificate_text.replace_plus_minus,
         "base64": lambda data: b64encode(data).decode("ascii"),
     }
-    made.globals |= {
-        "wording": wording,
-        "PROCEDURE": PROCEDURE,
+    environment.globals |= {
+        "certificate_text": certificate_text,
+        "HASH_ALGORITHM": HASH_ALGORITHM,
         "amendment_reasons": amendment_reasons,
         "COVERAGE": COVERAGE,
         "ITEM_STATES": ITEM_STATES,
@@ -148,14 +157,14 @@ def _template() -> Template:
         "ONE": SiUnit().text,
         "coverage_factor": coverage_factor,
         "significant_digit": _significant_digit,
-        "release": _release,
+        "dcc_version": _dcc_version,
         "si": lambda unit: si_unit(unit)[0].text,
         "to_si": to_si,
-        "in_si": in_si,
-        "output_in_si": output_in_si,
-        "together": _together,
-        "triad_title": title,
-        "triad_in_si": triad_in_si,
+        "coefficients_in_si": coefficients_in_si,
+        "output_coefficients_in_si": output_coefficients_in_si,
+        "covariance_data": _covariance_data,
+        "triad_title": triad_title,
+        "triad_parameters_in_si": triad_parameters_in_si,
         "triad_output": output_lines,
         "matrix_dof": matrix_dof,
         "parameter_line": parameter_line,
@@ -163,13 +172,13 @@ def _template() -> Template:
         "item_id": item_id,
     }
     assets = resources.files("counterspin.certificates") / "assets"
-    return made.from_string((assets / "certificate.xml.jinja").read_text(encoding="utf-8"))
+    return environment.from_string((assets / "certificate.xml.jinja").read_text(encoding="utf-8"))
 
 
-def _release(version: str) -> str:
+def _dcc_version(version: str) -> str:
     """Return a version's release in the form that the DCC requires, such as v1.2.3."""
-    found = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", version)
-    return f"v{found[0] if found else version}"
+    match = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", version)
+    return f"v{match[0] if match else version}"
 
 
 def _significant_digit(value: float, u: float) -> int | None:
@@ -177,34 +186,34 @@ def _significant_digit(value: float, u: float) -> int | None:
     return None if rounded is None else rounded.place
 
 
-def _rates(result: Result) -> list[tuple[str, float]]:
+def _reading_rates(result: Result) -> list[tuple[str, float]]:
     """Return name and rate in rad/s of each reading that was taken during rotation."""
     every = (one for readings in readings_of(result).values() for one in readings)
     return list(dict.fromkeys((reading.name, reading.rate) for reading in every if reading.rate))
 
 
-def _all_together(result: Result, names: Sequence[str]) -> dict[str, Any] | None:
+def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | None:
     """Return the covariance across accelerometers, caused by g, radius and platform."""
     if len(names) < 2:
         return None
-    return _together(
+    return _covariance_data(
         result.correlation,
         {
             f"{name}.{symbol}": estimate
             for name in names
-            for symbol, estimate in in_si(result, name).items()
+            for symbol, estimate in coefficients_in_si(result, name).items()
         },
     )
 
 
-def _together(
+def _covariance_data(
     correlation: Correlation | None, estimates: Mapping[str, SiEstimate]
 ) -> dict[str, Any] | None:
     """Return the covariance of the certified coefficients, if there are two or more."""
     symbols = [s for s in (correlation.terms if correlation else ()) if s in estimates]
     if correlation is None or len(symbols) < 2:
         return None
-    # The fewest of several degrees of freedom: the region is then rather too large.
+    # Use the smallest degrees of freedom: the region is then too large rather than too small.
     dof = min((d for s in symbols if (d := estimates[s].dof) is not None), default=None)
     return {
         "symbols": symbols,
@@ -235,10 +244,10 @@ def _warnings(result: Result, names: Sequence[str]) -> list[str]:
             warning if warning.startswith(name) else f"{name}: {warning}"
             for warning in result.accelerometers[name].warnings
         ]
-    return [f"Warning: {wording.without_plus_minus(line)}" for line in lines]
+    return [f"Warning: {certificate_text.replace_plus_minus(line)}" for line in lines]
 
 
-def _drop_unlinked(root: Element) -> None:
+def _remove_unreferenced_ids(root: Element) -> None:
     """Remove each id without a reference, as PTB's rules require."""
     named = {name for element in root.iter() for name in element.get("refId", "").split()}
     for element in root.iter():
@@ -246,7 +255,7 @@ def _drop_unlinked(root: Element) -> None:
             del element.attrib["id"]
 
 
-def _drop_single_languages(root: Element) -> None:
+def _remove_lone_languages(root: Element) -> None:
     """Remove the language of text that exists in only one of two languages.
 
     PTB's rules require text in every language that is used, or text without a language.

@@ -1,4 +1,4 @@
-"""The numbers that a certificate states: in SI, and U not below the laboratory's capability.
+"""Conversion of a certificate's numbers to SI, with U not below the laboratory's capability.
 
 The capability (CMC) is the smallest uncertainty that the laboratory may state. In SI the
 uncertainty of g contributes only the part that remains after the conversion.
@@ -21,10 +21,10 @@ from counterspin.calibration.si_estimates import (
     own_estimate,
     si_estimate,
 )
-from counterspin.certificates import wording
+from counterspin.certificates import certificate_text
+from counterspin.certificates.certificate_text import coverage_factor
 from counterspin.certificates.lab import Lab
-from counterspin.certificates.schema import factor
-from counterspin.certificates.wording import coverage_factor
+from counterspin.certificates.schema import format_decimal
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.reports.blocks import Column, Table
 from counterspin.reports.numbers import (
@@ -36,11 +36,11 @@ from counterspin.reports.numbers import (
 from counterspin.units import si_unit, to_si
 
 
-def in_si(result: Result, name: str) -> dict[str, SiEstimate]:
+def coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     """Return the determined coefficients of an accelerometer in SI units."""
     estimates = {}
     for symbol, c in result.accelerometers[name].coefficients.items():
-        if wording.is_determined(c):
+        if certificate_text.is_determined(c):
             assert c.value is not None
             assert c.u is not None
             gravity = result.gravity_of(name, symbol)
@@ -48,11 +48,11 @@ def in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     return estimates
 
 
-#: What is stated in the unit of the readings too -> the coefficient that it is a multiple of.
-OUTPUT: Final = {"bias": "K_F", "scale_factor": "K_I"}
+#: Output quantity in the unit of the readings -> the coefficient that it is a multiple of.
+OUTPUT_COEFFICIENTS: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
 
-def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
+def output_coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     """Return bias and scale factor in the SI unit of an accelerometer's readings.
 
     Omit those whose unit has no expression in SI.
@@ -60,52 +60,56 @@ def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     accelerometer = result.accelerometers[name]
     estimates = {}
     for key, c in accelerometer.output.items():
-        symbol = OUTPUT[key]
-        own = accelerometer.coefficients.get(symbol)
-        if own is None or not wording.is_determined(c):
+        symbol = OUTPUT_COEFFICIENTS[key]
+        unit = accelerometer.coefficients.get(symbol)
+        if unit is None or not certificate_text.is_determined(c):
             continue
         assert c.value is not None
         assert c.u is not None
         gravity = result.gravity_of(name, symbol)
-        # Both moved by g alike: one is the other times the nominal sensitivity, which is exact.
+        # g shifts both equally: one equals the other times the nominal sensitivity, which is exact.
         if accelerometer.nominal is not None:
-            times = accelerometer.nominal.sensitivity
+            scale = accelerometer.nominal.sensitivity
         else:
-            times = c.value / own.value if own.value else c.u / (own.u or math.inf)
-        moved = replace(gravity, sensitivity=gravity.sensitivity * times)
+            scale = c.value / unit.value if unit.value else c.u / (unit.u or math.inf)
+        value = replace(gravity, sensitivity=gravity.sensitivity * scale)
         with suppress(ValueError):
-            estimates[key] = own_estimate(c.value, c.u, c.unit, c.dof, moved)
+            estimates[key] = own_estimate(c.value, c.u, c.unit, c.dof, value)
     return estimates
 
 
-def with_exact_g(coefficients: Mapping[str, Coefficient], gravity: float) -> dict[str, SiEstimate]:
+def to_si_with_exact_g(
+    coefficients: Mapping[str, Coefficient], gravity: float
+) -> dict[str, SiEstimate]:
     """Return coefficients in SI units, with g (m/s^2) taken as exact."""
     return {
-        symbol: c.to_si(gravity) for symbol, c in coefficients.items() if wording.is_determined(c)
+        symbol: c.to_si(gravity)
+        for symbol, c in coefficients.items()
+        if certificate_text.is_determined(c)
     }
 
 
 def covariance(
-    correlation: Correlation, estimates: Mapping[str, SiEstimate], one: str, other: str
+    correlation: Correlation, estimates: Mapping[str, SiEstimate], symbol: str, other_symbol: str
 ) -> float:
     """Return the covariance of two coefficients in SI units.
 
-    correlation: Of the two in g-units.
+    correlation: Correlation of the coefficients in g-units.
     """
-    first, second = estimates[one], estimates[other]
-    if one == other:
-        # The correlation is 1, but perhaps not in its last digit.
+    first, second = estimates[symbol], estimates[other_symbol]
+    if symbol == other_symbol:
+        # A stored correlation of 1 may be inexact in its last digit.
         return first.u * first.u
     terms, matrix = correlation.terms, correlation.matrix
     # The product must not depend on the order: the matrix is symmetric to the last digit.
-    places = sorted((terms.index(one), terms.index(other)))
+    indices = sorted((terms.index(symbol), terms.index(other_symbol)))
     u = [math.hypot(estimate.u_without_g, estimate.shift_kept) for estimate in (first, second)]
-    together = matrix[places[1]][places[0]] * (u[0] * u[1])
+    together = matrix[indices[1]][indices[0]] * (u[0] * u[1])
     return together + first.shift * second.shift - first.shift_kept * second.shift_kept
 
 
-#: How the whole certificate begins what a triad is called.
-TITLE: Final = "Triad "
+#: Prefix of a triad's title in the certificate.
+TRIAD_TITLE_PREFIX: Final = "Triad "
 
 
 def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
@@ -114,41 +118,41 @@ def certified_triad(result: Result, names: Sequence[str]) -> TriadResult | None:
     return None if triad is None or not set(triad.accelerometers) <= set(names) else triad
 
 
-def title(triad: TriadResult) -> str:
-    """Return the triad's title in the whole certificate."""
-    return TITLE + ", ".join(triad.accelerometers)
+def triad_title(triad: TriadResult) -> str:
+    """Return the triad's title in the certificate."""
+    return TRIAD_TITLE_PREFIX + ", ".join(triad.accelerometers)
 
 
-def triad_in_si(result: Result, triad: TriadResult) -> dict[str, SiEstimate]:
+def triad_parameters_in_si(result: Result, triad: TriadResult) -> dict[str, SiEstimate]:
     """Return the determined parameters in SI units."""
-    return _in_si(result, triad, triad.parameters)
+    return _parameters_in_si(result, triad, triad.parameters)
 
 
-def shown_in_si(
+def displayed_parameters(
     result: Result, triad: TriadResult
 ) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
-    """Return the determined parameters by their words, in g-units and in SI, as pages show them."""
+    """Return the determined parameters by description, in g-units and in SI, as shown."""
     shown = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
-    in_si = _in_si(result, triad, {name: c for name, (_, c) in shown.items()})
+    in_si = _parameters_in_si(result, triad, {name: c for name, (_, c) in shown.items()})
     return dict(shown.values()), {shown[name][0]: estimate for name, estimate in in_si.items()}
 
 
-def _in_si(
+def _parameters_in_si(
     result: Result, triad: TriadResult, parameters: Mapping[str, Coefficient]
 ) -> dict[str, SiEstimate]:
-    found, inputs = {}, result.inputs
+    estimates, inputs = {}, result.inputs
     for name, c in parameters.items():
-        if wording.is_determined(c):
+        if certificate_text.is_determined(c):
             assert c.value is not None
             assert c.u is not None
             by_g = triad.by_gravity.get(name, 0.0)
             gravity = StatedGravity(inputs.gravity, inputs.u_gravity, by_g)
-            found[name] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
-    return found
+            estimates[name] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
+    return estimates
 
 
 def matrix_dof(triad: TriadResult) -> float | None:
-    """Return the degrees of freedom of the matrix: the fewest of its parameters."""
+    """Return the degrees of freedom of the matrix: the smallest of its parameters."""
     made = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
     return min((c.dof for c in made if c.dof is not None), default=None)
 
@@ -174,9 +178,10 @@ def triad_lines(triad: TriadResult) -> list[str]:
             f"the specific force, the local gravity, was taken as known.{rms}"
         )
     lines += [
-        f"{parameter_words(name)}: {wording.why_not_determined(c)}; no value is certified."
+        f"{parameter_words(name)}: {certificate_text.undetermined_reason(c)}; "
+        "no value is certified."
         for name, c in triad.parameters.items()
-        if not wording.is_determined(c)
+        if not certificate_text.is_determined(c)
     ]
     return lines
 
@@ -191,12 +196,15 @@ def output_table(
     rows = zip("xyz", matrix, expanded, strict=True)
     return Table(
         (Column("M ± U"), *(Column(name, "right") for name in names), Column("k", "right")),
-        tuple((f"f_{axis}", *map(_element, row, own), factor(k)) for axis, row, own in rows),
+        tuple(
+            (f"f_{axis}", *map(_format_element, row, expanded_row), format_decimal(k))
+            for axis, row, expanded_row in rows
+        ),
     )
 
 
-def _element(value: float, expanded: float) -> str:
-    """Return an element of a matrix, with U if it has one; zeros by choice have none."""
+def _format_element(value: float, expanded: float) -> str:
+    """Return an element of a matrix, with U if it has one; fixed zeros have none."""
     return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
 
 
@@ -205,8 +213,9 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
     words, c = shown_parameter(name, parameter)
     k = coverage_factor(c.dof)
     whole = "the whole angle is " if c.value != parameter.value else ""
-    stated = wording.stated_in(si_unit(c.unit)[0])
-    return f"{words} = {wording.shown_in_g(c, k)} (U, k = {factor(k)}); {whole}{stated}"
+    stated = certificate_text.unit_remark(si_unit(c.unit)[0])
+    estimate = f"{certificate_text.format_in_g_units(c, k)} (U, k = {format_decimal(k)})"
+    return f"{words} = {estimate}; {whole}{stated}"
 
 
 def output_lines(result: Result, triad: TriadResult) -> list[str]:
@@ -229,7 +238,7 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
 # Capability
 
 
-def with_capability(result: Result, lab: Lab) -> Result:
+def apply_cmc_floor(result: Result, lab: Lab) -> Result:
     """Return the result with each expanded uncertainty at least the laboratory's CMC.
 
     The added variance is independent of all others (ILAC-P14:09/2020, 5.4): covariances stay, and
@@ -238,7 +247,7 @@ def with_capability(result: Result, lab: Lab) -> Result:
     if not lab.cmc:
         return result
     factors = {
-        f"{name}.{symbol}": _enlarged(result, lab, name, symbol)
+        f"{name}.{symbol}": _cmc_factor(result, lab, name, symbol)
         for name, accelerometer in result.accelerometers.items()
         for symbol in accelerometer.coefficients
     }
@@ -246,14 +255,14 @@ def with_capability(result: Result, lab: Lab) -> Result:
         name: accelerometer.model_copy(
             update={
                 "coefficients": {
-                    symbol: _times(c, factors[f"{name}.{symbol}"])
+                    symbol: _scale_u(c, factors[f"{name}.{symbol}"])
                     for symbol, c in accelerometer.coefficients.items()
                 },
                 "output": {
-                    key: _times(c, factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0))
+                    key: _scale_u(c, factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0))
                     for key, c in accelerometer.output.items()
                 },
-                "correlation": _weaker(
+                "correlation": _rescale_correlation(
                     accelerometer.correlation,
                     {s: factors[f"{name}.{s}"] for s in accelerometer.coefficients},
                 ),
@@ -264,42 +273,48 @@ def with_capability(result: Result, lab: Lab) -> Result:
     return result.model_copy(
         update={
             "accelerometers": accelerometers,
-            "correlation": _weaker(result.correlation, factors),
-            "triad": None if result.triad is None else _triad(result, result.triad, lab),
+            "correlation": _rescale_correlation(result.correlation, factors),
+            "triad": None
+            if result.triad is None
+            else _apply_cmc_floor_to_triad(result, result.triad, lab),
         }
     )
 
 
-#: Kind of a triad's parameter -> the terms by whose capability it is raised.
-_RAISED_BY: Final = {
+#: Type of a triad's parameter -> the terms whose CMC limits it.
+_CMC_TERMS: Final = {
     "offset": ("K_F",),
     "sensitivity": ("K_I",),
     "angle": ("delta_O", "delta_P"),
 }
 
 
-def _triad(result: Result, triad: TriadResult, lab: Lab) -> TriadResult:
+def _apply_cmc_floor_to_triad(result: Result, triad: TriadResult, lab: Lab) -> TriadResult:
     """Return a triad with U not below the values that the laboratory states for its terms."""
     g = StatedGravity(result.inputs.gravity, result.inputs.u_gravity)
     factors = {}
     for name, c in triad.parameters.items():
         kind, _, symbol = name.partition(".")
-        every = [lab.capability(s, g.value) for s in _RAISED_BY.get(kind, (symbol,))]
+        every = [lab.capability(s, g.value) for s in _CMC_TERMS.get(kind, (symbol,))]
         least = max((one for one in every if one is not None), default=None)
-        factors[name] = _factor(c, least, replace(g, sensitivity=triad.by_gravity.get(name, 0.0)))
-    # Of the matrix no capability is stated: it grows as what makes it grows most.
+        factors[name] = _estimate_factor(
+            c, least, replace(g, sensitivity=triad.by_gravity.get(name, 0.0))
+        )
+    # No CMC is stated for the matrix: its u grows by the largest factor of its parameters.
     most = max((f for name, f in factors.items() if not name.startswith("offset.")), default=1.0)
     matrix = triad.u_matrix and [[most * u for u in row] for row in triad.u_matrix]
     return triad.model_copy(
         update={
             "u_matrix": matrix,
-            "parameters": {name: _times(c, factors[name]) for name, c in triad.parameters.items()},
-            "correlation": _weaker(triad.correlation, factors),
+            "parameters": {
+                name: _scale_u(c, factors[name]) for name, c in triad.parameters.items()
+            },
+            "correlation": _rescale_correlation(triad.correlation, factors),
         }
     )
 
 
-def capability_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
+def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
     """Return a sentence for each coefficient whose uncertainty the CMC made larger.
 
     lab: The laboratory's data.
@@ -327,19 +342,22 @@ def capability_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
     return lines
 
 
-def _enlarged(result: Result, lab: Lab, name: str, symbol: str) -> float:
+def _cmc_factor(result: Result, lab: Lab, name: str, symbol: str) -> float:
     """Return the factor by which u must grow, in g-units: 1 if it is large enough."""
     c = result.accelerometers[name].coefficients[symbol]
     least = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
-    return _factor(c, least, result.gravity_of(name, symbol))
+    return _estimate_factor(c, least, result.gravity_of(name, symbol))
 
 
-def _factor(c: Coefficient, least: float | None, g: StatedGravity) -> float:
-    """Return the factor of an estimate, with the least U in its unit; None: none is stated."""
+def _estimate_factor(c: Coefficient, least: float | None, g: StatedGravity) -> float:
+    """Return the factor by which u of an estimate must grow to reach the smallest U.
+
+    least: Smallest U, in the unit of the estimate; None: not stated.
+    """
     if least is None or not c.u or c.value is None:
         return 1.0
     estimate = si_estimate(c.value, c.u, c.unit, c.dof, g)
-    # In SI the uncertainty of g may count for less: there too U must not fall below.
+    # In SI the uncertainty of g may contribute less; U must not fall below the limit there either.
     lacking = max(
         (least / coverage_factor(dof)) ** 2 - u**2
         for u, dof in (
@@ -350,18 +368,20 @@ def _factor(c: Coefficient, least: float | None, g: StatedGravity) -> float:
     return math.sqrt(1.0 + max(lacking, 0.0) / c.u**2)
 
 
-def _times(coefficient: Coefficient, factor: float) -> Coefficient:
+def _scale_u(coefficient: Coefficient, factor: float) -> Coefficient:
     if factor == 1.0 or coefficient.u is None:
         return coefficient
     return coefficient.model_copy(update={"u": coefficient.u * factor})
 
 
-def _weaker(correlation: Correlation | None, factors: Mapping[str, float]) -> Correlation | None:
+def _rescale_correlation(
+    correlation: Correlation | None, factors: Mapping[str, float]
+) -> Correlation | None:
     if correlation is None:
         return None
-    by = [factors.get(term, 1.0) for term in correlation.terms]
+    row_factors = [factors.get(term, 1.0) for term in correlation.terms]
     matrix = [
-        [r if i == j else r / (by[i] * by[j]) for j, r in enumerate(row)]
+        [r if i == j else r / (row_factors[i] * row_factors[j]) for j, r in enumerate(row)]
         for i, row in enumerate(correlation.matrix)
     ]
     return correlation.model_copy(update={"matrix": matrix})

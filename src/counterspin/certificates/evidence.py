@@ -14,7 +14,7 @@ from typing import Final
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import TABLE, is_term, symbol_of
 
-#: As a key, or as what is assumed: everything that is not stated.
+#: Key of [evidence], or name in `assume`, for all unstated terms.
 ALL: Final = "all"
 
 
@@ -27,9 +27,10 @@ def _covers(key: str, name: str) -> bool:
     """Return whether a key of [evidence] covers an assumed term."""
     if key == ALL:
         return True
-    own = name if _is_pattern(name) else symbol_of(name)
+    term = name if _is_pattern(name) else symbol_of(name)
     return any(
-        fnmatchcase(one, key) or one.startswith(f"{key}.") for one in dict.fromkeys((name, own))
+        fnmatchcase(candidate, key) or candidate.startswith(f"{key}.")
+        for candidate in dict.fromkeys((name, term))
     )
 
 
@@ -37,11 +38,11 @@ def _is_pattern(name: str) -> bool:
     return any(sign in name for sign in "*?[")
 
 
-def is_evidence_for_something(key: str, accelerometers: Collection[str]) -> bool:
-    """Return whether a key names a term or several, of these accelerometers or of the machine."""
+def names_terms(key: str, accelerometers: Collection[str]) -> bool:
+    """Return whether a key names terms of these accelerometers or of the machine."""
     owner, _, rest = key.partition(".")
     if owner in accelerometers and rest and not is_term(key):
-        return is_evidence_for_something(rest, ())
+        return names_terms(rest, ())
     return key == ALL or is_term(key) or any(_covers(key, symbol) for symbol in TABLE)
 
 
@@ -53,7 +54,7 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lacking = terms_without_evidence(assumed, evidence)
     if not lacking:
         return
-    # What several begin with stands for all of them.
+    # A common prefix stands for several terms.
     lacking = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in lacking))
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (

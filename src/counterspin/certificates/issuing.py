@@ -1,4 +1,4 @@
-"""Make a result's certificate, write its file, and read the numbers of a file."""
+"""Issue a result's certificate, write its file, and check an existing one."""
 
 from __future__ import annotations
 
@@ -15,28 +15,34 @@ from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
     AmendedCertificate,
     Amendment,
-    check_amends,
     check_new_identifier,
     read_amended,
-    with_changes,
+    record_changes,
+    verify_amended,
 )
-from counterspin.certificates.build import certificate as dcc_document
+from counterspin.certificates.build import build_document as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
-from counterspin.certificates.conversion import output_table, with_capability, with_exact_g
-from counterspin.certificates.evidence import require_evidence
-from counterspin.certificates.front import TITLE, front_blocks, results_table, title
-from counterspin.certificates.lab import Lab, example_keys, read_lab
-from counterspin.certificates.ledger import IssueDetails, checksum_of, enter_certificate
-from counterspin.certificates.reading import (
+from counterspin.certificates.certificate_reader import (
     CertificateNumbers,
     is_pdf,
     read_certificate,
     read_document,
     verify_pages,
 )
+from counterspin.certificates.conversion import apply_cmc_floor, output_table, to_si_with_exact_g
+from counterspin.certificates.evidence import require_evidence
+from counterspin.certificates.lab import Lab, example_keys, read_lab
+from counterspin.certificates.ledger import IssueDetails, checksum_of, record_certificate
+from counterspin.certificates.pdf_pages import TITLE, page_blocks, page_title, results_table
 from counterspin.certificates.schema import check_schema
-from counterspin.certificates.signature import PagesSignature, is_signed, sign, sign_pages, verify
-from counterspin.certificates.signers import KeyFile, Signer, certificates_in
+from counterspin.certificates.signature import (
+    PdfSignatureStatus,
+    is_signed,
+    sign,
+    sign_pages,
+    verify,
+)
+from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
 from counterspin.certificates.statements import Issue, Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
@@ -46,7 +52,7 @@ from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
 from counterspin.reports.publication import issue_date
 
-#: Endings of the files that are written.
+#: Suffixes of certificate files.
 FORMATS: Final = (".xml", ".pdf")
 
 
@@ -111,7 +117,7 @@ class Certificate:
             was altered, or has this identifier with other content. Then nothing is written.
         """
         path = Path(path)
-        check_place(path)
+        check_output_path(path)
         data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
         self._write(path, data, ledger, self.entry)
         return path
@@ -119,67 +125,70 @@ class Certificate:
     def write_both(self, path: Path | str, *, ledger: Path | None = None) -> list[Path]:
         """Write XML and PDF with the same signature; return their paths.
 
-        The finished PDF lies hidden beside its place before the XML gets its name. So the same
-        call completes what an interrupted one began, on any day and without the same signature.
+        The finished PDF is staged under a hidden name before the XML is published. Therefore the
+        same call completes an interrupted one, on any day and with another signature.
 
         Parameters
         ----------
         path
             One of the two files; the other differs in the ending of its name.
         ledger
-            As of `write`.
+        The ledger of the entry, as for `write`.
 
         Raises
         ------
         CampaignError
             If the name ends otherwise.
         CounterspinError
-            As of `write`; or if the XML stands and is not that of an interrupted call.
+            As for `write`; or if the XML exists and is not that of an interrupted call.
         """
         path = Path(path)
-        check_places(path)
+        check_output_paths(path)
         xml, pdf = _xml_and_pdf(path)
         if not xml.is_file():
             data = self.pdf()
-            waiting = self._waiting_pdf(pdf, self.xml)
-            write_whole(waiting, lambda part: part.write_bytes(data), overwrite=True)
+            staged_pdf = self._staged_pdf_path(pdf, self.xml)
+            write_whole(staged_pdf, lambda part: part.write_bytes(data), overwrite=True)
             self.write(xml, ledger=ledger)
-        standing = read_document(xml)
-        waiting = self._waiting_pdf(pdf, standing)
-        if not (waiting.is_file() and read_document(waiting) == standing):
+        published_xml = read_document(xml)
+        staged_pdf = self._staged_pdf_path(pdf, published_xml)
+        if not (staged_pdf.is_file() and read_document(staged_pdf) == published_xml):
             raise CounterspinError(
                 f"{xml} exists and its PDF was not begun by this command; a certificate never "
                 "replaces a file: choose another name"
             )
-        data = read_file(waiting)
-        self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(standing)})
-        for part in waiting.parent.glob(self._waiting_pdf(pdf, None).name):
+        data = read_file(staged_pdf)
+        self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(published_xml)})
+        for part in staged_pdf.parent.glob(self._staged_pdf_path(pdf, None).name):
             part.unlink(missing_ok=True)
-        return [path, other_kind(path)]
+        return [path, paired_path(path)]
 
-    def _waiting_pdf(self, pdf: Path, xml: bytes | None) -> Path:
-        """Return the hidden path of a finished PDF before its XML is published; None: any XML."""
-        own = checksum_of(self.identifier.encode("utf-8", "surrogatepass"))[:16]
-        return pdf.resolve().parent / f".{own}-{checksum_of(xml)[:16] if xml else '*'}.pdf"
+    def _staged_pdf_path(self, pdf: Path, xml: bytes | None) -> Path:
+        """Return the staging path of a PDF; a pattern for any XML if `xml` is None."""
+        identifier_hash = checksum_of(self.identifier.encode("utf-8", "surrogatepass"))[:16]
+        return (
+            pdf.resolve().parent / f".{identifier_hash}-{checksum_of(xml)[:16] if xml else '*'}.pdf"
+        )
 
     def _write(
         self, path: Path, data: bytes, ledger: Path | None, entry: Mapping[str, str]
     ) -> None:
         """Write bytes to a file, after their entry in the ledger if there is one."""
-        kept = None if self.draft else ledger or self.ledger
-        if kept is None:
+        ledger_path = None if self.draft else ledger or self.ledger
+        if ledger_path is None:
             write_whole(path, lambda part: part.write_bytes(data))
             return
-        said = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
-        earlier = enter_certificate(kept, path, data, entry, said)
-        if earlier is not None:
+        details = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
+        earlier_entry = record_certificate(ledger_path, path, data, entry, details)
+        if earlier_entry is not None:
             self.notes.append(
                 f"An interrupted command had already entered certificate {self.identifier} on "
-                f"{earlier.when}: {path} is the certificate of that entry ({earlier.number})."
+                f"{earlier_entry.when}: {path} is the certificate of that entry "
+                f"({earlier_entry.number})."
             )
 
 
-def check_place(output: Path) -> None:
+def check_output_path(output: Path) -> None:
     """Refuse a name with another ending, and the name of an existing file."""
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: end the name of the file in .xml or .pdf"])
@@ -191,23 +200,23 @@ def check_place(output: Path) -> None:
     reserve(output)
 
 
-def check_places(output: Path) -> None:
-    """Refuse places of XML and PDF as `check_place`; an interrupted call may have left the XML."""
+def check_output_paths(output: Path) -> None:
+    """Check the paths of XML and PDF as `check_output_path` does; an existing XML is accepted."""
     if output.suffix.lower() not in FORMATS:
-        check_place(output)
+        check_output_path(output)
     xml, pdf = _xml_and_pdf(output)
     if not xml.is_file():
-        check_place(xml)
-    check_place(pdf)
+        check_output_path(xml)
+    check_output_path(pdf)
 
 
 def _xml_and_pdf(output: Path) -> tuple[Path, Path]:
     """Return the paths of a certificate's XML and PDF, one of which is given."""
-    places = output, other_kind(output)
+    places = output, paired_path(output)
     return places if output.suffix.lower() == ".xml" else places[::-1]
 
 
-def other_kind(output: Path) -> Path:
+def paired_path(output: Path) -> Path:
     """Return the name of the PDF next to a certificate's XML, or of the XML next to its PDF."""
     return output.with_suffix(next(f for f in FORMATS if f != output.suffix.lower()))
 
@@ -275,26 +284,26 @@ def certificate(
         if isinstance(result, Result):
             raise
         raise RecordError(f"{result}: {error}") from error
-    if (problem := _seal_problem(original, accept_unsealed)) is not None:
+    if (problem := _unsealed_error(original, accept_unsealed)) is not None:
         source = "the result" if isinstance(result, Result) else str(result)
         raise RecordError(f"{source}: {problem}")
     source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
     require_evidence(original.assumed, data.evidence, source)
     amended, old = (None, b"") if amends is None else read_amended(amends)
     accepted = tuple(reason for reason in (accept_misfit, accept_unsealed) if reason is not None)
-    issue = _issue(data, original, amended, accepted, signed=signer is not None)
+    issue = _make_issue(data, original, amended, accepted, signed=signer is not None)
     issue = replace(issue, accepted_unsealed=accept_unsealed)
     if issue.draft and signer is not None:
-        raise CampaignError(source, [_example_words(example_keys(data))])
+        raise CampaignError(source, [_example_text_error(example_keys(data))])
     if callable(signer):
         signer = signer()
-    certified = with_capability(judged, data)
+    certified = apply_cmc_floor(judged, data)
     if specifications is not None:
         certified = with_conformity(certified, specifications)
     verdicts = {name: certified.accelerometers[name].conformity for name in names}
     if amended is not None:
         new = to_bytes(dcc_document(judged, data, issue, verdicts, None, original))
-        issue = replace(issue, amended=with_changes(amended, old, new))
+        issue = replace(issue, amended=record_changes(amended, old, new))
     pages = _pages(data, judged, issue, verdicts)
     root = dcc_document(judged, data, issue, verdicts, pages, original)
     xml = to_bytes(root if signer is None else sign(root, signer))
@@ -320,7 +329,7 @@ def certificate(
     )
 
 
-def _example_words(keys: list[str]) -> str:
+def _example_text_error(keys: list[str]) -> str:
     return f"{', '.join(keys)}: still example text; replace it before signing"
 
 
@@ -336,7 +345,7 @@ def _ledger(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
 
 
 def _reason(issue: Issue, result: Result) -> str:
-    """Return why a certificate is issued, and the reasons for every exception."""
+    """Return the reason of issue, with the reasons of all exceptions."""
     reason = "issued" if issue.amended is None else issue.amended.reason
     if result.accepted_misfit is not None:
         reason += f"; the misfit was accepted: {result.accepted_misfit}"
@@ -345,8 +354,8 @@ def _reason(issue: Issue, result: Result) -> str:
     return reason
 
 
-def _seal_problem(result: Result, accept_unsealed: str | None) -> str | None:
-    """Return why the file of a result may not be certified; None if it may."""
+def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
+    """Return the error of a result whose file must not be certified; None if it may be."""
     if not result.sealed and accept_unsealed is None:
         return (
             "the file has no seal, so nobody can say whether it was changed after it was written; "
@@ -387,12 +396,12 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
 
 def _identifier(lab: Lab, result: Result, accepted: Sequence[str]) -> str:
     """Return an identifier derived from the bytes of the result and the laboratory's data."""
-    said = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
-    rests_on = (checksum_of(result.content), said, *(accepted or [""]))
+    stated = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
+    rests_on = (checksum_of(result.content), stated, *(accepted or [""]))
     return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
 
 
-def _issue(
+def _make_issue(
     lab: Lab,
     result: Result,
     amended: AmendedCertificate | None,
@@ -407,7 +416,7 @@ def _issue(
         check_new_identifier(identifier, amended)
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
-        # A day: so XML and PDF of a certificate that are made one after the other are the same one.
+        # The date has no time of day, so that XML and PDF made one after the other are identical.
         date=datetime.combine(lab.certificate.issued or issue_date().date(), time(), UTC),
         signed=signed,
         draft=draft,
@@ -420,7 +429,7 @@ def _pages(
 ) -> bytes:
     from counterspin.reports.pdf import Attachment, pdf
 
-    blocks = list(front_blocks(lab, result, issue, verdicts))
+    blocks = list(page_blocks(lab, result, issue, verdicts))
     attachments = []
     if attach is not None:
         attachments.append(
@@ -434,7 +443,7 @@ def _pages(
         )
     data: bytes = pdf(
         blocks,
-        title=title(issue),
+        title=page_title(issue),
         identifier=issue.identifier,
         date=issue.date,
         attachments=attachments,
@@ -442,7 +451,7 @@ def _pages(
     return data
 
 
-# Back
+# Reading and checking
 
 
 @frozen
@@ -450,12 +459,11 @@ class CertificateCheck:
     """The numbers of a certificate's file, and the validity of its signature."""
 
     certified: CertificateNumbers  #: The numbers.
-    #: Of the XML: ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
+    #: State of the XML's signature; ``unchecked``: no certificate of the signer was given.
     signature: Literal["none", "unchecked", "valid"]
-    #: Of a PDF's pages, where the signature of its XML is valid; None: unchecked, or no PDF.
-    pages: PagesSignature | None = None
-    #: When the signer's certificate expired, after the day of issue; None: it has not, or was not
-    #: given.
+    #: State of the PDF's signature, if that of its XML is valid; None: unchecked, or not a PDF.
+    pages: PdfSignatureStatus | None = None
+    #: Day after the issue on which the signer's certificate expired; None: valid or not given.
     expired: date | None = None
 
 
@@ -474,36 +482,36 @@ def check_certificate(
     if schema is not None:
         check_schema(data, schema, str(path))
     if amends is not None:
-        check_amends(data, amends, str(path))
+        verify_amended(data, amends, str(path))
     if cert is None:
         signed = is_signed(data, str(path))
         return CertificateCheck(
             read_certificate(data, str(path)), "unchecked" if signed else "none"
         )
-    # Only what the signature covers is read.
+    # Read only the signed part.
     verified = verify(data, cert, str(path))
     certified = read_certificate(verified.content, str(path))
-    return CertificateCheck(certified, "valid", _checked_pages(path, cert), verified.expired)
+    return CertificateCheck(certified, "valid", _check_pages(path, cert), verified.expired)
 
 
-def _checked_pages(path: Path, cert: Path) -> PagesSignature | None:
-    """Return whether a PDF's pages are signed; RecordError if their signature is not valid."""
+def _check_pages(path: Path, cert: Path) -> PdfSignatureStatus | None:
+    """Return the state of a PDF's signature; RecordError if it is not valid."""
     if not is_pdf(path):
         return None
     from cryptography.hazmat.primitives.serialization import Encoding
 
-    expected = certificates_in(KeyFile.read(cert))[0].public_bytes(Encoding.DER)
-    found = verify_pages(path, expected)
-    if found == "changed":
+    expected = certificates_in(KeyMaterial.read(cert))[0].public_bytes(Encoding.DER)
+    status = verify_pages(path, expected)
+    if status == "changed":
         raise RecordError(
             f"{path}: the signature is not valid: the pages were changed after the holder "
             f"of {cert} had signed them; the attached XML was not"
         )
-    if found == "invalid":
+    if status == "invalid":
         raise RecordError(
             f"{path}: the pages were not signed by the holder of {cert}; the attached XML was"
         )
-    return found
+    return status
 
 
 def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
@@ -511,11 +519,11 @@ def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
     yield Heading(f"{TITLE} {certified.identifier}", 1)
     for name, accelerometer in certified.accelerometers.items():
         coefficients = accelerometer.coefficients
-        yield results_table(name, coefficients, with_exact_g(coefficients, certified.gravity))
+        yield results_table(name, coefficients, to_si_with_exact_g(coefficients, certified.gravity))
     if (triad := certified.triad) is not None:
         parameters = triad.parameters.coefficients
         shown = dict(shown_parameter(name, c) for name, c in parameters.items())
-        yield results_table("Parameter", shown, with_exact_g(shown, certified.gravity))
+        yield results_table("Parameter", shown, to_si_with_exact_g(shown, certified.gravity))
         if triad.matrix is not None and triad.expanded is not None and triad.factor is not None:
             matrix, expanded = triad.matrix.tolist(), triad.expanded.tolist()
             yield output_table(triad.accelerometers, matrix, expanded, triad.factor)

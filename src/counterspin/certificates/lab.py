@@ -33,29 +33,29 @@ from counterspin.campaign.specification import (
     Specifications,
     resolve_specifications,
 )
-from counterspin.certificates.evidence import ALL, is_evidence_for_something
-from counterspin.certificates.schema import clean
+from counterspin.certificates.evidence import ALL, names_terms
+from counterspin.certificates.schema import clean_text
 from counterspin.errors import CounterspinError
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 from counterspin.toml_text import parse_toml
 
-#: Where a calibration may take place, in the words of the schema.
+#: Places of a calibration, as the schema names them.
 Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
 _CELSIUS: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
 
 
-def _words(value: str) -> str:
+def _check_text(value: str) -> str:
     stripped = " ".join(value.split())
     if not stripped:
         raise ValueError("must not be empty")
-    if clean(stripped) != stripped:
+    if clean_text(stripped) != stripped:
         raise ValueError("contains a control character, which is not allowed in a certificate")
     return stripped
 
 
-def _code(pattern: str, what: str) -> AfterValidator:
+def _matches(pattern: str, what: str) -> AfterValidator:
     def check(value: str) -> str:
         if not re.fullmatch(pattern, value):
             raise ValueError(f"{value!r} is not {what}")
@@ -64,7 +64,7 @@ def _code(pattern: str, what: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _temperature(text: object) -> Quantity:
+def _parse_temperature(text: object) -> Quantity:
     match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
         raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
@@ -72,34 +72,34 @@ def _temperature(text: object) -> Quantity:
     return Quantity(celsius.value, celsius.u, "degC")
 
 
-def _flat(table: object) -> object:
+def _flatten(table: object) -> object:
     return flat_keys(table) if isinstance(table, Mapping) else table
 
 
-Words = Annotated[str, AfterValidator(_words)]
+Text = Annotated[str, AfterValidator(_check_text)]
 
 ItemState = Literal["as received", "after adjustment", "before repair", "after repair"]
 
-#: States of an item, and what DCC calls them.
+#: State of an item -> DCC keyword.
 ITEM_STATES: Final[Mapping[ItemState, str]] = {
     "as received": "beforeAdjustment",
     "after adjustment": "afterAdjustment",
     "before repair": "beforeRepair",
     "after repair": "afterRepair",
 }
-Country = Annotated[str, _code(r"[A-Z]{2}", "a country's two letters (ISO 3166-1), such as DE")]
+Country = Annotated[str, _matches(r"[A-Z]{2}", "a country's two letters (ISO 3166-1), such as DE")]
 
 
 class CertificateSettings(SettingsSection):
     """[certificate]: identifier, dates and place of the calibration."""
 
-    identifier: Words | None = described(
+    identifier: Text | None = described(
         "unique",
         "2026-014",
         None,
         absent="`CS-` and 12 digits of the SHA-256 of the result's file and of what LAB.toml says",
     )
-    language: Annotated[str, _code(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = (
+    language: Annotated[str, _matches(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = (
         described(
             "of the words in this file; those of counterspin are English, and they are what binds",
             "de",
@@ -123,36 +123,36 @@ class CertificateSettings(SettingsSection):
         None,
         absent="`SOURCE_DATE_EPOCH` of the environment, or today (UTC)",
     )
-    traceability: Words = described(
+    traceability: Text = described(
         "how the measurements are traceable to the SI: only the laboratory can say it",
         "Length, time and gravity are traceable to national standards.",
     )
-    ledger: Words | None = described(
+    ledger: Text | None = described(
         "file in which each certificate is [entered](#keep-a-ledger), beside LAB.toml",
         "ledger.jsonl",
         None,
     )
-    procedure: Words | None = described(
+    procedure: Text | None = described(
         "the laboratory's own procedure, by its identifier",
         "QP-17, issue 3",
         None,
         absent="not said",
     )
-    deviations: list[Words] = described(
+    deviations: list[Text] = described(
         "from the procedure: additions, exclusions, a list of sentences",
         ["shorter warm-up"],
         [],
         absent="none",
     )
-    customer_data: list[Words] = described(
+    customer_data: list[Text] = described(
         'what the customer supplied, such as `"K_OO, from the maker\'s data sheet"`; '
         "it is marked as such, with the disclaimer of ISO/IEC 17025, 7.8.2.2",
         ["mass of the item"],
         [],
         absent="none",
     )
-    remarks: list[Words] = described("list of sentences", ["first calibration"], [], absent="none")
-    accelerometers: list[Words] | None = described(
+    remarks: list[Text] = described("list of sentences", ["first calibration"], [], absent="none")
+    accelerometers: list[Text] | None = described(
         "which of the result's are certified, a list of names", ["Qx"], None, absent="all"
     )
 
@@ -172,31 +172,31 @@ class CertificateSettings(SettingsSection):
 class Contact(SettingsSection):
     """[customer]: a name and an address."""
 
-    name: Words = described("of the organisation", "Example Calibration Ltd")
-    street: Words | None = described("of the address", "Main Street", None)
-    number: Words | None = described("of the house", "12", None)
-    post_code: Words | None = described("of the city", "12345", None)
-    city: Words = described("of the address", "Exampletown")
+    name: Text = described("of the organisation", "Example Calibration Ltd")
+    street: Text | None = described("of the address", "Main Street", None)
+    number: Text | None = described("of the house", "12", None)
+    post_code: Text | None = described("of the city", "12345", None)
+    city: Text = described("of the address", "Exampletown")
     country: Country | None = described("two letters by ISO 3166-1", "DE", None, kind="country")
-    email: Words | None = described("at which it is reached", "lab@example.org", None)
-    phone: Words | None = described("at which it is reached", "+49 30 123456", None)
+    email: Text | None = described("at which it is reached", "lab@example.org", None)
+    phone: Text | None = described("at which it is reached", "+49 30 123456", None)
 
 
 class Laboratory(Contact):
     """[laboratory]: the calibration laboratory; `code` is that of the accreditation."""
 
     country: Country = described("two letters by ISO 3166-1", "DE", kind="country")
-    code: Words | None = described("of the accreditation", "D-K-00000-01-00", None)
+    code: Text | None = described("of the accreditation", "D-K-00000-01-00", None)
 
 
 class Item(SettingsSection):
-    """[item]: what was calibrated."""
+    """[item]: the calibrated item."""
 
-    name: Words = described("what it is", "Inertial platform")
-    manufacturer: Words = described("who made it", "Example Instruments")
-    model: Words = described("its type", "IP-3")
-    serial_number: Words = described("its own", "0042")
-    inventory_number: Words | None = described("the customer's", "INV-7", None)
+    name: Text = described("what it is", "Inertial platform")
+    manufacturer: Text = described("who made it", "Example Instruments")
+    model: Text = described("its type", "IP-3")
+    serial_number: Text = described("its own", "0042")
+    inventory_number: Text | None = described("the customer's", "INV-7", None)
     state: ItemState | None = described(
         "in which it was calibrated",
         "as received",
@@ -207,9 +207,9 @@ class Item(SettingsSection):
 class LabAccelerometer(SettingsSection):
     """[accelerometers.NAME]: an accelerometer that has its own identity within the item."""
 
-    manufacturer: Words | None = described("who made it", "Example Instruments", None)
-    model: Words | None = described("its type", "QA-2000", None)
-    serial_number: Words | None = described(
+    manufacturer: Text | None = described("who made it", "Example Instruments", None)
+    model: Text | None = described("its type", "QA-2000", None)
+    serial_number: Text | None = described(
         "its own; it may not contradict that of the campaign",
         "Q-104",
         None,
@@ -218,17 +218,17 @@ class LabAccelerometer(SettingsSection):
 
 
 class Person(SettingsSection):
-    """[[persons]]: who is responsible for the results."""
+    """[[persons]]: the persons responsible for the results."""
 
-    name: Words = described("who", "N. N.")
-    role: Words = described("for what the person is responsible", "Head of the laboratory")
-    email: Words | None = described("at which the person is reached", "n.n@example.org", None)
+    name: Text = described("who", "N. N.")
+    role: Text = described("for what the person is responsible", "Head of the laboratory")
+    email: Text | None = described("at which the person is reached", "n.n@example.org", None)
 
 
 class Conditions(SettingsSection):
-    """[conditions]: of the laboratory during the calibration."""
+    """[conditions]: conditions in the laboratory during the calibration."""
 
-    temperature: Annotated[Quantity, PlainValidator(_temperature)] | None = described(
+    temperature: Annotated[Quantity, PlainValidator(_parse_temperature)] | None = described(
         "of the laboratory, with its standard uncertainty",
         "20.0 ± 0.3 degC",
         None,
@@ -237,7 +237,7 @@ class Conditions(SettingsSection):
 
 
 class Lab(SettingsSection):
-    """The whole file."""
+    """The laboratory's file."""
 
     schema_version: Literal[1] = described("version of this format", 1, alias="schema")
     certificate: CertificateSettings = described(
@@ -288,7 +288,7 @@ class Lab(SettingsSection):
         {},
         absent="no limit",
     )
-    evidence: Annotated[dict[str, Words], BeforeValidator(_flat)] = described(
+    evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = described(
         "what bounds each term that the result [assumes](#what-is-assumed) to be perfect, by term",
         {"K_OO": "type test TR-12"},
         {},
@@ -308,9 +308,9 @@ class Lab(SettingsSection):
         return list(result.accelerometers) if chosen is None else chosen
 
     def capability(self, symbol: str, gravity: float) -> float | None:
-        """Return the least expanded uncertainty that the laboratory may state; None: no limit.
+        """Return the smallest expanded uncertainty that the laboratory may state; None: no limit.
 
-        gravity: Of the site, m/s^2.
+        gravity: Local gravity of the site, m/s^2.
         """
         if symbol not in self.cmc:
             return None
@@ -342,7 +342,7 @@ def read_lab(
         advice = "`certificates.lab.write_example` makes one"
         raw = load_document(Path(path), advice, "laboratory")
         problems = Problems(raw)
-    # Of a missing table, each required key is reported.
+    # An empty table makes the check report each of its required keys.
     empty: dict[str, Any] = {"persons": [{}]}
     empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
     lab = problems.check(Lab, empty | raw, ())
@@ -350,7 +350,7 @@ def read_lab(
         for symbol in lab.cmc:
             problems.attempt(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
         for key in lab.evidence:
-            if not is_evidence_for_something(key, result.accelerometers):
+            if not names_terms(key, result.accelerometers):
                 hint = did_you_mean(key, [ALL, *TABLE])
                 problems.add(("evidence", key), f'unknown term "{key}"{hint}')
     _check_accelerometers(raw, result, problems)
@@ -402,26 +402,26 @@ def write_example(path: Path | str) -> Path:
     path = Path(path)
     if path.exists():
         raise CounterspinError(f"{path} exists; edit it, or choose another name")
-    write_text(path, _example())
+    write_text(path, _example_text())
     return path
 
 
 def example_keys(lab: Lab) -> list[str]:
     """Return the keys that still have the example's text."""
-    ours = lab.model_dump(exclude={"conditions"})
+    example = lab.model_dump(exclude={"conditions"})
     return [
         key_path(path)
-        for path, words in _leaves(parse_toml(_example()), ())
-        if "xample" in words.lower() and _at(ours, path) == words
+        for path, words in _leaves(parse_toml(_example_text()), ())
+        if "xample" in words.lower() and _value_at(example, path) == words
     ]
 
 
-def _example() -> str:
+def _example_text() -> str:
     return (files("counterspin.certificates") / "starter.toml").read_text("utf-8")
 
 
 def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    """Yield all text in a document with its place."""
+    """Yield all text in a document with its key path."""
     if isinstance(value, str):
         yield path, " ".join(value.split())
     elif isinstance(value, dict):
@@ -432,7 +432,7 @@ def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
             yield from _leaves(inner, (*path, place))
 
 
-def _at(value: Any, path: KeyPath) -> Any:
+def _value_at(value: Any, path: KeyPath) -> Any:
     for part in path:
         value = value[part]
     return value

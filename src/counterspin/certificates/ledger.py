@@ -26,10 +26,10 @@ from counterspin.input import DOCUMENT_BYTES, parse_json, read_file, require_fil
 from counterspin.output import finish, require_valid_name, reserve, write_whole
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 
-#: What the first entry says of the one before.
-_BEGINNING: Final = "0" * 64
+#: Hash of the previous entry in the first entry.
+_FIRST_PREVIOUS: Final = "0" * 64
 
-#: Where Windows locks a ledger, in bytes: beyond the largest, whose bytes others may read.
+#: Offset of the byte that Windows locks: beyond the largest ledger, so that others can read it.
 _LOCKED_BYTE: Final = 0x7FFF_0000
 #: Time between two attempts to lock a ledger on Windows, s.
 _LOCK_PAUSE: Final = 0.05
@@ -42,64 +42,64 @@ _NO_LEDGER: Final = (
 #: Keys of an entry, in the order in which they are written; `hash` is last.
 _KEYS: Final = ("number", "previous", "when", "who", "what", "why", "of", "hash")
 
-#: What an entry may be of.
+#: Types of entries.
 KINDS: Final = ("result", "certificate", "amendment")
 
 
 @frozen
 class Entry:
-    """One entry."""
+    """An entry of a ledger."""
 
     number: int  #: From 1 on.
     when: str  #: ISO 8601, UTC.
-    #: In words.
+    #: Person, type and reason.
     who: str
     what: str  #: One of `KINDS`.
     why: str
     of: Mapping[str, str]  #: Names, identifiers and checksums.
-    digest: str  #: SHA-256 of all this and of the entry before, hexadecimal.
+    digest: str  #: SHA-256 of all this and of the previous entry's hash, hexadecimal.
 
 
 @frozen
 class VerifiedLedger:
     """A ledger whose entries were not altered."""
 
-    entries: tuple[Entry, ...]  #: All of them, oldest first.
-    #: What stands after the last of them: the beginning of an entry whose writer was interrupted.
-    unfinished: bytes = b""
+    entries: tuple[Entry, ...]  #: All entries, oldest first.
+    #: Bytes after the last entry: the beginning of an interrupted one.
+    partial_entry: bytes = b""
 
     @property
     def head(self) -> str:
         """Hash of the last entry, which identifies all of them."""
-        return self.entries[-1].digest if self.entries else _BEGINNING
+        return self.entries[-1].digest if self.entries else _FIRST_PREVIOUS
 
 
 def verify_ledger(path: Path) -> VerifiedLedger:
     """Read a ledger and check it, to the last byte."""
     try:
-        return _verified(read_file(path), str(path))
+        return _verify_content(read_file(path), str(path))
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
-    """Append an entry; several processes may do so at once, and each waits for the others.
+    """Append an entry; concurrent processes wait for each other.
 
-    Parameters and errors as of `opened` and `OpenLedger.append`.
+    Parameters and errors as for `open_ledger` and `OpenLedger.append`.
     """
     with open_ledger(path) as ledger:
         return ledger.append(what, of, who=who, why=why, when=when)
 
 
 def checksum_of(data: bytes) -> str:
-    """Return the SHA-256 of some bytes, hexadecimal."""
+    """Return the SHA-256 checksum of bytes, hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 class OpenLedger:
     """A locked ledger: other writers wait.
 
-    file: Its file, open for appending; RecordError if it was altered.
+    file: The file, open for appending; RecordError if it was altered.
     """
 
     def __init__(self, path: Path, file: int) -> None:
@@ -110,8 +110,8 @@ class OpenLedger:
         whole = b""
         while part := os.read(file, self._size + 1):
             whole += part
-        verified = _verified(whole, str(path))
-        self.entries, self._unfinished = verified.entries, verified.unfinished
+        verified = _verify_content(whole, str(path))
+        self.entries, self._unfinished = verified.entries, verified.partial_entry
         self._head = verified.head
 
     def append(self, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
@@ -131,8 +131,8 @@ class OpenLedger:
             "why": why,
             "of": dict(of),
         }
-        content["hash"] = _hash(content)
-        line = _line(content)
+        content["hash"] = _content_hash(content)
+        line = _format_line(content)
         try:
             if self._unfinished:
                 os.ftruncate(self._file, self._size - len(self._unfinished))
@@ -142,7 +142,7 @@ class OpenLedger:
                 written += os.write(self._file, line[written:])
             os.fsync(self._file)
         except OSError as error:
-            raise _not_written(self._path, error) from error
+            raise _write_error(self._path, error) from error
         entry = _entry(content)
         self.entries, self._head = (*self.entries, entry), entry.digest
         return entry
@@ -158,17 +158,17 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
     made = not path.exists()
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
     try:
-        # A pipe would be waited for until somebody writes to it.
+        # Opening a pipe would block until a writer connects.
         file = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
     except OSError as error:
-        raise _not_written(path, error) from error
+        raise _write_error(path, error) from error
     try:
         try:
             require_file(path, os.fstat(file).st_mode)
             _lock(file)
             ledger = OpenLedger(path, file)
         except OSError as error:
-            raise _not_written(path, error) from error
+            raise _write_error(path, error) from error
         yield ledger
         if made and hasattr(os, "O_DIRECTORY"):
             folder = os.open(path.resolve().parent, os.O_RDONLY)
@@ -180,7 +180,7 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
 
 
 def _unlock(file: int) -> None:
-    """Unlock a ledger immediately; Windows would unlock it some time after its end."""
+    """Unlock a ledger immediately; Windows unlocks it only some time after the process ends."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -193,7 +193,7 @@ def _lock(file: int) -> None:
     if sys.platform == "win32":
         import msvcrt
 
-        # LK_LOCK gives up after ten attempts in as many seconds.
+        # LK_LOCK gives up after ten attempts in ten seconds.
         os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
         while True:
             try:
@@ -210,7 +210,7 @@ def _lock(file: int) -> None:
         fcntl.flock(file, fcntl.LOCK_EX)
 
 
-def _not_written(path: Path, error: OSError) -> CounterspinError:
+def _write_error(path: Path, error: OSError) -> CounterspinError:
     reason = error.strerror or str(error)
     return CounterspinError(f"{path}: the ledger cannot be written ({reason})")
 
@@ -218,21 +218,21 @@ def _not_written(path: Path, error: OSError) -> CounterspinError:
 # Lines
 
 
-def _verified(whole: bytes, source: str) -> VerifiedLedger:
-    *lines, unfinished = whole.split(b"\n")
+def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
+    *lines, unfinished = content_bytes.split(b"\n")
     entries: list[Entry] = []
-    previous = _BEGINNING
+    previous = _FIRST_PREVIOUS
     for number, line in enumerate(lines, 1):
-        content = _content(line)
+        content = _parse_line(line)
         wrong, which = None, number
-        if content is None or _line(content) != line + b"\n":
+        if content is None or _format_line(content) != line + b"\n":
             wrong = "is not as it was written"
-        elif content["hash"] != _hash(content):
+        elif content["hash"] != _content_hash(content):
             wrong = "was altered: its hash does not fit it"
         elif content["number"] != number:
             wrong = f"calls itself entry {content['number']}: entries are missing or were moved"
         elif content["previous"] != previous:
-            # The one that follows says so.
+            # The hash chain shows it only in the following entry.
             wrong, which = "was altered after it was written, or taken out", number - 1
         if wrong is not None or content is None:
             if content is None and number == 1:
@@ -242,19 +242,19 @@ def _verified(whole: bytes, source: str) -> VerifiedLedger:
         entries.append(_entry(content))
         previous = content["hash"]
     if unfinished and not entries and not _begins_entry(unfinished):
-        # What is no entry's beginning is no writer's either, but another's file.
+        # Bytes that do not begin an entry show that the file is not a ledger.
         raise RecordError(f"{source}: {_NO_LEDGER}")
     return VerifiedLedger(tuple(entries), unfinished)
 
 
 def _begins_entry(line: bytes) -> bool:
     """Return whether a line may be the beginning of the first entry."""
-    beginning = _text({"number": 1, "previous": _BEGINNING})[:-1].encode()
+    beginning = _canonical_json({"number": 1, "previous": _FIRST_PREVIOUS})[:-1].encode()
     return line.startswith(beginning) or beginning.startswith(line)
 
 
-def _content(line: bytes) -> dict[str, Any] | None:
-    """Return the content of an entry; None if the line is not an entry."""
+def _parse_line(line: bytes) -> dict[str, Any] | None:
+    """Return the content of a line; None if it is not an entry."""
     try:
         content = parse_json(line)
     except ValueError:
@@ -269,16 +269,16 @@ def _content(line: bytes) -> dict[str, Any] | None:
     return content
 
 
-def _line(content: Mapping[str, Any]) -> bytes:
-    return (_text(content) + "\n").encode("utf-8", "surrogatepass")
+def _format_line(content: Mapping[str, Any]) -> bytes:
+    return (_canonical_json(content) + "\n").encode("utf-8", "surrogatepass")
 
 
-def _text(content: Mapping[str, Any]) -> str:
+def _canonical_json(content: Mapping[str, Any]) -> str:
     return json.dumps(content, ensure_ascii=True, separators=(",", ":"))
 
 
-def _hash(content: Mapping[str, Any]) -> str:
-    return checksum_of(_text({k: v for k, v in content.items() if k != "hash"}).encode())
+def _content_hash(content: Mapping[str, Any]) -> str:
+    return checksum_of(_canonical_json({k: v for k, v in content.items() if k != "hash"}).encode())
 
 
 def _entry(content: Mapping[str, Any]) -> Entry:
@@ -311,16 +311,16 @@ def check_ledger(ledger: Path) -> None:
         reserve(ledger)
 
 
-def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
+def record_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
     """Append an entry for a result's file."""
     if not Result.read(file).sealed:
         why += "; the file has no seal"
     of = {"file": file.name, "sha256": _checksum(file)}
-    return append(ledger, "result", of, who=who, why=why, when=_moment(date))
+    return append(ledger, "result", of, who=who, why=why, when=_utc_text(date))
 
 
-def enter_certificate(
-    kept: Path, path: Path, data: bytes, of: Mapping[str, str], said: IssueDetails
+def record_certificate(
+    ledger_path: Path, path: Path, data: bytes, of: Mapping[str, str], details: IssueDetails
 ) -> Entry | None:
     """Append a certificate's or amendment's entry, after its result's; then rename its file.
 
@@ -329,82 +329,85 @@ def enter_certificate(
     that follows from their checksum. If the process is killed between entry and rename, the same
     command finds them.
 
-    Returns: the data of an interrupted command, whose certificate was found and is published now
-    instead of `data`, which differ from it; else None.
+    Returns: the entry of an interrupted command, whose certificate is published now instead of
+    `data`; None if there was no such command.
     """
     checksum = checksum_of(data)
-    with open_ledger(kept) as ledger:
+    with open_ledger(ledger_path) as ledger:
         reserve(path)
         earlier = [e for e in ledger.entries if e.of.get("identifier") == of["identifier"]]
         if any(entry.of.get("sha256") != of["sha256"] for entry in earlier):
             for entry in earlier:
-                if entry.of.get("file") == path.name and _stands_by(path, entry):
-                    _finish(path, entry.of["file_sha256"])
+                if entry.of.get("file") == path.name and _is_staged(path, entry):
+                    _publish(path, entry.of["file_sha256"])
                     return entry
             raise RecordError(
-                f"{kept}: has certificate {of['identifier']} already (entry {earlier[-1].number}), "
-                "with different content; issue an amendment (`amends`), or "
-                "choose another certificate.identifier"
+                f"{ledger_path}: has certificate {of['identifier']} already "
+                f"(entry {earlier[-1].number}), with different content; issue an amendment "
+                "(`amends`), or choose another certificate.identifier"
             )
-        _check_amended(ledger, kept, of)
-        part = _hidden(path, checksum)
+        _check_amended(ledger, ledger_path, of)
+        part = _staging_path(path, checksum)
         write_whole(part, lambda place: _write_to_disk(place, data), overwrite=True)
         known = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
         if (path.name, checksum) not in known:
-            _enter(ledger, {"file": path.name, **of, "file_sha256": checksum}, said)
-        _finish(path, checksum)
+            _append_entry(ledger, {"file": path.name, **of, "file_sha256": checksum}, details)
+        _publish(path, checksum)
     return None
 
 
-def _check_amended(ledger: OpenLedger, kept: Path, of: Mapping[str, str]) -> None:
+def _check_amended(ledger: OpenLedger, ledger_path: Path, of: Mapping[str, str]) -> None:
     """Refuse to amend a certificate whose content is not that of its entries, if it has entries."""
     if "amends" not in of:
         return
     amended = [entry for entry in ledger.entries if entry.of.get("identifier") == of["amends"]]
     if amended and all(entry.of.get("sha256") != of["amends_sha256"] for entry in amended):
         raise RecordError(
-            f"{kept}: entry {amended[-1].number} is of certificate {of['amends']} with different "
-            "content: the file to be amended was changed after it was issued; give the issued file"
+            f"{ledger_path}: entry {amended[-1].number} is of certificate {of['amends']} with "
+            "different content: the file to be amended was changed after it was issued; give the "
+            "issued file"
         )
 
 
-def _enter(ledger: OpenLedger, of: Mapping[str, str], said: IssueDetails) -> None:
-    when = _moment(said.date)
-    if said.result is not None:
-        checksum = _checksum(said.result)
+def _append_entry(ledger: OpenLedger, of: Mapping[str, str], details: IssueDetails) -> None:
+    when = _utc_text(details.date)
+    if details.result is not None:
+        checksum = _checksum(details.result)
         if checksum not in {entry.of.get("sha256") for entry in ledger.entries}:
-            own = {"file": said.result.name, "sha256": checksum}
-            ledger.append("result", own, who=said.who, why="to be certified", when=when)
+            result_checksum = {"file": details.result.name, "sha256": checksum}
+            ledger.append(
+                "result", result_checksum, who=details.who, why="to be certified", when=when
+            )
         of = {**of, "result": checksum}
     what = "amendment" if "amends" in of else "certificate"
-    ledger.append(what, of, who=said.who, why=said.why, when=when)
+    ledger.append(what, of, who=details.who, why=details.why, when=when)
 
 
-def _hidden(path: Path, checksum: str) -> Path:
+def _staging_path(path: Path, checksum: str) -> Path:
     """Return the hidden path of a certificate before its publication."""
     return path.resolve().parent / f".{checksum[:16]}{path.suffix}"
 
 
-def _stands_by(path: Path, entry: Entry) -> bool:
-    """Return whether the bytes of an entry are hidden next to a place."""
+def _is_staged(path: Path, entry: Entry) -> bool:
+    """Return whether the staging file of an entry exists next to a path."""
     expected = entry.of.get("file_sha256", "")
     try:
-        return checksum_of(read_file(_hidden(path, expected))) == expected
+        return checksum_of(read_file(_staging_path(path, expected))) == expected
     except OSError:
         return False
 
 
 def _write_to_disk(place: Path, data: bytes) -> None:
-    # The entry is on the disk before the file has its name: its bytes must be there too.
+    # The entry precedes the rename, so the bytes of the file must be on the disk too.
     with place.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
 
 
-def _finish(path: Path, checksum: str) -> None:
+def _publish(path: Path, checksum: str) -> None:
     try:
-        finish(_hidden(path, checksum), path)
+        finish(_staging_path(path, checksum), path)
     except OSError as error:
         raise CounterspinError(f"{path}: cannot be written ({error.strerror})") from error
 
@@ -447,5 +450,5 @@ def _checksum(file: Path) -> str:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from error
 
 
-def _moment(date: datetime) -> str:
+def _utc_text(date: datetime) -> str:
     return f"{date:%Y-%m-%dT%H:%M:%SZ}"

@@ -1,7 +1,7 @@
-"""The XML of a certificate: its words, numbers, namespaces, and validation against the DCC schema.
+"""Text, numbers and namespaces of a certificate's XML, and validation against the DCC schema.
 
-The files that PTB publishes import each other by address. Here the file of the folder that declares
-the name space answers an import.
+The files that PTB publishes import each other by URL. Here an import is resolved to the file of the
+folder that declares the namespace.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ NAMESPACES: Final = {"dcc": DCC, "si": SI}
 #: Language of the text that counterspin writes.
 ENGLISH: Final = "en"
 
-Element = Any  # lxml carries no types
+Element = Any  # lxml has no type annotations
 
 
-def clean(words: str) -> str:
+def clean_text(words: str) -> str:
     """Return text stripped, with control characters escaped (XML 1.0, 2.2)."""
     return escape_controls(words).strip()
 
 
-def number(value: float) -> str:
-    """Write a number so that it reads back as the same double."""
+def format_exact(value: float) -> str:
+    """Format a number so that it reads back as the same double."""
     return repr(float(value))
 
 
-def factor(value: float) -> str:
-    """Write a coverage factor or probability, which must not have an exponent."""
+def format_decimal(value: float) -> str:
+    """Format a coverage factor or probability, which must not have an exponent."""
     return f"{value:.4f}".rstrip("0").rstrip(".")
 
 
 _XS: Final = "{http://www.w3.org/2001/XMLSchema}"
 
-#: Faults shown; further ones mostly follow from the first.
-_MAX_FAULTS: Final = 5
+#: Number of errors shown; further ones mostly follow from the first.
+_MAX_ERRORS: Final = 5
 
 
 def check_schema(document: bytes, schema: Path, source: str) -> None:
@@ -56,8 +56,8 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     if faults.validate(root):
         return
     log = list(faults.error_log)
-    lines = [f"line {entry.line}: {_plain(entry.message)}" for entry in log[:_MAX_FAULTS]]
-    more = f"\n  and {len(log) - _MAX_FAULTS} more" if len(log) > _MAX_FAULTS else ""
+    lines = [f"line {entry.line}: {_with_prefixes(entry.message)}" for entry in log[:_MAX_ERRORS]]
+    more = f"\n  and {len(log) - _MAX_ERRORS} more" if len(log) > _MAX_ERRORS else ""
     raise RecordError(
         f"{source}: does not conform to the schema in {schema}\n  " + "\n  ".join(lines) + more
     )
@@ -78,7 +78,7 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
             f"{source}: is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"
         ) from error
     if root.getroottree().docinfo.doctype:
-        # Entities could stand for what nobody sees, and no certificate needs any.
+        # Entities could hide content, and no certificate needs them.
         raise RecordError(f"{source}: has a document type declaration, as no certificate has")
     return root
 
@@ -91,10 +91,10 @@ def parser(**options: Any) -> Any:
 def load_schema(schema: Path) -> Any:
     """Return the schema, ready to validate; raises as `check_schema` does."""
     main = _main_file(schema)
-    # The published files stand in folders beside each other: dcc/v3.3.0, dsi, qudt.
+    # The published files are in sibling folders: dcc/v3.3.0, dsi, qudt.
     folders = [schema] if schema.is_dir() else [main.parent, main.parent.parent]
     reader = parser()
-    reader.resolvers.add(_Local(_imports(folders)))
+    reader.resolvers.add(_LocalResolver(_import_locations(folders)))
     try:
         return etree.XMLSchema(etree.parse(str(main), reader))
     except (etree.LxmlError, OSError) as error:
@@ -109,14 +109,14 @@ def _main_file(schema: Path) -> Path:
         return schema
     if not schema.is_dir():
         raise CounterspinError(f"{schema}: no such file or folder")
-    schemas = [path for path in _schema_files(schema) if _space(path) == DCC]
+    schemas = [path for path in _schema_files(schema) if _target_namespace(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]
     what = "several schemas of DCC, give one of them" if schemas else "no schema of DCC (dcc.xsd)"
     raise CounterspinError(f"{schema}: holds {what}")
 
 
-class _Local(etree.Resolver):  # type: ignore[misc]  # lxml carries no types
+class _LocalResolver(etree.Resolver):  # type: ignore[misc]  # lxml has no type annotations
     """Resolves addresses to files of the folder; others resolve to nothing."""
 
     def __init__(self, places: dict[str, Path]) -> None:
@@ -132,24 +132,26 @@ class _Local(etree.Resolver):  # type: ignore[misc]  # lxml carries no types
 
 
 def _schema_files(folder: Path) -> list[Path]:
-    # A pipe of that name would be waited for.
+    # Opening a pipe of that name would block.
     return sorted(path for path in folder.rglob("*.xsd") if path.is_file())
 
 
-def _imports(folders: list[Path]) -> dict[str, Path]:
-    """Return the file that answers each address that a schema in the folders imports."""
+def _import_locations(folders: list[Path]) -> dict[str, Path]:
+    """Return URL -> file for all imports of the schemas in the folders."""
     paths = [path for folder in folders for path in _schema_files(folder)]
-    by_space = {space: path for path in reversed(paths) if (space := _space(path)) is not None}
+    by_space = {
+        space: path for path in reversed(paths) if (space := _target_namespace(path)) is not None
+    }
     places = {}
     for path in paths:
-        for location, space in _named_imports(path):
+        for location, space in _declared_imports(path):
             if space in by_space:
                 places[location] = by_space[space]
                 places[urljoin(str(path), location)] = by_space[space]
     return places
 
 
-def _space(path: Path) -> str | None:
+def _target_namespace(path: Path) -> str | None:
     try:
         space: str | None = etree.parse(str(path), parser()).getroot().get("targetNamespace")
     except (etree.LxmlError, OSError):
@@ -157,7 +159,7 @@ def _space(path: Path) -> str | None:
     return space
 
 
-def _named_imports(path: Path) -> Iterator[tuple[str, str]]:
+def _declared_imports(path: Path) -> Iterator[tuple[str, str]]:
     try:
         root = etree.parse(str(path), parser()).getroot()
     except (etree.LxmlError, OSError):
@@ -168,8 +170,8 @@ def _named_imports(path: Path) -> Iterator[tuple[str, str]]:
             yield location, space
 
 
-def _plain(message: str) -> str:
-    """Return an error with prefixes instead of name spaces."""
+def _with_prefixes(message: str) -> str:
+    """Return an error message with prefixes instead of namespaces."""
     for prefix, space in NAMESPACES.items():
         message = message.replace(f"{{{space}}}", f"{prefix}:")
     return re.sub(r"\s+", " ", message)

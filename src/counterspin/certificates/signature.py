@@ -1,4 +1,4 @@
-"""The electronic signatures of a certificate: of its XML, and PAdES of its pages.
+"""Electronic signatures of a certificate: XML signature, and PAdES signature of its pages.
 
 The pages' signature is an incremental update: existing bytes, the conformance with PDF/A-3 and the
 attachments do not change.
@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.certificates.schema import NAMESPACES, Element, parse
-from counterspin.certificates.signers import KeyFile, Signer, certificates_in
+from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
 from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.frozen import frozen
 
 _NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
 _SIGNATURE: Final = f"{_NAMESPACE}Signature"
-#: What the document says of its signer.
-_STATED: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
+#: Certificate of the signer in the document.
+_STATED_CERTIFICATE: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
 
 _SIGNXML_MISSING: Final = (
     f"signatures need the package signxml, which is not installed: {installing('signature')}"
@@ -32,7 +32,7 @@ _SIGNXML_MISSING: Final = (
 
 @frozen
 class SignatureCheck:
-    """The content that the expected signer has signed."""
+    """Content signed by the expected signer."""
 
     content: bytes  #: The signed part of the document: everything but the signature.
     #: The day on which the signer's certificate expired, after the day of issue; None: it is valid.
@@ -43,21 +43,21 @@ def sign(root: Element, signer: Signer) -> Element:
     """Return the certificate with its signature as the last element."""
     signxml = _signxml()
     signing = signxml.XMLSigner(
-        signature_algorithm="rsa-sha256" if signer.with_rsa else "ecdsa-sha256"
+        signature_algorithm="rsa-sha256" if signer.uses_rsa else "ecdsa-sha256"
     )
-    return signing.sign(root, key=_Key(signer), cert=list(signer.certificates))
+    return signing.sign(root, key=_SigningKey(signer), cert=list(signer.certificates))
 
 
-class _Key:
+class _SigningKey:
     """A signer as the private key that signxml needs."""
 
     def __init__(self, signer: Signer) -> None:
         self._signer = signer
-        self.key_size = signer.public.key_size
+        self.key_size = signer.public_key.key_size
 
     def sign(self, data: bytes, **_: Any) -> bytes:
-        """Return the signature of bytes, by the method that `sign` names."""
-        return self._signer.signed(data)
+        """Return the signature of bytes with the scheme that `sign` names."""
+        return self._signer.sign(data)
 
 
 def verify(document: bytes, certificate: Path, source: str) -> SignatureCheck:
@@ -72,26 +72,26 @@ def verify(document: bytes, certificate: Path, source: str) -> SignatureCheck:
     _signxml()
     from signxml.exceptions import InvalidDigest
 
-    trusted = certificates_in(KeyFile.read(certificate))[0]
-    root = parse(document, source, comments=True)  # it may cover them after all
+    trusted = certificates_in(KeyMaterial.read(certificate))[0]
+    root = parse(document, source, comments=True)  # the signature may cover the comments
     if root.find(_SIGNATURE) is None:
         raise RecordError(f"{source}: is not signed")
     try:
-        verified = _verified(root, trusted.public_key())
+        verified = _signed_part(root, trusted.public_key())
     except InvalidDigest as error:
         raise RecordError(
             f"{source}: the signature is not valid: the document was changed after the holder of "
             f"{certificate} had signed it"
         ) from error
-    except Exception as error:  # whatever signxml, lxml and cryptography raise
+    except Exception as error:  # any error of signxml, lxml and cryptography
         raise RecordError(
-            f"{source}: the signature is not valid: {_whose(root, certificate)}"
+            f"{source}: the signature is not valid: {_describe_signer(root, certificate)}"
         ) from error
     covered: Any = verified.signed_xml
     if covered is None or covered.tag != root.tag:
         raise RecordError(f"{source}: the signature does not cover the whole document")
     return SignatureCheck(
-        bytes(verified.signed_data), _expired(trusted, _issued(covered), certificate, source)
+        bytes(verified.signed_data), _expiry(trusted, _issue_date(covered), certificate, source)
     )
 
 
@@ -100,18 +100,18 @@ def is_signed(document: bytes, source: str) -> bool:
     return parse(document, source).find(_SIGNATURE) is not None
 
 
-def _verified(root: Any, key: Any) -> Any:
+def _signed_part(root: Any, key: Any) -> Any:
     """Return the part of a document that a key has signed; raises as signxml if there is none."""
     signxml = _signxml()
-    # signxml takes certificates that are valid today. Whether the signer's was valid when it
-    # mattered is judged here, so that signxml gets the key in a certificate of the day.
-    wrapped = _certificate_of_today(key)
-    # The place matters: a signature deeper in the document could cover something else.
+    # signxml accepts only certificates that are valid today. The validity of the signer's
+    # certificate is checked separately, so signxml gets the key in a temporary certificate.
+    wrapped = _make_current_certificate(key)
+    # The location matters: a signature deeper in the document could cover other content.
     expected = signxml.SignatureConfiguration(location="./", expect_references=1)
     return signxml.XMLVerifier().verify(root, x509_cert=wrapped, expect_config=expected)
 
 
-def _certificate_of_today(key: Any) -> Any:
+def _make_current_certificate(key: Any) -> Any:
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -130,26 +130,26 @@ def _certificate_of_today(key: Any) -> Any:
     )
 
 
-def _whose(root: Any, certificate: Path) -> str:
+def _describe_signer(root: Any, certificate: Path) -> str:
     """Describe the signer of a signature that is not the expected signer's."""
     from cryptography.x509 import load_der_x509_certificate
     from signxml.exceptions import InvalidDigest
 
     try:
-        stated = load_der_x509_certificate(b64decode(root.findtext(_STATED)))
+        stated = load_der_x509_certificate(b64decode(root.findtext(_STATED_CERTIFICATE)))
     except (TypeError, ValueError):
         return f"it was changed, or not signed by the holder of {certificate}; it names no signer"
     try:
-        _verified(root, stated.public_key())
+        _signed_part(root, stated.public_key())
     except InvalidDigest:
         pass  # the document was changed after the other signer had signed it
-    except Exception:  # whatever signxml and cryptography raise
+    except Exception:  # any error of signxml and cryptography
         return "the signature itself was changed"
     subject = stated.subject.rfc4514_string()[:REASON_LENGTH]
     return f"it is that of another signer ({subject}), not of the holder of {certificate}"
 
 
-def _issued(root: Any) -> date | None:
+def _issue_date(root: Any) -> date | None:
     """Return the day of issue that a certificate states."""
     text = root.findtext(".//dcc:coreData/dcc:issueDate", namespaces=NAMESPACES)
     try:
@@ -158,8 +158,8 @@ def _issued(root: Any) -> date | None:
         return None
 
 
-def _expired(trusted: Any, issued: date | None, certificate: Path, source: str) -> date | None:
-    """Return when the signer's certificate expired, None if it has not; raises if never valid."""
+def _expiry(trusted: Any, issued: date | None, certificate: Path, source: str) -> date | None:
+    """Return the expiry day of the signer's certificate, None if valid; raise if never valid."""
     now = datetime.now(UTC)
     begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc
     if begin > now:
@@ -186,12 +186,11 @@ def _signxml() -> Any:
     return signxml
 
 
-#: What the signature of pages is worth: there is none; of the expected signer, and nothing was
-#: changed since; the pages were changed since; it is of somebody else, or damaged.
-PagesSignature = Literal["none", "valid", "changed", "invalid"]
+#: State of a PDF's signature: absent; valid; pages changed since; of another signer, or damaged.
+PdfSignatureStatus = Literal["none", "valid", "changed", "invalid"]
 
 _FIELD: Final = "Signature"
-_WORDS: Final = "Electronic signature of this certificate"
+_REASON: Final = "Electronic signature of this certificate"
 _MISSING: Final = (
     f"signing a PDF needs the package pyHanko, which is not installed: {installing('signature')}"
 )
@@ -200,7 +199,7 @@ _MISSING: Final = (
 def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
     """Return a PDF with its signature, which allows no change after it.
 
-    date: What the signature states as the time of signing.
+    date: Time of signing that the signature states.
     """
     _require_pyhanko()
     from pyhanko.pdf_utils.generic import ArrayObject, ByteStringObject
@@ -219,19 +218,19 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
 
         @classmethod
         def _handle_id(cls, prev: Any) -> Any:
-            # In place of random bytes: the same certificate is the same file again.
+            # No random bytes: the same certificate gives the same file.
             first = prev.trailer["/ID"][0].original_bytes
             return ArrayObject([ByteStringObject(first), ByteStringObject(_digest(pages)[:16])])
 
         def _update_meta(self) -> None:
-            # Metadata that pyHanko would write anew conform with PDF/A no longer.
+            # Metadata rewritten by pyHanko would not conform to PDF/A.
             pass
 
     # An object begins on a line of its own (PDF/A-3, 6.1.9).
     given = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
-    longest = replace(signer, signed=lambda _: bytes(_longest(signer)))
-    room = len(_finished(_cms(longest, bytes(32))))
-    field = SigFieldSpec(_FIELD, readable_field_name=_WORDS)
+    longest = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
+    room = len(_run_coroutine(_sign_digest(longest, bytes(32))))
+    field = SigFieldSpec(_FIELD, readable_field_name=_REASON)
     embedding = PdfCMSEmbedder(field).write_cms(_FIELD, Addition(given))
     next(embedding)
     placeholder = SignatureObject(
@@ -242,21 +241,21 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
     permissions = SigMDPSetup("sha256", certify=True, docmdp_perms=MDPPerm.NO_CHANGES)
     embedding.send(SigObjSetup(sig_placeholder=placeholder, mdp_setup=permissions))
     prepared, output = embedding.send(SigIOSetup(md_algorithm="sha256"))
-    embedding.send(_finished(_cms(signer, prepared.document_digest)))
+    embedding.send(_run_coroutine(_sign_digest(signer, prepared.document_digest)))
     made: bytes = output.getvalue()
     return made
 
 
-def _longest(signer: Signer) -> int:
+def _max_signature_size(signer: Signer) -> int:
     """Return the largest number of bytes of a signature; signatures by elliptic curves vary."""
     from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
-    size: int = signer.public.key_size
+    size: int = signer.public_key.key_size
     most = (1 << size) - 1
-    return size // 8 if signer.with_rsa else len(encode_dss_signature(most, most))
+    return size // 8 if signer.uses_rsa else len(encode_dss_signature(most, most))
 
 
-async def _cms(signer: Signer, digest: bytes) -> bytes:
+async def _sign_digest(signer: Signer, digest: bytes) -> bytes:
     """Return the signature of a digest with the certificates of its signer (CMS, CAdES)."""
     from asn1crypto.x509 import Certificate
     from cryptography.hazmat.primitives.serialization import Encoding
@@ -271,7 +270,7 @@ async def _cms(signer: Signer, digest: bytes) -> bytes:
             dry_run: bool = False,  # noqa: ARG002
         ) -> bytes:
             assert digest_algorithm == "sha256"
-            return signer.signed(data)
+            return signer.sign(data)
 
     own, *chain = (Certificate.load(one.public_bytes(Encoding.DER)) for one in signer.certificates)
     store: Any = SimpleCertificateStore()  # type: ignore[no-untyped-call, unused-ignore]
@@ -283,8 +282,11 @@ async def _cms(signer: Signer, digest: bytes) -> bytes:
     return content
 
 
-def _finished(work: Coroutine[Any, Any, bytes]) -> bytes:
-    """Return a coroutine's result; in a thread if a loop, such as a notebook's, runs already."""
+def _run_coroutine(work: Coroutine[Any, Any, bytes]) -> bytes:
+    """Return a coroutine's result.
+
+    It runs in a thread if an event loop is active, as in a notebook.
+    """
     import asyncio
     from concurrent.futures import ThreadPoolExecutor
 
@@ -292,11 +294,11 @@ def _finished(work: Coroutine[Any, Any, bytes]) -> bytes:
         return pool.submit(asyncio.run, work).result()
 
 
-def pages_signature(document: bytes, public: bytes) -> PagesSignature:
+def verify_pdf_signature(document: bytes, public: bytes) -> PdfSignatureStatus:
     """Return the state of the signature of a PDF's pages.
 
     public: X.509 certificate of the expected signer, DER. Its validity at the time of signing is
-        not judged here.
+        not checked.
     """
     _require_pyhanko()
     from asn1crypto.x509 import Certificate
@@ -308,22 +310,22 @@ def pages_signature(document: bytes, public: bytes) -> PagesSignature:
     reader = PdfFileReader(io.BytesIO(document))
     signatures = reader.embedded_signatures
     if not signatures:
-        # One that is not understood was there.
+        # A signature field exists but cannot be parsed.
         return "invalid" if any(enumerate_sig_fields(reader, filled_status=True)) else "none"
-    # The last covers all before it; what follows is covered by none.
+    # The last signature covers all earlier content; content after it is unsigned.
     last = signatures[-1]
     last.compute_integrity_info(skip_diff=True)
-    whole = last.coverage == SignatureCoverageLevel.ENTIRE_FILE
-    # The key counts, as for the XML: a certificate may have been renewed for it.
+    covers_file = last.coverage == SignatureCoverageLevel.ENTIRE_FILE
+    # Compare keys, as for the XML: the certificate may have been renewed.
     signer, expected = last.signer_cert, Certificate.load(public)
     if signer.public_key.dump() != expected.public_key.dump():
         return "invalid"
-    unchanged, theirs = validate_sig_integrity(
+    unchanged, valid = validate_sig_integrity(
         last.signer_info, signer, "data", last.compute_digest()
     )
-    if not theirs:
+    if not valid:
         return "invalid"
-    return "valid" if unchanged and whole else "changed"
+    return "valid" if unchanged and covers_file else "changed"
 
 
 def _digest(data: bytes) -> bytes:

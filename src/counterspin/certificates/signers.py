@@ -1,4 +1,4 @@
-"""Signers of a certificate: a private key in a file, or a command with a key in a device."""
+"""Signers of a certificate: a private key in a file, or a command that uses a device's key."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from counterspin.shell import find_program, join_command, split_command
 _RSA_BITS: Final = 2048
 _CURVE_BITS: Final = 256
 
-#: How long a command may take, s: somebody may have to type the PIN of a card.
+#: Timeout of a signing command, s: the user may have to type the PIN of a card.
 _COMMAND_SECONDS: Final = 120.0
 
 _MISSING: Final = (
@@ -34,12 +34,12 @@ class PasswordNeededError(CounterspinError):
 class Signer:
     """A person's signature by a private key.
 
-    No part of a key is ever written, or in a message.
+    No part of a key appears in a file or a message.
     """
 
-    certificates: Sequence[Any]  #: X.509: the signer's, followed by its chain if given.
+    certificates: Sequence[Any]  #: X.509: the signer's certificate, followed by its chain if given.
     #: Takes bytes; returns their signature: RSA by PKCS #1 v1.5, or ECDSA in DER; SHA-256.
-    signed: Callable[[bytes], bytes] = field(repr=False)
+    sign: Callable[[bytes], bytes] = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -48,27 +48,27 @@ class Signer:
         return text[:REASON_LENGTH]
 
     @property
-    def public(self) -> Any:
+    def public_key(self) -> Any:
         """The public key."""
         return self.certificates[0].public_key()
 
     @property
-    def with_rsa(self) -> bool:
+    def uses_rsa(self) -> bool:
         """True for an RSA key; else the key is of an elliptic curve."""
         from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
 
-        return isinstance(self.public, RSAPublicKey)
+        return isinstance(self.public_key, RSAPublicKey)
 
 
 @frozen
-class KeyFile:
-    """A file with a key or a certificate, as it was read."""
+class KeyMaterial:
+    """Name and content of a file with a key or a certificate."""
 
     name: str
     content: bytes = field(repr=False)
 
     @classmethod
-    def read(cls, path: Path) -> KeyFile:
+    def read(cls, path: Path) -> KeyMaterial:
         """Read a file; CounterspinError if it cannot be read."""
         try:
             return cls(str(path), read_file(path))
@@ -77,40 +77,45 @@ class KeyFile:
 
 
 def read_signer(
-    key: Path | KeyFile, certificate: Path | KeyFile | None = None, password: str | None = None
+    key: Path | KeyMaterial,
+    certificate: Path | KeyMaterial | None = None,
+    password: str | None = None,
 ) -> Signer:
     """Read a private key and its certificate.
 
     key: PEM, or PKCS #12, which includes its certificate.
     certificate: PEM; None: it is in the file of the key.
     """
-    of_key = key if isinstance(key, KeyFile) else KeyFile.read(key)
+    key_material = key if isinstance(key, KeyMaterial) else KeyMaterial.read(key)
     _require_cryptography()
-    given = certificate
-    of_certificate = given if given is None or isinstance(given, KeyFile) else KeyFile.read(given)
+    certificate_material = (
+        KeyMaterial.read(certificate) if isinstance(certificate, Path) else certificate
+    )
     secret = None if password is None else password.encode()
-    if b"-----BEGIN " not in of_key.content:
-        private, certificates = _from_pkcs12(of_key, secret)
-        if of_certificate is not None:
-            certificates = certificates_in(of_certificate)
+    if b"-----BEGIN " not in key_material.content:
+        private, certificates = _read_pkcs12(key_material, secret)
+        if certificate_material is not None:
+            certificates = certificates_in(certificate_material)
     else:
-        private = _from_pem(of_key, secret)
-        certificates = certificates_in(of_certificate or of_key)
-    source = (of_certificate or of_key).name
+        private = _read_pem_key(key_material, secret)
+        certificates = certificates_in(certificate_material or key_material)
+    source = (certificate_material or key_material).name
     if certificates[0].public_key() != private.public_key():
-        raise CounterspinError(f"{source}: is not the certificate of the key {of_key.name}")
-    signer = signer_with(private, certificates)
-    _refuse_unfit(signer, of_key.name, source)
+        raise CounterspinError(f"{source}: is not the certificate of the key {key_material.name}")
+    signer = signer_from_key(private, certificates)
+    _check_signer(signer, key_material.name, source)
     return signer
 
 
-def signer_with(key: Any, certificates: Sequence[Any]) -> Signer:
-    """Return the signer that has a private key of `cryptography`."""
-    return Signer(certificates, lambda data: bytes(key.sign(data, *_way(key.public_key()))))
+def signer_from_key(key: Any, certificates: Sequence[Any]) -> Signer:
+    """Return the signer with a private key of `cryptography`."""
+    return Signer(
+        certificates, lambda data: bytes(key.sign(data, *_signature_scheme(key.public_key())))
+    )
 
 
 def command_signer(command: str, certificate: Path) -> Signer:
-    """Return the signer whose key a command uses: in a card, a token, another machine.
+    """Return the signer that signs by a command, with a key in a card, a token or another machine.
 
     command: Reads the bytes to be signed from standard input, and writes the signature: of RSA by
         PKCS #1 v1.5, of an elliptic curve in DER, each with SHA-256.
@@ -122,23 +127,23 @@ def command_signer(command: str, certificate: Path) -> Signer:
         raise CounterspinError(f"`signer`: {command!r} is not a command ({error})") from error
     if not words:
         raise CounterspinError("`signer`: give the command that signs")
-    certificates = certificates_in(KeyFile.read(certificate))
+    certificates = certificates_in(KeyMaterial.read(certificate))
     signer = Signer(
-        certificates, lambda data: _signed_by(words, data, certificates[0].public_key())
+        certificates, lambda data: _sign_with_command(words, data, certificates[0].public_key())
     )
-    _refuse_unfit(signer, str(certificate), str(certificate))
+    _check_signer(signer, str(certificate), str(certificate))
     return signer
 
 
-def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
-    """Return a command's output for given bytes, if it is their signature."""
+def _sign_with_command(words: Sequence[str], data: bytes, public: Any) -> bytes:
+    """Return the signature of bytes that a command writes; CounterspinError if it is not valid."""
     from cryptography.exceptions import InvalidSignature
 
     def failed(why: str) -> CounterspinError:
         return CounterspinError(f"the signer's command {join_command(words)} {why}")
 
     try:
-        made = subprocess.run(
+        process = subprocess.run(
             [find_program(words[0]), *words[1:]],
             input=data,
             capture_output=True,
@@ -149,22 +154,22 @@ def _signed_by(words: Sequence[str], data: bytes, public: Any) -> bytes:
         raise failed(f"cannot be run ({error.strerror})") from error
     except subprocess.TimeoutExpired as error:
         raise failed(f"did not end within {_COMMAND_SECONDS:g} s") from error
-    if made.returncode != 0:
-        said = made.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
-        raise failed(f"ended with {made.returncode}: {said or 'it does not say why'}")
+    if process.returncode != 0:
+        message = process.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
+        raise failed(f"ended with {process.returncode}: {message or 'it does not say why'}")
     try:
-        public.verify(made.stdout, data, *_way(public))
+        public.verify(process.stdout, data, *_signature_scheme(public))
     except InvalidSignature as error:
         raise failed(
-            f"wrote {len(made.stdout)} bytes that are not a signature with the key of its "
+            f"wrote {len(process.stdout)} bytes that are not a signature with the key of its "
             f"certificate "
             "(RSA by PKCS #1 v1.5, or ECDSA in DER, of SHA-256, is expected)"
         ) from error
-    return made.stdout
+    return process.stdout
 
 
-def _way(public: Any) -> tuple[Any, ...]:
-    """Return the signature scheme of a key's holder; empty unless RSA or an elliptic curve."""
+def _signature_scheme(public: Any) -> tuple[Any, ...]:
+    """Return the signature scheme of a key; empty unless RSA or elliptic curve."""
     from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
     from cryptography.hazmat.primitives.hashes import SHA256
 
@@ -173,7 +178,7 @@ def _way(public: Any) -> tuple[Any, ...]:
     return (ec.ECDSA(SHA256()),) if isinstance(public, ec.EllipticCurvePublicKey) else ()
 
 
-def certificates_in(file: KeyFile) -> list[Any]:
+def certificates_in(file: KeyMaterial) -> list[Any]:
     """Return the X.509 certificates in a PEM file, which must have at least one."""
     _require_cryptography()
     from cryptography.x509 import load_pem_x509_certificates
@@ -184,7 +189,7 @@ def certificates_in(file: KeyFile) -> list[Any]:
         raise CounterspinError(f"{file.name}: is not an X.509 certificate in PEM form") from error
 
 
-def _from_pem(file: KeyFile, password: bytes | None) -> Any:
+def _read_pem_key(file: KeyMaterial, password: bytes | None) -> Any:
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
@@ -193,7 +198,7 @@ def _from_pem(file: KeyFile, password: bytes | None) -> Any:
     except TypeError as error:
         if password is None:
             raise PasswordNeededError(f"{file.name}: is encrypted; give its password") from error
-        return _from_pem(file, None)  # it is not encrypted after all
+        return _read_pem_key(file, None)  # it is not encrypted
     except (ValueError, UnsupportedAlgorithm) as error:
         if password is not None:
             raise CounterspinError(
@@ -203,12 +208,12 @@ def _from_pem(file: KeyFile, password: bytes | None) -> Any:
         raise CounterspinError(f"{file.name}: is not a private key in PEM form") from error
 
 
-def _from_pkcs12(file: KeyFile, password: bytes | None) -> tuple[Any, list[Any]]:
+def _read_pkcs12(file: KeyMaterial, password: bytes | None) -> tuple[Any, list[Any]]:
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.serialization.pkcs12 import load_pkcs12
 
     try:
-        held = load_pkcs12(file.content, password)
+        content = load_pkcs12(file.content, password)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         if not file.content.startswith(b"\x30"):
             raise CounterspinError(
@@ -219,28 +224,34 @@ def _from_pkcs12(file: KeyFile, password: bytes | None) -> tuple[Any, list[Any]]
         raise CounterspinError(
             f"{file.name}: cannot be read with this password, or is not a PKCS #12 file"
         ) from error
-    if held.key is None or held.cert is None:
+    if content.key is None or content.cert is None:
         raise CounterspinError(f"{file.name}: does not hold both a key and its certificate")
-    return held.key, [held.cert.certificate, *(one.certificate for one in held.additional_certs)]
+    return content.key, [
+        content.cert.certificate,
+        *(extra.certificate for extra in content.additional_certs),
+    ]
 
 
-def _refuse_unfit(signer: Signer, key: str, certificate: str) -> None:
-    """Refuse a signer whose signature would not be valid now."""
+def _check_signer(signer: Signer, key: str, certificate: str) -> None:
+    """Refuse a signer whose signature would not be valid today."""
     from cryptography.x509 import ExtensionNotFound, KeyUsage
 
-    if not _way(signer.public):
+    if not _signature_scheme(signer.public_key):
         raise CounterspinError(f"{key}: must be an RSA or an elliptic-curve key")
-    least, size = _RSA_BITS if signer.with_rsa else _CURVE_BITS, signer.public.key_size
-    if size < least:
-        raise CounterspinError(f"{key}: the key has {size} bits; at least {least} are needed")
-    own = signer.certificates[0]
-    begin, end = own.not_valid_before_utc, own.not_valid_after_utc
+    min_bits, size = _RSA_BITS if signer.uses_rsa else _CURVE_BITS, signer.public_key.key_size
+    if size < min_bits:
+        raise CounterspinError(f"{key}: the key has {size} bits; at least {min_bits} are needed")
+    certificate_of_signer = signer.certificates[0]
+    begin, end = (
+        certificate_of_signer.not_valid_before_utc,
+        certificate_of_signer.not_valid_after_utc,
+    )
     if not begin <= datetime.now(UTC) <= end:
         raise CounterspinError(
             f"{certificate}: is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, and not today"
         )
     try:
-        usage = own.extensions.get_extension_for_class(KeyUsage).value
+        usage = certificate_of_signer.extensions.get_extension_for_class(KeyUsage).value
     except ExtensionNotFound:
         return
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""The statements of a certificate: its claims in words, and the marks of each for machines."""
+"""Statements of a certificate, with their machine-readable attributes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.result import Result
-from counterspin.certificates import wording
+from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
 from counterspin.certificates.conversion import (
-    capability_lines,
     certified_triad,
-    title,
+    cmc_lines,
     triad_lines,
+    triad_title,
 )
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
@@ -32,13 +32,13 @@ _QUALITY: Final = ("ISO/IEC 17025:2017",)
 class Issue:
     """Identifier and date of a certificate."""
 
-    identifier: str  #: Unique.
-    date: datetime.datetime  #: Of issue, UTC.
+    identifier: str  #: Unique identifier.
+    date: datetime.datetime  #: Date of issue, UTC.
     signed: bool = False  #: Whether an electronic signature follows.
-    #: Whether the laboratory's data are not its own yet, so that nothing is certified.
+    #: Whether the laboratory's data are still the example's, so that nothing is certified.
     draft: bool = False
     amended: AmendedCertificate | None = None  #: The certificate that this one replaces.
-    #: Why a result is certified although its file has no seal; None if it has one.
+    #: Reason for certifying a result whose file has no seal; None if it has one.
     accepted_unsealed: str | None = None
 
     def file_name(self, ending: str) -> str:
@@ -48,17 +48,17 @@ class Issue:
 
 @frozen
 class Statement:
-    """A claim in words, with its marks for machines (``dcc:statement``)."""
+    """A statement, with its machine-readable attributes (``dcc:statement``)."""
 
     name: str
-    lines: Sequence[str]  #: Its paragraphs; there is no statement without any.
-    norms: Sequence[str] = ()  #: The standards that it follows.
+    lines: Sequence[str]  #: Paragraphs; a statement without any is omitted.
+    norms: Sequence[str] = ()  #: Standards that it follows.
     language: str = ENGLISH
-    ref: str | None = None  #: Id of the element that it is about.
+    ref: str | None = None  #: Id of the element that it concerns.
     kind: str | None = None  #: ``refType`` of the DCC.
     traceable: bool = False
     non_si: str | None = None  #: Definition of the unit g.
-    conformity: str | None = None  #: ``pass``, ``fail`` and so on, as the DCC has them.
+    conformity: str | None = None  #: DCC keyword, such as ``pass`` or ``fail``.
 
 
 def item_id(lab: Lab, result: Result, name: str) -> str:
@@ -69,68 +69,82 @@ def item_id(lab: Lab, result: Result, name: str) -> str:
 def statements(
     lab: Lab, result: Result, stated: Result, issue: Issue, verdicts: Verdicts
 ) -> list[Statement]:
-    """Return every statement, in the order in which they are read.
+    """Return the statements in the order of reading.
 
     stated: The result with the uncertainties that the laboratory may claim.
     """
-    every = [
-        *_of_the_certificate(lab, stated, issue),
-        *_of_the_values(lab, result, stated),
-        *_of_conformity(lab, stated, verdicts),
-        Statement(wording.SCOPE, [wording.scope_statement()], _QUALITY),
-        Statement(wording.REMARKS, lab.certificate.remarks, language=lab.certificate.language),
+    candidates = [
+        *_certificate_statements(lab, stated, issue),
+        *_value_statements(lab, result, stated),
+        *_conformity_statements(lab, stated, verdicts),
+        Statement(certificate_text.SCOPE, [certificate_text.scope_statement()], _QUALITY),
+        Statement(
+            certificate_text.REMARKS, lab.certificate.remarks, language=lab.certificate.language
+        ),
     ]
-    return [statement for statement in every if statement.lines]
+    return [statement for statement in candidates if statement.lines]
 
 
-def _of_the_certificate(lab: Lab, stated: Result, issue: Issue) -> Iterator[Statement]:
+def _certificate_statements(lab: Lab, stated: Result, issue: Issue) -> Iterator[Statement]:
     settings = lab.certificate
-    yield Statement("Draft", [wording.DRAFT] if issue.draft else [])
+    yield Statement("Draft", [certificate_text.DRAFT] if issue.draft else [])
     yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
-    misfit = wording.misfit_lines(stated, lab.certified(stated))
+    misfit = certificate_text.misfit_lines(stated, lab.certified(stated))
     yield Statement("Misfit of the result", misfit)
-    yield Statement("File of the result", wording.seal_lines(stated, issue.accepted_unsealed))
     yield Statement(
-        wording.TRACEABILITY, [settings.traceability], language=settings.language, traceable=True
+        "File of the result", certificate_text.seal_lines(stated, issue.accepted_unsealed)
+    )
+    yield Statement(
+        certificate_text.TRACEABILITY,
+        [settings.traceability],
+        language=settings.language,
+        traceable=True,
     )
 
 
-def _of_the_values(lab: Lab, result: Result, stated: Result) -> Iterator[Statement]:
+def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Statement]:
     settings, names, g = lab.certificate, lab.certified(result), stated.inputs.gravity
     kind = "basic_methodMeasurementUncertainty"
-    yield Statement(wording.UNCERTAINTY, [wording.uncertainty_statement()], _GUM, kind=kind)
+    yield Statement(
+        certificate_text.UNCERTAINTY, [certificate_text.uncertainty_statement()], _GUM, kind=kind
+    )
     one_g = f"1 g = {g!r} m/s^2, the local gravity of the site"
-    yield Statement(wording.UNITS, [wording.unit_statement(g)], non_si=one_g)
-    raised = capability_lines(result, stated, lab)
-    yield Statement(wording.CAPABILITY, raised, ("ILAC-P14:09/2020",))
-    known = [line for n in names for line in wording.known_beforehand(n, stated, settings)]
-    yield Statement(wording.KNOWN, known)
+    yield Statement(certificate_text.UNITS, [certificate_text.unit_statement(g)], non_si=one_g)
+    raised = cmc_lines(result, stated, lab)
+    yield Statement(certificate_text.CAPABILITY, raised, ("ILAC-P14:09/2020",))
+    known = [line for n in names for line in certificate_text.prior_lines(n, stated, settings)]
+    yield Statement(certificate_text.PRIOR_KNOWLEDGE, known)
     evidence = [*evidence_lines(stated.assumed, lab.evidence)]
-    yield Statement(wording.ASSUMED, evidence, language=settings.language)
-    supplied = wording.customer_lines(settings)
-    yield Statement(wording.SUPPLIED, supplied, _QUALITY, settings.language)
+    yield Statement(certificate_text.ASSUMED, evidence, language=settings.language)
+    supplied = certificate_text.customer_lines(settings)
+    yield Statement(certificate_text.SUPPLIED, supplied, _QUALITY, settings.language)
     for name in names:
-        lines = wording.not_determined(name, stated.accelerometers[name])
+        lines = certificate_text.undetermined_lines(name, stated.accelerometers[name])
         yield Statement(
             f"Not determined, accelerometer {name}", lines, ref=item_id(lab, stated, name)
         )
     if (triad := certified_triad(stated, names)) is not None:
-        yield Statement(title(triad), triad_lines(triad))
+        yield Statement(triad_title(triad), triad_lines(triad))
     for name in names:
-        lines = wording.rest_lines(name, stated)
-        about = f"{wording.RESTS_ON}, accelerometer {name}"
+        lines = certificate_text.assumption_lines(name, stated)
+        about = f"{certificate_text.BASIS}, accelerometer {name}"
         yield Statement(about, lines, ref=item_id(lab, stated, name))
 
 
-def _of_conformity(lab: Lab, stated: Result, verdicts: Verdicts) -> Iterator[Statement]:
+def _conformity_statements(lab: Lab, stated: Result, verdicts: Verdicts) -> Iterator[Statement]:
     for name, by_symbol in verdicts.items():
         for symbol, judged in by_symbol.items():
             c = stated.accelerometers[name].coefficients.get(symbol)
             item = item_id(lab, stated, name)
             yield Statement(
-                f"{wording.CONFORMITY}, {symbol} of {name}",
-                [wording.verdict(symbol, name, judged, c), wording.decision_rule(judged)],
+                f"{certificate_text.CONFORMITY}, {symbol} of {name}",
+                [
+                    certificate_text.verdict_sentence(symbol, name, judged, c),
+                    certificate_text.decision_rule(judged),
+                ],
                 ("JCGM 106:2012",),
-                ref=f"{item}.{symbol}" if c is not None and wording.is_determined(c) else item,
-                conformity=wording.conformity_word(judged, c),
+                ref=f"{item}.{symbol}"
+                if c is not None and certificate_text.is_determined(c)
+                else item,
+                conformity=certificate_text.dcc_verdict(judged, c),
             )

@@ -150,8 +150,8 @@ def certificate(
     from counterspin.certificates.issuing import (
         certificate_blocks,
         check_certificate,
-        check_place,
-        check_places,
+        check_output_path,
+        check_output_paths,
     )
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, report_console
@@ -189,7 +189,7 @@ def certificate(
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (issue.amends is None) != (issue.reason is None):
         raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
-    (check_places if signing.both else check_place)(output)
+    (check_output_paths if signing.both else check_output_path)(output)
     done = make(
         result,
         lab,

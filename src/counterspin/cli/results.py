@@ -234,18 +234,18 @@ def ledger(
         raise CampaignError("ledger", ["with verify, give only the ledger"])
     verified = verify_ledger(ledger)
     report_console().print(Report(list(ledger_blocks(verified))))
-    if verified.unfinished:
+    if verified.partial_entry:
         raise RecordError(
             f"{ledger}: after entry {len(verified.entries)} comes an incomplete line of "
-            f"{len(verified.unfinished)} bytes, left by an interrupted command or altered "
+            f"{len(verified.partial_entry)} bytes, left by an interrupted command or altered "
             "at its end; the entries before it are intact, and the next entry will preserve it"
         )
 
 
 def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
     """Enter a result's file, and say so."""
-    from counterspin.certificates.ledger import enter_result
+    from counterspin.certificates.ledger import record_result
     from counterspin.reports.publication import issue_date
 
-    entered = enter_result(ledger, result, who=who, why=why, date=issue_date())
+    entered = record_result(ledger, result, who=who, why=why, date=issue_date())
     say(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")

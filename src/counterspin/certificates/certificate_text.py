@@ -17,7 +17,7 @@ from counterspin.calibration.pages.methods import (
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates.lab import CertificateSettings
-from counterspin.certificates.schema import factor
+from counterspin.certificates.schema import format_decimal
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
 from counterspin.inference.verdicts import Conformity
 from counterspin.physics.terms import TERMS
@@ -56,8 +56,8 @@ def region_factor(size: int, dof: float | None) -> float:
 #: ``(a ± b) x 1e4``: value, uncertainty, power.
 _TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
 
-#: Part of a u^2 from which a source is named.
-_LEAST_SHARE: Final = 0.01
+#: Smallest share of u^2 for which a source is named.
+_MIN_SHARE: Final = 0.01
 
 _METHODS: Final = {
     "joint": "Joint weighted least squares",
@@ -73,38 +73,38 @@ _RULES: Final = {
     "fail if it does not conform with at least that probability, else undecided",
 }
 
-#: A certificate whose laboratory is still that of the example.
+#: Statement of a certificate with the example's laboratory data.
 DRAFT: Final = (
     "DRAFT. The laboratory's data are those of the example: this is no certificate, and certifies "
     "nothing."
 )
 
-#: How the method stands to the standard.
+#: Relation of the method to the standard.
 BASED_ON: Final = (
     "Based on the terms of IEEE Std 1293 but not in accordance with it: the model is "
     "not divided by K_I, unlike that of the standard, whose K2 is K_II/K_I."
 )
 
-#: What ISO/IEC 17025:2017, 7.8.2.2, asks for.
+#: Disclaimer required by ISO/IEC 17025:2017, 7.8.2.2.
 CUSTOMER_DISCLAIMER: Final = (
     "The customer supplied these data. They can affect the validity of the results; the "
     "laboratory is not responsible for them."
 )
 
-# What the statements are called, in the XML and on the pages.
+# Headings of the statements, in the XML and on the pages.
 UNCERTAINTY: Final = "Measurement uncertainty"
 UNITS: Final = "Units"
 TRACEABILITY: Final = "Metrological traceability"
 CAPABILITY: Final = "Calibration and measurement capability"
-RESTS_ON: Final = "Basis of the result"
-KNOWN: Final = "Prior knowledge"
+BASIS: Final = "Basis of the result"
+PRIOR_KNOWLEDGE: Final = "Prior knowledge"
 ASSUMED: Final = "Assumed perfect, and the evidence"
 SUPPLIED: Final = "Data supplied by the customer"
 CONFORMITY: Final = "Conformity"
 REMARKS: Final = "Remarks"
 SCOPE: Final = "Scope"
 
-#: Words of DCC as people write them.
+#: DCC verdict -> plain English.
 _CONDITIONAL: Final = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
 
 
@@ -158,10 +158,10 @@ def scope_statement() -> str:
     )
 
 
-def without_plus_minus(sentence: str) -> str:
-    """Return a sentence of the calibration for a certificate, in which ± precedes U only."""
-    apart = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
-    return apart.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
+def replace_plus_minus(sentence: str) -> str:
+    """Return a sentence with "u =" for "±", which precedes only U in a certificate."""
+    separated = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
+    return separated.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
 
 
 # The method
@@ -197,10 +197,10 @@ def customer_lines(settings: CertificateSettings) -> list[str]:
     return [*settings.customer_data, CUSTOMER_DISCLAIMER] if settings.customer_data else []
 
 
-def known_beforehand(name: str, result: Result, settings: CertificateSettings) -> list[str]:
+def prior_lines(name: str, result: Result, settings: CertificateSettings) -> list[str]:
     """Return the prior information in an accelerometer's result, by its budget.
 
-    settings: Of the laboratory's file; data that its `customer_data` names are marked.
+    settings: [certificate] of the laboratory's file; quantities in its `customer_data` are marked.
     """
     lines = {
         line.source: line
@@ -209,41 +209,41 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
         if line.kind in ("stated", "held")
     }
     supplied = {word for entry in settings.customer_data for word in re.findall(r"[\w.]+", entry)}
-    said = []
+    sentences = []
     for symbol, line in lines.items():
         unit, scale = field_unit(line.unit)
         size = ""
         if line.u:
             size = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
-        whose = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
-        said.append(f"Prior for {name}: {symbol}{size}{whose}.")
-    return said
+        supplier = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
+        sentences.append(f"Prior for {name}: {symbol}{size}{supplier}.")
+    return sentences
 
 
-def rest_lines(name: str, result: Result) -> list[str]:
+def assumption_lines(name: str, result: Result) -> list[str]:
     """Return the unmeasured assumptions behind u of an accelerometer's coefficients.
 
-    They are confounded terms, and terms that nobody stated and that count at their typical size.
+    They are confounded terms, and unstated terms that contribute with their typical size.
     """
     accelerometer = result.accelerometers[name]
-    said = [without_plus_minus(line) for line in rests_on(accelerometer)]
+    sentences = [replace_plus_minus(line) for line in rests_on(accelerometer)]
     sizes = dict[str, str]()
     for line in (line for lines in accelerometer.budget.values() for line in lines):
-        if line.kind == "unstated" and line.u and line.share >= _LEAST_SHARE:
+        if line.kind == "unstated" and line.u and line.share >= _MIN_SHARE:
             unit, scale = field_unit(line.unit)
             sizes[line.source] = f"{line.source}, {format_uncertainty(line.u * scale)} {unit}"
     if sizes:
-        said.append(
+        sentences.append(
             "Not stated, so included in U with a typical standard uncertainty: "
             f"{'; '.join(sizes.values())}."
         )
-    return said
+    return sentences
 
 
 def seal_lines(result: Result, accepted: str | None) -> list[str]:
     """Return the statement on a result whose file has no seal; nothing for a sealed result.
 
-    accepted: The reason for which it is certified all the same.
+    accepted: The reason for certifying it without a seal.
     """
     if result.sealed:
         return []
@@ -259,7 +259,7 @@ def misfit_lines(result: Result, names: Sequence[str]) -> list[str]:
     if result.accepted_misfit is None:
         return []
     failed = [
-        without_plus_minus(f"{name}: {result.accelerometers[name].findings[0].text}")
+        replace_plus_minus(f"{name}: {result.accelerometers[name].findings[0].text}")
         for name in names
         if result.accelerometers[name].state == "contradicted"
     ]
@@ -284,12 +284,12 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
         name = {"bias": "bias (K0 times K1 of IEEE Std 1293)", "scale_factor": "scale factor K1"}[
             key
         ]
-        lines[key] = f"In the unit of the readings: {name}: {shown} (U, k = {factor(k)})."
+        lines[key] = f"In the unit of the readings: {name}: {shown} (U, k = {format_decimal(k)})."
     return lines
 
 
-def stated_in(unit: SiUnit) -> str:
-    """Return the unit of a quantity's number, for the end of its description."""
+def unit_remark(unit: SiUnit) -> str:
+    """Return a remark on the unit of a quantity, for the end of its description."""
     return "stated here " + ("as a pure number." if unit == SiUnit() else f"in {unit.words}.")
 
 
@@ -301,34 +301,35 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
     what = "" if row is None else f"{words} ({row.effect.ieee} in IEEE Std 1293); "
-    stated = stated_in(si_unit(coefficient.unit)[0])
-    return f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); {stated}"
+    stated = unit_remark(si_unit(coefficient.unit)[0])
+    estimate = f"{format_in_g_units(coefficient, k)} (U, k = {format_decimal(k)})"
+    return f"{what}{symbol} = {estimate}; {stated}"
 
 
-def shown_in_g(coefficient: Coefficient, k: float) -> str:
-    """Return a determined coefficient with k u, in the unit in which the field reads it."""
+def format_in_g_units(coefficient: Coefficient, k: float) -> str:
+    """Return a determined coefficient with k u, in the usual unit of the field."""
     assert coefficient.value is not None
     assert coefficient.u is not None
     unit, scale = field_unit(coefficient.unit)
     return format_estimate(coefficient.value * scale, k * coefficient.u * scale, unit)
 
 
-def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
+def undetermined_lines(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a sentence for each coefficient that is not certified, with the reason."""
     return [
-        f"{symbol} of {name}: {why_not_determined(c)}; no value is certified."
+        f"{symbol} of {name}: {undetermined_reason(c)}; no value is certified."
         for symbol, c in accelerometer.coefficients.items()
         if not is_determined(c)
     ]
 
 
-def why_not_determined(coefficient: Coefficient) -> str:
+def undetermined_reason(coefficient: Coefficient) -> str:
     """Return the reason why a coefficient is not certified."""
     if coefficient.value is None:
         return "not determined by the records"
     assert coefficient.u is not None
     k = coverage_factor(None)
-    known = f"{shown_in_g(coefficient, k)} (U, k = {factor(k)})"
+    known = f"{format_in_g_units(coefficient, k)} (U, k = {format_decimal(k)})"
     return f"not determined by the records; the prior, {known}, was used"
 
 
@@ -346,10 +347,10 @@ def decision_rule(judged: Conformity) -> str:
     return f"{text}."
 
 
-def conformity_word(judged: Conformity, coefficient: Coefficient | None) -> str | None:
-    """Return the verdict in the words of DCC; None if it has no word.
+def dcc_verdict(judged: Conformity, coefficient: Coefficient | None) -> str | None:
+    """Return the verdict as a DCC keyword; None if the DCC has no keyword for it.
 
-    DCC has words for an undecided verdict only with a guard band: conditional pass inside the
+    An undecided verdict has a keyword only with a guard band: conditional pass inside the
     tolerance limits, conditional fail outside (ILAC-G8:09/2019, 4.2.3).
     """
     if judged.verdict != "undecided":
@@ -364,13 +365,13 @@ def conformity_word(judged: Conformity, coefficient: Coefficient | None) -> str 
     return "conditionalPass" if within else "conditionalFail"
 
 
-def verdict(
+def verdict_sentence(
     symbol: str, name: str, judged: Conformity, coefficient: Coefficient | None = None
 ) -> str:
-    """Return the verdict on a coefficient, in the word that the XML has for it."""
-    word = conformity_word(judged, coefficient)
-    said = _CONDITIONAL.get(word or "", word) or judged.verdict
-    text = f"{symbol} of {name}, specified as {judged.specification}: {said}"
+    """Return a sentence with the verdict on a coefficient, as the XML states it."""
+    word = dcc_verdict(judged, coefficient)
+    label = _CONDITIONAL.get(word or "", word) or judged.verdict
+    text = f"{symbol} of {name}, specified as {judged.specification}: {label}"
     text += f" ({judged.reason})." if judged.reason else "."
     if judged.probability is not None:
         text += f" Probability of conformity: {format_probability(judged.probability)}"

@@ -1,4 +1,4 @@
-"""The pages of a certificate: subject, method, results and statements.
+"""Pages of a certificate's PDF: subject, method, results and statements.
 
 Opinions, such as whether a result is good, are left to the report (ISO/IEC 17025 7.8.7).
 """
@@ -12,27 +12,25 @@ from typing import Final
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, TriadResult
 from counterspin.calibration.si_estimates import SiEstimate
-from counterspin.certificates import wording
+from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import amendment_lines
+from counterspin.certificates.certificate_text import coverage_factor
 from counterspin.certificates.conversion import (
-    capability_lines,
+    apply_cmc_floor,
     certified_triad,
-    in_si,
+    cmc_lines,
+    coefficients_in_si,
+    displayed_parameters,
     matrix_dof,
     output_lines,
     output_table,
-    shown_in_si,
     triad_lines,
-    with_capability,
-)
-from counterspin.certificates.conversion import (
-    title as triad_title,
+    triad_title,
 )
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
-from counterspin.certificates.schema import factor
+from counterspin.certificates.schema import format_decimal
 from counterspin.certificates.statements import Issue, Verdicts
-from counterspin.certificates.wording import coverage_factor
 from counterspin.characters import Lines
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate, format_number
@@ -40,26 +38,26 @@ from counterspin.reports.typography import typeset, typeset_block
 
 TITLE: Final = "Calibration certificate"
 
-#: Where somebody signs on paper.
-_LINE: Final = Lines("", "_____________________________________")
+#: Line for a signature on paper.
+_SIGNATURE_LINE: Final = Lines("", "_____________________________________")
 _ELECTRONIC: Final = "electronic, of the XML and of these pages"
 
 
-def title(issue: Issue) -> str:
+def page_title(issue: Issue) -> str:
     """Return the heading of every page."""
     return f"DRAFT, not a {TITLE.lower()}" if issue.draft else TITLE
 
 
-def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> Iterator[Block]:
+def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> Iterator[Block]:
     """Yield the certificate's pages.
 
     lab: The laboratory's data.
     """
     settings, names = lab.certificate, lab.certified(result)
-    stated = with_capability(result, lab)
-    yield Heading(title(issue), 1)
+    stated = apply_cmc_floor(result, lab)
+    yield Heading(page_title(issue), 1)
     if issue.draft:
-        yield Paragraph(wording.DRAFT, "warning")
+        yield Paragraph(certificate_text.DRAFT, "warning")
     yield Paragraph(
         f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier "
         "holds the same numbers for machines.",
@@ -67,89 +65,97 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     )
     for line in amendment_lines(issue.amended):
         yield Paragraph(typeset(line))
-    yield _two_columns(_administration(lab, issue))
+    yield _two_columns(_administrative_rows(lab, issue))
     yield Heading("Calibrated item")
-    yield _two_columns(_item(lab, result))
+    yield _two_columns(_item_rows(lab, result))
     yield Heading("Method and conditions")
-    yield typeset_block(_two_columns(_circumstances(lab, result)))
-    for line in (wording.BASED_ON, *wording.deviation_lines(settings)):
+    yield typeset_block(_two_columns(_method_rows(lab, result)))
+    for line in (certificate_text.BASED_ON, *certificate_text.deviation_lines(settings)):
         yield Paragraph(typeset(line))
     yield Heading("Results")
-    seal = wording.seal_lines(result, issue.accepted_unsealed)
-    for line in (*wording.misfit_lines(result, names), *seal):
+    seal = certificate_text.seal_lines(result, issue.accepted_unsealed)
+    for line in (*certificate_text.misfit_lines(result, names), *seal):
         yield Paragraph(typeset(line), "warning")
-    yield from _results(lab, result, stated)
+    yield from _result_blocks(lab, result, stated)
     yield Heading("Statements")
-    yield from _part(wording.UNCERTAINTY, typeset(wording.uncertainty_statement()))
-    yield from _part(wording.UNITS, typeset(wording.unit_statement(result.inputs.gravity)))
-    yield from _part(wording.TRACEABILITY, settings.traceability)
-    yield from _conformity(stated, verdicts)
-    yield from _part(wording.REMARKS, *settings.remarks)
-    yield from _part(wording.SCOPE, wording.scope_statement())
+    yield from _section(
+        certificate_text.UNCERTAINTY, typeset(certificate_text.uncertainty_statement())
+    )
+    yield from _section(
+        certificate_text.UNITS, typeset(certificate_text.unit_statement(result.inputs.gravity))
+    )
+    yield from _section(certificate_text.TRACEABILITY, settings.traceability)
+    yield from _conformity_blocks(stated, verdicts)
+    yield from _section(certificate_text.REMARKS, *settings.remarks)
+    yield from _section(certificate_text.SCOPE, certificate_text.scope_statement())
 
 
-def _part(name: str, *lines: str) -> Iterator[Block]:
-    """Yield a named section of some statements; nothing without any."""
+def _section(name: str, *lines: str) -> Iterator[Block]:
+    """Yield a section of statements with its heading; nothing if it is empty."""
     if lines:
         yield Heading(name, 3)
     yield from map(Paragraph, lines)
 
 
-def _conformity(stated: Result, verdicts: Verdicts) -> Iterator[Block]:
-    said = list[Paragraph]()
+def _conformity_blocks(stated: Result, verdicts: Verdicts) -> Iterator[Block]:
+    paragraphs = list[Paragraph]()
     for name, by_symbol in verdicts.items():
         for symbol, judged in by_symbol.items():
             coefficient = stated.accelerometers[name].coefficients.get(symbol)
-            word = wording.verdict(symbol, name, judged, coefficient)
-            text = typeset(f"{word} {wording.decision_rule(judged)}")
-            # A sign and its number stay on one line.
+            word = certificate_text.verdict_sentence(symbol, name, judged, coefficient)
+            text = typeset(f"{word} {certificate_text.decision_rule(judged)}")
+            # Keep a sign and its number on one line.
             text = text.replace("< ", "<\u00a0").replace("> ", ">\u00a0").replace("<= ", "≤\u00a0")
-            said.append(Paragraph(text, "plain" if judged.verdict == "pass" else "warning"))
-    if said:
-        yield Heading(wording.CONFORMITY, 3)
-    yield from said
+            paragraphs.append(Paragraph(text, "plain" if judged.verdict == "pass" else "warning"))
+    if paragraphs:
+        yield Heading(certificate_text.CONFORMITY, 3)
+    yield from paragraphs
 
 
-def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
+def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     """Yield the numbers, of `stated`, and the statements about them."""
     settings, names = lab.certificate, lab.certified(result)
     for name in names:
         accelerometer = stated.accelerometers[name]
-        yield typeset_block(results_table(name, accelerometer.coefficients, in_si(stated, name)))
-        for line in wording.output_lines(accelerometer).values():
+        yield typeset_block(
+            results_table(name, accelerometer.coefficients, coefficients_in_si(stated, name))
+        )
+        for line in certificate_text.output_lines(accelerometer).values():
             yield Paragraph(typeset(line))
-        for line in wording.not_determined(name, accelerometer):
+        for line in certificate_text.undetermined_lines(name, accelerometer):
             yield Paragraph(typeset(line), "warning")
     if (triad := certified_triad(stated, names)) is not None:
-        yield from map(typeset_block, _triad(stated, triad))
+        yield from map(typeset_block, _triad_blocks(stated, triad))
     yield Paragraph(
         "The XML holds the covariances of these coefficients"
         + (", also between accelerometers." if len(names) > 1 and stated.correlation else "."),
         "quiet",
     )
-    yield from _part(wording.CAPABILITY, *map(typeset, capability_lines(result, stated, lab)))
-    rests = list[Paragraph]()
+    yield from _section(certificate_text.CAPABILITY, *map(typeset, cmc_lines(result, stated, lab)))
+    paragraphs = list[Paragraph]()
     for name in names:
-        for line in wording.rest_lines(name, result):
-            rests.append(Paragraph(typeset(f"{name}: {line}")))
+        for line in certificate_text.assumption_lines(name, result):
+            paragraphs.append(Paragraph(typeset(f"{name}: {line}")))
         for line in result.accelerometers[name].warnings:
-            warning = f"Warning: {wording.without_plus_minus(line)}"
-            rests.append(Paragraph(typeset(warning), "warning"))
-    if rests:
-        yield Heading(wording.RESTS_ON, 3)
-    yield from rests
-    known = (line for name in names for line in wording.known_beforehand(name, result, settings))
-    yield from _part(wording.KNOWN, *map(typeset, known))
-    yield from _part(wording.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
-    yield from _part(wording.SUPPLIED, *wording.customer_lines(settings))
+            warning = f"Warning: {certificate_text.replace_plus_minus(line)}"
+            paragraphs.append(Paragraph(typeset(warning), "warning"))
+    if paragraphs:
+        yield Heading(certificate_text.BASIS, 3)
+    yield from paragraphs
+    known = (
+        line for name in names for line in certificate_text.prior_lines(name, result, settings)
+    )
+    yield from _section(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, known))
+    yield from _section(certificate_text.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
+    yield from _section(certificate_text.SUPPLIED, *certificate_text.customer_lines(settings))
 
 
-def _triad(stated: Result, triad: TriadResult) -> Iterator[Block]:
+def _triad_blocks(stated: Result, triad: TriadResult) -> Iterator[Block]:
     """Yield a triad's parameters with U, and its corrected output."""
     yield Heading(triad_title(triad), 3)
     for line in triad_lines(triad):
         yield Paragraph(typeset(line))
-    yield results_table("Parameter", *shown_in_si(stated, triad))
+    yield results_table("Parameter", *displayed_parameters(stated, triad))
     for line in output_lines(stated, triad):
         yield Paragraph(typeset(line))
     if triad.matrix is not None and triad.u_matrix is not None:
@@ -158,58 +164,58 @@ def _triad(stated: Result, triad: TriadResult) -> Iterator[Block]:
         yield output_table(triad.accelerometers, triad.matrix, expanded, k)
 
 
-def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
+def _administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
     settings = lab.certificate
-    yield "Laboratory", _address(lab.laboratory)
+    yield "Laboratory", _format_address(lab.laboratory)
     if lab.laboratory.code is not None:
         yield "Accreditation", lab.laboratory.code
-    yield "Customer", _address(lab.customer)
+    yield "Customer", _format_address(lab.customer)
     if settings.received is not None:
         yield "Item received", settings.received.isoformat()
     days = dict.fromkeys((settings.begin.isoformat(), settings.end.isoformat()))
     yield "Calibrated", f"{' to '.join(days)}, place: {settings.place}"
     if lab.conditions.temperature is not None:
         temperature = lab.conditions.temperature
-        yield "Ambient temperature", _with_expanded(temperature.value, temperature.u, "°C")
+        yield "Ambient temperature", _format_expanded(temperature.value, temperature.u, "°C")
     yield "Issued", issue.date.date().isoformat()
     for place, person in enumerate(lab.persons):
         signs = ", signs" if place == 0 else ""
         yield "Responsible", f"{person.name}, {person.role}{signs}"
-    yield "Signature", _ELECTRONIC if issue.signed else _LINE
+    yield "Signature", _ELECTRONIC if issue.signed else _SIGNATURE_LINE
 
 
-def _circumstances(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
-    """Yield method and circumstances, from which a reader judges whether the result applies."""
+def _method_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
+    """Yield the method and the conditions, which show whether the result applies."""
     inputs = result.inputs
     if lab.certificate.procedure is not None:
         yield "Procedure", lab.certificate.procedure
-    yield "Method", wording.method_name(result)
-    yield "Test", Lines(*wording.test_lines(result))
+    yield "Method", certificate_text.method_name(result)
+    yield "Test", Lines(*certificate_text.test_lines(result))
     if result.runs:
         rates = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
         yield "Rates", ", ".join(rates)
     if inputs.radius:
-        yield "Radius", _with_expanded(inputs.radius, inputs.u_radius, "m")
-    yield "Local gravity", _with_expanded(inputs.gravity, inputs.u_gravity, "m/s^2")
+        yield "Radius", _format_expanded(inputs.radius, inputs.u_radius, "m")
+    yield "Local gravity", _format_expanded(inputs.gravity, inputs.u_gravity, "m/s^2")
     latitude, u = math.degrees(inputs.latitude), math.degrees(inputs.u_latitude)
-    yield "Latitude", _with_expanded(latitude, u, "deg")
+    yield "Latitude", _format_expanded(latitude, u, "deg")
 
 
-def _with_expanded(value: float, u: float, unit: str) -> str:
+def _format_expanded(value: float, u: float, unit: str) -> str:
     if not u:
         return f"{format_number(value, 9)} {unit}"
     k = coverage_factor(None)
-    return f"{format_estimate(value, k * u, unit)} (U, k = {factor(k)})"
+    return f"{format_estimate(value, k * u, unit)} (U, k = {format_decimal(k)})"
 
 
-def _address(contact: Contact) -> str:
+def _format_address(contact: Contact) -> str:
     street = " ".join(part for part in (contact.street, contact.number) if part)
     city = " ".join(part for part in (contact.post_code, contact.city) if part)
     parts = (contact.name, street, city, contact.country, contact.email, contact.phone)
     return ", ".join(part for part in parts if part)
 
 
-def _item(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
+def _item_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     item = lab.item
     yield "Item", item.name
     yield "Manufacturer, model", f"{item.manufacturer}, {item.model}"
@@ -234,14 +240,14 @@ def results_table(
 ) -> Table:
     """Return the determined coefficients with U, in g-units and in SI.
 
-    coefficients: In g-units; a missing one is in SI only.
+    coefficients: In g-units; a coefficient missing here is shown in SI only.
     """
     rows = []
     for symbol, estimate in estimates.items():
         in_g, k_in_g = "-", "-"
         if (c := coefficients.get(symbol)) is not None and c.u is not None:
             k = coverage_factor(c.dof)
-            in_g, k_in_g = wording.shown_in_g(c, k), factor(k)
+            in_g, k_in_g = certificate_text.format_in_g_units(c, k), format_decimal(k)
         k = coverage_factor(estimate.dof)
         unit = "" if estimate.unit.words == "1" else estimate.unit.words
         rows.append(
@@ -250,7 +256,7 @@ def results_table(
                 in_g,
                 k_in_g,
                 format_estimate(estimate.value, k * estimate.u, unit),
-                factor(k),
+                format_decimal(k),
                 "infinite" if estimate.dof is None else format_count(estimate.dof),
             )
         )

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.certificates.conversion import OUTPUT, TITLE
+from counterspin.certificates.conversion import OUTPUT_COEFFICIENTS, TRIAD_TITLE_PREFIX
 from counterspin.certificates.schema import NAMESPACES, Element, parse
-from counterspin.certificates.signature import PagesSignature, pages_signature
+from counterspin.certificates.signature import PdfSignatureStatus, verify_pdf_signature
 from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.input import read_file
@@ -39,16 +39,16 @@ def read_document(path: Path) -> bytes:
     A PDF is read in an isolated process, as records of native formats are.
     """
     if is_pdf(path):
-        return in_reader_process(_attached, path)
-    return _content(path)
+        return in_reader_process(_attached_xml, path)
+    return _read_xml(path)
 
 
-def verify_pages(path: Path, public: bytes) -> PagesSignature:
-    """Return the state of the signature of a PDF's pages, as `pages_signature` does."""
-    return in_reader_process(_pages_signature, path, public)
+def verify_pages(path: Path, public: bytes) -> PdfSignatureStatus:
+    """Return the state of a PDF's signature, as `verify_pdf_signature` does."""
+    return in_reader_process(_pdf_signature_status, path, public)
 
 
-def _content(path: Path) -> bytes:
+def _read_xml(path: Path) -> bytes:
     try:
         return read_file(path)
     except OSError as error:
@@ -57,8 +57,8 @@ def _content(path: Path) -> bytes:
         ) from error
 
 
-def _attached(path: Path) -> bytes:
-    content = _content(path)
+def _attached_xml(path: Path) -> bytes:
+    content = _read_xml(path)
     try:
         import pypdf
     except ImportError as error:
@@ -67,25 +67,25 @@ def _attached(path: Path) -> bytes:
         found = _xml_files(pypdf.PdfReader(io.BytesIO(content)))
     except MemoryError:
         raise
-    except Exception as error:  # whatever pypdf and zlib raise on a damaged file
-        raise _damaged(path, error) from error
+    except Exception as error:  # any error of pypdf and zlib on a damaged file
+        raise _damage_error(path, error) from error
     if len(found) != 1:
         held = "no XML file is" if not found else f"{len(found)} XML files are"
         raise RecordError(f"{path}: {held} attached to it; the PDF of a certificate has one")
     return found[0]
 
 
-def _pages_signature(path: Path, public: bytes) -> PagesSignature:
-    content = _content(path)
+def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
+    content = _read_xml(path)
     try:
-        return pages_signature(content, public)
+        return verify_pdf_signature(content, public)
     except (CounterspinError, MemoryError):
         raise
-    except Exception as error:  # whatever pyHanko raises on a damaged file
-        raise _damaged(path, error) from error
+    except Exception as error:  # any error of pyHanko on a damaged file
+        raise _damage_error(path, error) from error
 
 
-def _damaged(path: Path, error: Exception) -> RecordError:
+def _damage_error(path: Path, error: Exception) -> RecordError:
     reason = str(error)[:REASON_LENGTH] or type(error).__name__
     return RecordError(f"{path}: is not a PDF, or is damaged ({reason})")
 
@@ -110,26 +110,26 @@ _REPLACED: Final = (
 _REASON: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:previousReport/dcc:description/dcc:content"
 )
-#: How a line begins that names a certificate which an amended one replaced.
-EARLIER: Final = "Earlier certificate: "
+#: Prefix of a line that names a certificate replaced before the amended one.
+EARLIER_PREFIX: Final = "Earlier certificate: "
 _QUANTITY: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
 _EXPANDED: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
 _REGION: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
 _COLUMN: Final = f"{_REGION}/si:covarianceMatrixXMLList/si:columnXMLList"
 _DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
 
-#: The part of a triad, and in it the corrected output and what stands before that.
+#: XPath of a triad's result, and in it of the corrected output and of the parameters.
 _NAME: Final = "dcc:name/dcc:content"
-_TRIAD: Final = f"{_RESULT}[not(@refId)][starts-with({_NAME}, '{TITLE}')]"
+_TRIAD: Final = f"{_RESULT}[not(@refId)][starts-with({_NAME}, '{TRIAD_TITLE_PREFIX}')]"
 _OUTPUT: Final = f"[{_NAME}='Corrected output']"
 _PARAMETERS: Final = f"[not({_NAME}='Corrected output')]"
 _DATA: Final = "dcc:data/dcc:quantity"
 _EXPANDED_LIST: Final = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
 
-#: Units of a triad's parameters by their kind.
+#: Type of a triad's parameter -> unit.
 _KINDS: Final = {"offset": "g", "sensitivity": "g/g", "angle": "rad"}
 
-#: A matrix and the parameters it is made of, all in every digit, differ by no more.
+#: Largest difference between a matrix and its parameters, which both have all digits.
 _ROUNDING: Final = 1e-12
 
 
@@ -138,7 +138,7 @@ class CertifiedAccelerometer:
     """One accelerometer in a certificate, in g-units of the certificate's g, taken as exact."""
 
     coefficients: dict[str, Coefficient]  #: Value, u = U/k, degrees of freedom.
-    #: Of the coefficients together, shape (n, n); empty where the certificate states none.
+    #: Terms and covariance of the coefficients, shape (n, n); empty if the certificate has none.
     terms: tuple[str, ...]
     covariance: npt.NDArray[np.float64]
 
@@ -147,10 +147,10 @@ class CertifiedAccelerometer:
 class CertifiedTriad:
     """Three accelerometers as one sensor in a certificate, in the same g-units."""
 
-    accelerometers: tuple[str, ...]  #: Their names.
-    parameters: CertifiedAccelerometer  #: By their names, such as ``angle.X.Y``.
-    #: Of the corrected output matrix (y - bias): shape (3, 3), its expanded uncertainties, their
-    #: coverage factor, and the bias, g, shape (3,); None where the certificate states none.
+    accelerometers: tuple[str, ...]  #: Names of the three accelerometers.
+    parameters: CertifiedAccelerometer  #: Parameters by name, such as ``angle.X.Y``.
+    #: Corrected output, matrix (y - bias): matrix, shape (3, 3), expanded uncertainties, their
+    #: coverage factor, and bias in g, shape (3,); None if the certificate has none.
     matrix: npt.NDArray[np.float64] | None = None
     expanded: npt.NDArray[np.float64] | None = None
     factor: float | None = None
@@ -174,20 +174,22 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
     """Read the numbers of a certificate that counterspin wrote."""
     root = parse(document, source)
     try:
-        gravity = _number(_one(root, _GRAVITY))
+        gravity = _parse_number(_single_text(root, _GRAVITY))
         if gravity <= 0.0:
             raise ValueError(f"the local gravity is {gravity:g} m/s^2")
         return CertificateNumbers(
-            identifier=_one(root, "dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier"),
+            identifier=_single_text(
+                root, "dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier"
+            ),
             gravity=gravity,
             accelerometers={
-                _designation(root, part): _values(_all(part, _QUANTITY), gravity)
-                for part in _all(root, _RESULT)
+                _accelerometer_name(root, part): _read_values(_select(part, _QUANTITY), gravity)
+                for part in _select(root, _RESULT)
                 if part.get("refId")
             },
-            amends=next((_text(element) for element in _all(root, _REPLACED)), None),
-            triad=next((_triad(part, gravity) for part in _all(root, _TRIAD)), None),
-            replaced=tuple(_replaced(root)),
+            amends=next((_text(element) for element in _select(root, _REPLACED)), None),
+            triad=next((_read_triad(part, gravity) for part in _select(root, _TRIAD)), None),
+            replaced=tuple(_replaced_identifiers(root)),
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
@@ -195,24 +197,28 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
         ) from error
 
 
-def _replaced(root: Element) -> Iterator[str]:
+def _replaced_identifiers(root: Element) -> Iterator[str]:
     """Yield the identifiers of the certificates that a certificate and those before it replaced."""
-    yield from (_text(element) for element in _all(root, _REPLACED))
-    for element in _all(root, _REASON):
+    yield from (_text(element) for element in _select(root, _REPLACED))
+    for element in _select(root, _REASON):
         lines = _text(element).splitlines()
-        yield from (line.removeprefix(EARLIER) for line in lines if line.startswith(EARLIER))
+        yield from (
+            line.removeprefix(EARLIER_PREFIX) for line in lines if line.startswith(EARLIER_PREFIX)
+        )
 
 
-def _triad(part: Element, gravity: float) -> CertifiedTriad:
+def _read_triad(part: Element, gravity: float) -> CertifiedTriad:
     """Return the parameters of a triad; ValueError if its matrix or bias contradicts them."""
-    names = tuple(_one(part, _NAME).removeprefix(TITLE).split(", "))
-    parameters = _values(_all(part, f"dcc:results/dcc:result{_PARAMETERS}/{_DATA}"), gravity)
-    output = _all(part, f"dcc:results/dcc:result{_OUTPUT}/{_DATA}/si:realListXMLList")
+    names = tuple(_single_text(part, _NAME).removeprefix(TRIAD_TITLE_PREFIX).split(", "))
+    parameters = _read_values(
+        _select(part, f"dcc:results/dcc:result{_PARAMETERS}/{_DATA}"), gravity
+    )
+    output = _select(part, f"dcc:results/dcc:result{_OUTPUT}/{_DATA}/si:realListXMLList")
     if not output:
         return CertifiedTriad(names, parameters)
     of_matrix, of_bias = output
-    matrix = np.reshape(_numbers(of_matrix, "si:valueXMLList"), (3, 3))
-    bias = _numbers(of_bias, "si:valueXMLList") * from_si(1.0, "g", gravity)
+    matrix = np.reshape(_parse_numbers(of_matrix, "si:valueXMLList"), (3, 3))
+    bias = _parse_numbers(of_bias, "si:valueXMLList") * from_si(1.0, "g", gravity)
     by_them = _parameters(names, np.linalg.inv(matrix).astype(np.float64), bias)
     for name, c in parameters.coefficients.items():
         if name in by_them and abs((c.value or 0.0) - by_them[name]) > _ROUNDING:
@@ -221,8 +227,10 @@ def _triad(part: Element, gravity: float) -> CertifiedTriad:
         names,
         parameters,
         matrix,
-        np.reshape(_numbers(of_matrix, f"{_EXPANDED_LIST}/si:valueExpandedMUXMLList"), (3, 3)),
-        _number(_one(of_matrix, f"{_EXPANDED_LIST}/si:coverageFactorXMLList")),
+        np.reshape(
+            _parse_numbers(of_matrix, f"{_EXPANDED_LIST}/si:valueExpandedMUXMLList"), (3, 3)
+        ),
+        _parse_number(_single_text(of_matrix, f"{_EXPANDED_LIST}/si:coverageFactorXMLList")),
         bias,
     )
 
@@ -243,49 +251,49 @@ def _parameters(
     }
 
 
-def _values(quantities: Sequence[Element], gravity: float) -> CertifiedAccelerometer:
+def _read_values(quantities: Sequence[Element], gravity: float) -> CertifiedAccelerometer:
     coefficients = {}
     terms: tuple[str, ...] = ()
     covariance = np.empty((0, 0))
     for quantity in quantities:
-        for real in _all(quantity, "si:real"):
-            if (label := _one(real, "si:label")) not in OUTPUT:  # which is of no other value
-                coefficients[label] = _coefficient(quantity, real, gravity)
-        for together in _all(quantity, "si:realListXMLList"):
-            terms = tuple(_one(together, "si:labelXMLList").split())
-            covariance = _covariance(together, terms, gravity)
+        for real in _select(quantity, "si:real"):
+            if (label := _single_text(real, "si:label")) not in OUTPUT_COEFFICIENTS:
+                coefficients[label] = _read_coefficient(quantity, real, gravity)
+        for together in _select(quantity, "si:realListXMLList"):
+            terms = tuple(_single_text(together, "si:labelXMLList").split())
+            covariance = _read_covariance(together, terms, gravity)
     return CertifiedAccelerometer(coefficients, terms, covariance)
 
 
-def _coefficient(quantity: Element, real: Element, gravity: float) -> Coefficient:
-    unit = _unit(_one(real, "si:label"))
+def _read_coefficient(quantity: Element, real: Element, gravity: float) -> Coefficient:
+    unit = _unit(_single_text(real, "si:label"))
     u = None
-    if _all(real, _EXPANDED):
-        expanded = _number(_one(real, f"{_EXPANDED}/si:valueExpandedMU"))
-        k = _number(_one(real, f"{_EXPANDED}/si:coverageFactor"))
+    if _select(real, _EXPANDED):
+        expanded = _parse_number(_single_text(real, f"{_EXPANDED}/si:valueExpandedMU"))
+        k = _parse_number(_single_text(real, f"{_EXPANDED}/si:coverageFactor"))
         if expanded < 0.0 or k <= 0.0:
             raise ValueError("an expanded uncertainty is negative, or its coverage factor is")
         u = from_si(expanded / k, unit, gravity)
-    dof = _all(quantity, _DOF)
+    dof = _select(quantity, _DOF)
     return Coefficient(
-        value=from_si(_number(_one(real, "si:value")), unit, gravity),
+        value=from_si(_parse_number(_single_text(real, "si:value")), unit, gravity),
         u=u,
-        dof=_number(_text(dof[0])) if dof else None,
+        dof=_parse_number(_text(dof[0])) if dof else None,
         unit=unit,
         estimated=True,
     )
 
 
-def _covariance(
+def _read_covariance(
     together: Element, terms: tuple[str, ...], gravity: float
 ) -> npt.NDArray[np.float64]:
     in_si = np.array(
         [
             [
-                _number(_text(value))
-                for value in _all(column, "si:covarianceXMLList/si:valueXMLList")
+                _parse_number(_text(value))
+                for value in _select(column, "si:covarianceXMLList/si:valueXMLList")
             ]
-            for column in _all(together, _COLUMN)
+            for column in _select(together, _COLUMN)
         ]
     ).T
     scale = np.array([from_si(1.0, _unit(symbol), gravity) for symbol in terms])
@@ -306,30 +314,30 @@ def _unit(label: str) -> str:
     return TERMS[rest if rest in TERMS else label].unit
 
 
-def _designation(root: Element, part: Element) -> str:
-    """Return the accelerometer's name in the result, from its item."""
+def _accelerometer_name(root: Element, part: Element) -> str:
+    """Return the name of the accelerometer in the result, from its item."""
     item = ".//dcc:item[@id=$item]/dcc:identifications/dcc:identification"
     path = f"{item}[dcc:issuer='calibrationLaboratory']/dcc:value"
-    return _one(root, path, item=part.get("refId", ""))
+    return _single_text(root, path, item=part.get("refId", ""))
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
         raise ValueError(f"{text} is not a finite number")
     return number
 
 
-def _numbers(element: Element, path: str) -> npt.NDArray[np.float64]:
-    return np.array([_number(word) for word in _one(element, path).split()])
+def _parse_numbers(element: Element, path: str) -> npt.NDArray[np.float64]:
+    return np.array([_parse_number(word) for word in _single_text(element, path).split()])
 
 
-def _all(element: Element, path: str, **variables: str) -> list[Any]:
+def _select(element: Element, path: str, **variables: str) -> list[Any]:
     return list(element.xpath(path, namespaces=NAMESPACES, **variables))
 
 
-def _one(element: Element, path: str, **variables: str) -> str:
-    matches = _all(element, path, **variables)
+def _single_text(element: Element, path: str, **variables: str) -> str:
+    matches = _select(element, path, **variables)
     if not matches or not _text(matches[0]):
         raise ValueError(f"there is no {path.rpartition('/')[2]}")
     return _text(matches[0])
@@ -337,6 +345,6 @@ def _one(element: Element, path: str, **variables: str) -> str:
 
 def _text(element: Element) -> str:
     if len(element):
-        # Only what stands before it would be read.
+        # `text` holds only the part before the child.
         raise ValueError(f"there is something other than text in {element.tag.rpartition('}')[2]}")
     return str(element.text or "")

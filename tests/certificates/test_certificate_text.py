@@ -3,14 +3,14 @@
 from results import coefficient, result
 
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.certificates import wording
-from counterspin.certificates.conversion import in_si
-from counterspin.certificates.front import results_table
+from counterspin.certificates import certificate_text
+from counterspin.certificates.conversion import coefficients_in_si
+from counterspin.certificates.pdf_pages import results_table
 
 
 def test_what_stands_after_plus_minus_in_a_sentence_of_the_calibration_becomes_u():
     said = "A latitude of (-4.7 ± 1.1) x 1e4 arcsec would fit; determined: K_I = 1.002 ± 0.001 g/g."
-    assert wording.without_plus_minus(said) == (
+    assert certificate_text.replace_plus_minus(said) == (
         "A latitude of -4.7 x 1e4, u = 1.1 x 1e4 arcsec would fit; determined: K_I = 1.002, "
         "u = 0.001 g/g."
     )
@@ -19,8 +19,10 @@ def test_what_stands_after_plus_minus_in_a_sentence_of_the_calibration_becomes_u
 def test_a_number_without_a_unit_has_none():
     given = result(coefficients={"K_I": coefficient(1.002, 5e-6, "g/g")}, correlation=None)
     found = given.accelerometers["Qx"].coefficients
-    ((symbol, in_g, _, si, *_),) = results_table("Qx", found, in_si(given, "Qx")).rows
+    ((symbol, in_g, _, si, *_),) = results_table("Qx", found, coefficients_in_si(given, "Qx")).rows
     assert (symbol, in_g, si) == ("K_I", "1.0020000 ± 0.0000098 g/g", "1.0020000 ± 0.0000098")
-    assert wording.coefficient_line("K_I", found["K_I"]).endswith("stated here as a pure number.")
+    assert certificate_text.coefficient_line("K_I", found["K_I"]).endswith(
+        "stated here as a pure number."
+    )
     other = Coefficient.model_validate(coefficient(2.7e-5, 1e-9, "g/g^2"))
-    assert wording.coefficient_line("K_II", other).endswith("stated here in m^-1 s^2.")
+    assert certificate_text.coefficient_line("K_II", other).endswith("stated here in m^-1 s^2.")
