@@ -1,6 +1,7 @@
 """The spindle: its model is consistent, and its identification is unbiased and honest."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,6 +84,40 @@ def test_a_later_time_zero_leaves_the_rotation_as_it_is(spindle):
     np.testing.assert_allclose(
         later.angular_rate(TIMES), spindle.angular_rate(TIMES + delay), rtol=0.0, atol=2e-8
     )
+
+
+@pytest.mark.parametrize("rate", [1.7, -1.7])
+def test_an_angle_is_added_as_the_functions_of_its_error_say(rate):
+    spindle = Spindle(rate, 2e-5, (Ripple(2, 1e-3, 0.4),), 0.3)
+    error = fit_spindle(TIMES, recorded(spindle, 1e-5, 5), rate).error
+    change = 1e-3 * np.random.default_rng(6).standard_normal(error.deviation.size)
+    change[1:3] = 0.0  # the harmonics keep their frequency then, and all is exact
+    ahead = spindle.add_angle(replace(error, rate=rate), change)
+    value, first, second = replace(error, rate=rate).functions(TIMES)
+    for name, part in (
+        ("angle", value),
+        ("angular_rate", first),
+        ("angular_acceleration", second),
+    ):
+        difference = getattr(ahead, name)(TIMES) - getattr(spindle, name)(TIMES)
+        np.testing.assert_allclose(difference, part @ change, atol=1e-12 * abs(TIMES[-1] * rate))
+
+
+@BOTH
+@pytest.mark.parametrize("place", [0, 1, 2, 3, 6])
+def test_functions_of_an_angle_are_derivatives_of_the_rotation(spindle, place):
+    """By central differences, of the first three with the ripples' frequencies."""
+    error = replace(
+        fit_spindle(TIMES, recorded(spindle, 1e-5, 5), spindle.rate).error, rate=spindle.rate
+    )
+    step = np.zeros(error.deviation.size)
+    step[place] = 1e-7 if place == 2 else 1e-5
+    ahead, behind = (spindle.add_angle(error, s * step) for s in (1.0, -1.0))
+    names = ("angle", "angular_rate", "angular_acceleration")
+    for name, part in zip(names, spindle.angle_functions(error, TIMES), strict=True):
+        difference = (getattr(ahead, name)(TIMES) - getattr(behind, name)(TIMES)) / 2.0
+        expected = part[:, place] * step[place]
+        np.testing.assert_allclose(difference, expected, atol=1e-6 * np.abs(expected).max() + 1e-12)
 
 
 def test_angle_without_drift_or_ripple_is_uniform_rotation():

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.accelerometers import Accelerometer
@@ -36,6 +37,7 @@ from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.inference.poses import TriadPoses
 from counterspin.loading import load_name
 from counterspin.physics import observation
+from counterspin.physics.spindle import Spindle
 
 #: The function that reads the noise of a campaign from a record at rest.
 NOISE_AT_REST: Final = "counterspin.campaign.noise_at_rest:said_noise"
@@ -130,13 +132,23 @@ def _stamp_errors(run: ObservedRun, timing: float, encoder_noise: float) -> Stam
     if record.angle_sd is not None:
         widening = np.nan_to_num((record.angle_sd / rate) ** 2 - record.time_sd**2)
     return StampErrors(
-        rotation.residuals / spindle.angular_rate(record.time),
+        _delays(spindle, record.time, rotation.residuals),
         rotation.rms * math.sqrt(float(np.mean(record.count))) / rate,
         rotation.dof,
         widening,
         timing,
         encoder_noise / rate,
     )
+
+
+def _delays(spindle: Spindle, time: Array, ahead: Array) -> Array:
+    """Return the times in which the spindle turns by angles, from these times on, s, shape (n,).
+
+    Newton's iteration of two steps: the rate hardly changes in such times.
+    """
+    delay = ahead / spindle.angular_rate(time)
+    turned = spindle.angle(time + delay) - spindle.angle(time)
+    return delay - (turned - ahead) / spindle.angular_rate(time + delay)
 
 
 def noise_of(campaign: Campaign) -> dict[str, Noise]:

@@ -6,6 +6,7 @@ rate(t) = w0 (1 + C t) + sum_n w_n sin(n w0 t + phi_n).
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ import numpy as np
 from counterspin.arrays import Array, in_parts, median, triangle_of, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part
+from counterspin.physics.angle_error import HARMONICS, SLOW, AngleError, slow_part
 
 TURN: Final = 2.0 * math.pi  #: rad
 
@@ -153,10 +154,68 @@ class Spindle:
             start_angle=float(self.angle(np.array([delay]))[0]),
         )
 
+    def add_angle(self, error: AngleError, coefficients: Array) -> Spindle:
+        """Return the rotation whose angle is larger by coefficients of an error's functions.
+
+        Changes are exact, except that the harmonics follow the changed rate.
+
+        coefficients: Shape (m,), in the units of `AngleError`.
+        """
+        at_zero, rate_at_zero, _ = (part[0] for part in error.functions(np.zeros(1)))
+        slow = len(SLOW)
+        start_rate = self.rate + float(rate_at_zero[:slow] @ coefficients[:slow])
+        bend = self.rate * self.drift + error.rate * float(coefficients[2])
+        waves = {r.harmonic: self._wave(r) for r in self.ripples}
+        for place, n in enumerate(error.harmonics):
+            pair = coefficients[slow + 2 * place : slow + 2 * place + 2] / abs(n * error.rate)
+            waves[n] = waves.get(n, 0j) + complex(pair[0], -pair[1])
+        return Spindle(
+            rate=start_rate,
+            drift=bend / start_rate,
+            ripples=tuple(ripple_of(n, start_rate, waves[n]) for n in sorted(waves) if waves[n]),
+            start_angle=self.start_angle + float(at_zero @ coefficients),
+        )
+
+    def angle_functions(self, error: AngleError, t: Array) -> tuple[Array, Array, Array]:
+        """Return derivatives of angle, rate and acceleration by coefficients of an error.
+
+        As `AngleError.functions`, shapes (n, m), and with a rate the frequencies of the ripples
+        change.
+        """
+        value, first, second = error.functions(t)
+        # What a coefficient changes of the rate at t = 0, to which the ripples belong.
+        changed = error.functions(np.zeros(1))[1][0, : len(SLOW)]
+        for ripple in self.ripples:
+            turning = 1j * ripple.harmonic * self.rate
+            wave = 1j * ripple.harmonic * self._wave(ripple) * np.exp(turning * t)
+            for part, slope in (
+                (value, t * wave),
+                (first, (1.0 + turning * t) * wave),
+                (second, (2.0 + turning * t) * turning * wave),
+            ):
+                part[:, : len(SLOW)] += slope.real[:, None] * changed
+        return value, first, second
+
+    def _wave(self, ripple: Ripple) -> complex:
+        """Return a - ib of a ripple's angle, a cos(n w0 t) + b sin(n w0 t), rad."""
+        size = ripple.amplitude / (ripple.harmonic * self.rate)
+        return -size * cmath.exp(1j * ripple.phase)
+
     @property
     def highest_harmonic(self) -> int:
         """The highest ripple harmonic, 0 without ripple."""
         return max((ripple.harmonic for ripple in self.ripples), default=0)
+
+
+def ripple_of(harmonic: int, rate: float, wave: complex) -> Ripple:
+    """Return the ripple of an angle a cos(n w0 t) + b sin(n w0 t), rad.
+
+    The sign of w0 goes into the phase so that the amplitude stays positive.
+
+    wave: a - ib.
+    """
+    n_w0 = harmonic * rate
+    return Ripple(harmonic, abs(n_w0) * abs(wave), cmath.phase(-math.copysign(1.0, n_w0) * wave))
 
 
 @frozen
@@ -436,11 +495,8 @@ def _ripples(
     for k, harmonic in enumerate(harmonics):
         n_w0 = harmonic * w0
         a, b = float(coefficients[2 * k]), float(coefficients[2 * k + 1])
-        # -(w_n/(n w0)) cos(n w0 t + phi) = a cos(n w0 t) + b sin(n w0 t)
-        # The sign of w0 goes into the phase so that the amplitude stays positive.
-        sense = math.copysign(1.0, n_w0)
         size = math.hypot(a, b)
-        ripples.append(Ripple(harmonic, abs(n_w0) * size, math.atan2(sense * b, -sense * a)))
+        ripples.append(ripple_of(harmonic, w0, complex(a, -b)))
         block = covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
         if size == 0.0:
             uncertainties.append((abs(n_w0) * math.sqrt(block[0, 0]), math.inf))

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from joint_campaign import RATES, noisy, simulated, unknowns
 
-from counterspin.inference.joint import encoder
+from counterspin.inference.joint import encoder, rotation
 from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.rotation import second_order_bound
 from counterspin.inference.joint.series import StampErrors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
-from counterspin.physics.spindle import fit_spindle
+from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
 
 TRUTH = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
 MODEL = Unknowns(unknowns(TRUTH))
@@ -41,7 +42,8 @@ def scattered(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
         white = noisy(one, Noise(WHITE[one.observable]), rng)
         output = one.reference() + white.error
         stamps = times + timing * rng.standard_normal(times.size)
-        angle = rate * times + encoder_noise * rng.standard_normal(times.size)
+        turned = one.trajectory.spindle.angle(times)
+        angle = turned + encoder_noise * rng.standard_normal(times.size)
         fit = fit_spindle(stamps, angle, rate)
         delay = fit.residuals / fit.spindle.angular_rate(stamps)
         known = (stated[0], stated[1] / rate)
@@ -155,3 +157,69 @@ def test_what_an_angle_does_at_corrected_times(exact, observable):
         ((moved - output) / step)[2:-2],
         atol=2e-3 * np.abs(plain - column).max(),
     )
+
+
+@pytest.mark.parametrize("observable", WHITE)
+@pytest.mark.parametrize("symbol", ["encoder.rate", "encoder.ripple1.cos"])
+def test_columns_agree_with_a_rotation_that_is_ahead(exact, observable, symbol):
+    """At 1 ms, K_III's third harmonic at wrong times looked like a rate: by differences."""
+    drawn = scattered(exact[observable], 1e-3, np.random.default_rng(6))[2].corrected(1.0)
+    known = {s: value - (s == "K_I") for s, value in TRUTH.items()}
+    values, step = np.array([*known.values()]), 0.1
+
+    def left(series):
+        return series.error - series.columns([*known], 1.0) @ values
+
+    place = encoder.SYMBOLS.index(symbol)
+    ahead, behind = (drawn.add_angle(s * drawn.angle_error.root[:, place]) for s in (step, -step))
+    column = encoder.columns(drawn, [symbol], known)[:, 0]
+    difference = (left(behind) - left(ahead)) / (2.0 * step)
+    # The start errors of the record, which each fit removes, change too.
+    start = drawn.polynomials(drawn.order)
+    column, difference = (
+        one - start @ np.linalg.lstsq(start, one, rcond=None)[0] for one in (column, difference)
+    )
+    # The Coriolis part of an integrated column is left out.
+    tolerance = 2e-4 if observable == "specific_force" else 5e-3
+    np.testing.assert_allclose(difference, column, atol=tolerance * np.abs(column).max())
+
+
+@pytest.mark.parametrize("observable", WHITE)
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
+def test_the_bound_of_the_second_order_holds(exact, observable, share):
+    rng = np.random.default_rng(7)
+    for drawn in scattered(exact[observable], 1e-3, rng):
+        one = drawn.corrected(share)
+        error, largest = one.angle_error, 0.0
+        for _ in range(20):
+            sds = np.clip(rng.standard_normal(error.deviation.size), -1.7, 1.7)
+            step = np.linalg.norm(error.root, axis=1) * sds
+            second = one.add_angle(step).error + one.add_angle(-step).error - 2.0 * one.error
+            largest = max(largest, float(np.abs(0.5 * second).max()))
+        assert 0.0 < largest < second_order_bound(one)
+
+
+def test_ripples_that_time_stamps_hide_are_followed_beyond_the_first_order():
+    """Four ripples of 6e-4 rad: the square of their rates is ten times the noise of a row."""
+    hidden = [tuple(Ripple(n, 6e-4 * n * w, 0.7 * n) for n in (1, 2, 3, 4)) for w in RATES]
+    ripples = [Spindle(w, ripples=one) for w, one in zip(RATES, hidden, strict=True)]
+    exact = [
+        simulated(
+            f"run{i}", one.rate, TRUTH, observable="specific_force", revolutions=25, spindle=one
+        )
+        for i, one in enumerate(ripples)
+    ]
+    z = []
+    for seed in range(3):
+        drawn = scattered(exact, 1e-3, np.random.default_rng(seed))
+        assert len(drawn[2].trajectory.spindle.ripples) < 4
+        z.append(z_of(estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})))
+    assert np.abs(z).max() < 4.0
+
+
+def test_small_errors_of_the_angle_cost_nothing(exact, monkeypatch):
+    """The bound says so beforehand: no rotation is tried."""
+    monkeypatch.setattr(rotation, "turn_to_estimate", None)
+    drawn = scattered(exact["specific_force"], 0.0, np.random.default_rng(8))
+    found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
+    assert any(one.symbol in encoder.SYMBOLS for one in found.fit.model.unknowns)

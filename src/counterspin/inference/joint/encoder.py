@@ -89,7 +89,9 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
         spindle = motion.spindle
         rotation = spindle.angle(t), spindle.angular_rate(t), spindle.angular_acceleration(t)
         change = np.zeros((t.size, error.deviation.size, 3))
-        change[..., :2] = motion.radius * displaced(error.functions(t), *rotation, order)
+        change[..., :2] = motion.radius * displaced(
+            spindle.angle_functions(error, t), *rotation, order
+        )
         return change
 
     def force(t: Array) -> Array:
@@ -119,8 +121,9 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
     shown = observation.over_blocks(seen, series.time, series.spread)
     if series.share == 0.0:
         return shown
-    turned = error.functions(series.time)[0] @ error.root[:, places]
-    slope = sum(series.slopes()) / motion.spindle.angular_rate(series.time)
+    turned = motion.spindle.angle_functions(error, series.time)[0] @ error.root[:, places]
+    known = {symbol: value for symbol, value in coefficients.items() if value != 0.0}
+    slope = sum(series.slopes(known)) / motion.spindle.angular_rate(series.time)
     return np.asarray(shown - series.share * slope[:, None] * turned)
 
 
@@ -163,6 +166,32 @@ def with_encoder(model: Unknowns, series: Sequence[Series], noise: Mapping[str, 
         model,
         unknowns=(*model.unknowns, *unknowns),
         considered=(*model.considered, *considered),
+    )
+
+
+def deviation_of(error: AngleError, estimates: Mapping[str, float]) -> Array:
+    """Return the coefficients of an error's functions from estimates of terms, shape (m,)."""
+    values = np.array([estimates.get(symbol, 0.0) for symbol in _symbols(error)])
+    return np.asarray(error.root @ values)
+
+
+def renew_priors(model: Unknowns, errors: Mapping[str, AngleError]) -> Unknowns:
+    """Return a model whose terms have the priors of these errors of each run's angle."""
+    priors = {
+        (run, symbol): (value, 1.0)
+        for run, error in errors.items()
+        for symbol, value in zip(_symbols(error), error.standardised.tolist(), strict=True)
+    }
+    return replace(
+        model,
+        unknowns=tuple(
+            replace(unknown, prior=priors.get((unknown.owner, unknown.symbol), unknown.prior))
+            for unknown in model.unknowns
+        ),
+        considered=tuple(
+            replace(unknown, prior=priors.get((unknown.owner, unknown.symbol), unknown.prior))
+            for unknown in model.considered
+        ),
     )
 
 

@@ -54,6 +54,9 @@ _ROUNDS_OF_WEIGHTS: Final = 3
 #: How often the times of the rows are corrected.
 _ROUNDS_OF_STAMPS: Final = 3
 
+#: How often the rotation is taken from the fit: each time the error that is left is squared.
+_ROUNDS_OF_ROTATION: Final = 6
+
 
 @frozen
 class Estimate:
@@ -304,6 +307,36 @@ def _far(state: _State) -> bool:
     return max(moves, default=0.0) > _FAR
 
 
+def relinearise_rotation(state: _State) -> _State:
+    """Take everything along the rotation that the fit found, where that is not only linear.
+
+    Noise that seemed to be there along the first rotation is looked for again.
+    """
+    if not rotation.may_bend(state.prepared, state.model, state.fit.noise):
+        return state
+    before = state
+    for _ in range(_ROUNDS_OF_ROTATION):
+        noise = state.fit.noise
+        whole = solve_joint(state.prepared, state.model, noise)
+        turned = rotation.turn_to_estimate(whole, state.series)
+        if turned is None:
+            break
+        series, model = turned
+        values = np.where(
+            [unknown.symbol in encoder.SYMBOLS for unknown in model.unknowns],
+            0.0,
+            whole.solution.estimate,
+        )
+        kept = [s.without(mask) for s, mask in zip(series, state.outliers, strict=True)]
+        prepared = prepare_columns(kept, model, state.scale_factors, values)
+        fit = solve_joint(*condense(prepared, model, _white(noise)), noise)
+        at = dict(zip(model.unknowns, values.tolist(), strict=True))
+        state = replace(
+            state, series=series, model=model, at=at, prepared=prepared, fit=fit, anew=True
+        )
+    return state if state is before else weigh_uneven_noise(find_noise(state))
+
+
 def take_back_outliers(state: _State) -> _State:
     """Leave out what stands out of this model alone, and take back what only the first made do so.
 
@@ -337,6 +370,7 @@ STAGES: Final = (
     weigh_uneven_noise,
     find_encoder_waves,
     rescale,
+    relinearise_rotation,
     take_back_outliers,
 )
 

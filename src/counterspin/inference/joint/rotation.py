@@ -1,4 +1,8 @@
-"""The rotation of runs whose spindle angle nobody recorded, found from the output itself."""
+"""The rotation of each run, found from the output itself.
+
+Of a run without a recorded angle all of the rotation is unknown. With one it is what the encoder's
+noise leaves open (`counterspin.inference.joint.encoder`).
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,11 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint.fit import JointFit, solve_joint
+from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
@@ -20,6 +26,12 @@ _ROUNDS: Final = 20  #: of Gauss and Newton's iteration
 
 #: Angle at the end of a run, rad, below which the iteration has settled.
 _ANGLE_TOLERANCE: Final = 1e-7
+
+#: Square of the norm of a change in a record, in units of its noise, below which it is left out.
+_NEGLIGIBLE_NORM_SQUARED: Final = 1e-3
+
+#: Standard deviations within which an error of the angle is taken to lie.
+_SDS: Final = 3.0
 
 #: Fewest samples of a stretch from which a phase is taken: five functions are fitted to them.
 _STRETCH_SAMPLES: Final = 8
@@ -62,6 +74,88 @@ def find_rotation(
         "inaccurate; "
         "record the spindle's angle, or state the rate more accurately"
     )
+
+
+def may_bend(prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, Noise]) -> bool:
+    """Return whether what the encoder leaves open may move a record beyond the first order."""
+    runs = {unknown.owner for unknown in model.unknowns if unknown.symbol in encoder.SYMBOLS}
+    for part in prepared:
+        if part.run in runs:
+            most = np.full(part.series.time.size, second_order_bound(part.series))
+            if _norm_squared(part.series, most, noise) > _NEGLIGIBLE_NORM_SQUARED:
+                return True
+    return False
+
+
+def second_order_bound(series: Series) -> float:
+    """Return the largest change of a row by an error of the angle beyond the first order.
+
+    An angle ahead by q, at times behind by q/w, changes the specific force, R w^2 e^(i theta), by
+    terms of second order. Their sizes add up to at most R w^2 (b^2 + 13 a d). The sums a, b and d
+    are of the sizes of q's waves, each times its harmonic to the powers 0, 1 and 3. Velocity and
+    displacement have fewer derivatives of q.
+    """
+    error, motion = series.angle_error, series.trajectory
+    if error is None:
+        return 0.0
+    size = _SDS * np.linalg.norm(error.root, axis=1) + np.abs(error.deviation)
+    size = size * error.largest
+    harmonic = np.array([1, 1, 1, *np.repeat(error.harmonics, 2)])
+    a, b, d = (float(np.sum(size * harmonic**power)) for power in (0, 1, 3))
+    scale = motion.radius * abs(motion.spindle.rate) ** (2 - series.order)
+    return scale * (b**2 + 13.0 * a * d)
+
+
+def turn_to_estimate(
+    fit: JointFit, series: Sequence[Series]
+) -> tuple[tuple[Series, ...], Unknowns] | None:
+    """Return the series about the rotation that a fit found, and the model with renewed priors.
+
+    A fit is linear in the error of the angle, and the records are not. By Cauchy and Schwarz, what
+    is not linear moves no coefficient by more than u_noise times its norm in a record, rows being
+    counted in units of their noise.
+
+    fit: With all unknowns.
+    series: With all rows, those that were rejected included.
+    Returns: None where that norm is negligible in every record, or where times would not increase.
+    """
+    estimates: dict[str, dict[str, float]] = {}
+    for unknown, value in zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True):
+        if unknown.symbol in encoder.SYMBOLS:
+            estimates.setdefault(unknown.owner, {})[unknown.symbol] = value
+    steps = {
+        part.run: encoder.deviation_of(part.series.angle_error, estimates[part.run])
+        for part in fit.prepared
+        if part.run in estimates and part.series.angle_error is not None
+    }
+    if not any(_bends(part.series, steps, fit.noise) for part in fit.prepared):
+        return None
+    turned = []
+    for record in series:
+        ahead = record.add_angle(steps[record.run]) if record.run in steps else record
+        if ahead is None:
+            return None
+        turned.append(ahead)
+    errors = {part.run: part.angle_error for part in turned if part.angle_error is not None}
+    return tuple(turned), encoder.renew_priors(fit.model, errors)
+
+
+def _bends(series: Series, steps: Mapping[str, Array], noise: Mapping[str, Noise]) -> bool:
+    """Return whether an error of the angle moves a record beyond the first order."""
+    if series.run not in steps:
+        return False
+    step = steps[series.run]
+    once, twice = series.add_angle(step), series.add_angle(2.0 * step)
+    if once is None or twice is None:
+        return False
+    second = 0.5 * (series.error - 2.0 * once.error + twice.error)
+    return _norm_squared(series, second, noise) > _NEGLIGIBLE_NORM_SQUARED
+
+
+def _norm_squared(series: Series, change: Array, noise: Mapping[str, Noise]) -> float:
+    """Return the square of a change's norm, rows being counted in units of their noise."""
+    variance = series.total(noise[series.accelerometer]).sample_variance
+    return float(change**2 @ series.count) / max(variance, float(np.finfo(float).tiny))
 
 
 def _credible(unknown: Unknown) -> Unknown:

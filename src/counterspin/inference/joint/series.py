@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -221,6 +222,40 @@ class Series:
         error = self.error + self.reference() - moved.reference()
         return replace(moved, error=error).with_timing(stamps.left)
 
+    def add_angle(self, coefficients: Array) -> Series | None:
+        """Return the series about a rotation that is ahead by coefficients of its angle's error.
+
+        The recorded angle is what it was, so that the delays and the corrected times change too.
+
+        coefficients: Shape (m,), in the units of `AngleError`.
+        Returns: None if the corrected times would not increase.
+        """
+        before, error = self.trajectory.spindle, self.angle_error
+        assert error is not None
+        spindle = before.add_angle(error, coefficients)
+        error = replace(error, rate=spindle.rate, deviation=error.deviation - coefficients)
+        time, stamps = self.time, self.stamps
+        if stamps is not None:
+            stamped = time - stamps.share * stamps.delay
+            sampled = stamped + stamps.delay
+            ahead = observation.over_blocks(
+                lambda t: spindle.angle(t) - before.angle(t), sampled, self.spread
+            )
+            stamps = replace(stamps, delay=stamps.delay - ahead / spindle.angular_rate(sampled))
+            time = stamped + stamps.share * stamps.delay
+            if not np.all(np.diff(time) > 0.0):
+                return None
+        moved = replace(
+            self,
+            trajectory=replace(self.trajectory, spindle=spindle),
+            angle_error=error,
+            time=time,
+            stamps=stamps,
+        )
+        moved = replace(moved, error=self.error + self.reference() - moved.reference())
+        timing = stamps.left if stamps is not None and stamps.share > 0.0 else self.timing
+        return moved.with_timing(0.0).with_timing(timing)
+
     def with_encoder_noise(self, noise: float) -> Series:
         """Return corrected series with what noise of the encoder leaves open of the times.
 
@@ -276,11 +311,14 @@ class Series:
             moved=other.moved,
         )
 
-    def slopes(self) -> tuple[Array, Array]:
+    def slopes(self, known: Mapping[str, float] = MappingProxyType({})) -> tuple[Array, Array]:
         """Return d/dt of the reference and of the error, in the error's unit and 1/s, (n,) each.
 
-        The error's is that of a cubic with a wave through it: a bias of 5 mg has moved the platform
-        at 20 m/s after 400 s, five times as fast as the arm does.
+        The slope of what coefficients explain of the error is exact. That of the rest is the slope
+        of a cubic with a wave through it: a bias of 5 mg has moved the platform at 20 m/s after
+        400 s, five times as fast as the arm does.
+
+        known: Coefficients of the accelerometer, less nominal.
         """
         step = _STEP_OF_TURN / abs(self.trajectory.spindle.rate)
         ideal = (self.reference(later=step) - self.reference(later=-step)) / (2.0 * step)
@@ -291,9 +329,25 @@ class Series:
         wave = [np.cos(angle), np.sin(angle)]
         # At strobes the wave is a constant, and nothing is left of it.
         shape = np.column_stack([np.vander(t, 4), *(part - part.mean() for part in wave)])
-        found = np.linalg.lstsq(shape, self.error, rcond=_CONSTANT)[0]
+        rest, explained = self.error, np.zeros(())
+        if known:
+            values = np.array([*known.values()])
+            rest = rest - self.columns([*known], 1.0) @ values
+            explained = self._slopes_of_columns([*known]) @ values
+        found = np.linalg.lstsq(shape, rest, rcond=_CONSTANT)[0]
         grown = np.polyval(np.polyder(found[:4]), t) / length
-        return ideal, grown + turning * (found[5] * wave[0] - found[4] * wave[1])
+        return ideal, explained + grown + turning * (found[5] * wave[0] - found[4] * wave[1])
+
+    def _slopes_of_columns(self, symbols: Sequence[str]) -> Array:
+        """Return d/dt of columns of the accelerometer's terms, shape (n, m)."""
+        if self.order > 0:
+            lower = {order: name for name, order in observation.ORDERS.items()}[self.order - 1]
+            return replace(self, observable=lower).columns(symbols, 1.0)
+        step = _STEP_OF_TURN / abs(self.trajectory.spindle.rate)
+        ahead, behind = (
+            replace(self, time=self.time + s).columns(symbols, 1.0) for s in (step, -step)
+        )
+        return (ahead - behind) / (2.0 * step)
 
     @property
     def jitter_variance(self) -> Array:
