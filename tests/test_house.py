@@ -408,7 +408,7 @@ def test_three_places_start_processes():
         re.MULTILINE,
     )
     starting = set(offences(lambda _, source: start.search(source)))
-    assert starting == {"workers.py", "records/isolation.py", "certificates/signers.py"}
+    assert starting == {"workers.py", "records/reader_process.py", "certificates/signers.py"}
 
 
 def test_physics_and_inference_load_nothing_slow():

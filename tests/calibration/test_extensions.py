@@ -1,23 +1,44 @@
-"""A calibration without its diagnosis: the numbers and the state stay."""
+"""A calibration without an extra: numbers and states stay."""
 
 import json
 import os
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from campaigns import SMALL, changed, write
 
 import counterspin
-from counterspin.calibration.calibrate import calibrate
 from counterspin.simulation.simulate import simulate
 
 PACKAGE = Path(counterspin.__file__).parent
 
-#: The modules of the diagnosis.
-DIAGNOSIS = ("calibration/diagnosis", "inference/joint/mistakes.py")
+#: Extra -> its modules, and the packages that import it, directly or not, and go with it.
+EXTRAS = {
+    "diagnosis": (("calibration/diagnosis", "inference/joint/mistakes.py"), set()),
+    "two-stage": (
+        ("calibration/two_stage", "inference/two_stage"),
+        {"application", "reproduction", "schemas", "studies", "validation"},
+    ),
+    "conformity": (
+        ("calibration/conformity.py", "campaign/specification.py", "inference/conformity.py"),
+        {"application", "certificates", "schemas", "validation"},
+    ),
+    "notebook": (("calibration/notebook.py",), set()),
+    "formats": (
+        (
+            *("records/array_files.py", "records/table_files.py"),
+            *("records/reader_process.py", "records/reader_limits.py"),
+        ),
+        {"application", "ingest", "monitoring"},
+    ),
+}
+
+#: Fields of an accelerometer that an extra fills; its state follows its own findings.
+FILLED = {"diagnosis": {"findings", "state", "warnings"}, "two-stage": {"two_stage"}}
 
 #: Statements that the records contradict by far.
 CONTRADICTED = {
@@ -25,54 +46,91 @@ CONTRADICTED = {
     "noise": ('[noise]\ndisplacement = "0.01 m"', '[noise]\ndisplacement = "0.001 m"'),
 }
 
-IMPORT_ALL = """
-import importlib, pkgutil, counterspin
-for module in pkgutil.walk_packages(counterspin.__path__, "counterspin."):
-    if not module.name.endswith("__main__"):
-        importlib.import_module(module.name)
-"""
-
-CALIBRATE = """
-import sys
+#: Prints the packages that import what is not there, and the results of campaigns.
+PROGRAM = """
+import importlib, json, pkgutil, sys
+import counterspin
 from counterspin.calibration.calibrate import calibrate
-print(calibrate(sys.argv[1]).to_json())
+
+lost = set()
+for module in pkgutil.walk_packages(counterspin.__path__, "counterspin.", lost.add):
+    if not module.name.endswith("__main__"):
+        try:
+            importlib.import_module(module.name)
+        except ModuleNotFoundError as error:
+            assert error.name.startswith("counterspin."), error
+            lost.add(module.name)
+results = [json.loads(calibrate(folder).to_json()) for folder in sys.argv[1:]]
+print(json.dumps([sorted(lost), results]))
 """
 
 
 @pytest.fixture(scope="module")
-def without_diagnosis(tmp_path_factory):
-    """Return a function that runs a program with a package that has no diagnosis."""
-    root = tmp_path_factory.mktemp("without")
+def folders(tmp_path_factory):
+    """Return folders of campaigns: one that is right, and two with a contradicted statement."""
+    root = tmp_path_factory.mktemp("campaigns")
+    made = []
+    for name, change in {"right": None, **CONTRADICTED}.items():
+        (root / name).mkdir()
+        simulate(write(root / name, SMALL, "plan.toml"), root / name / "records")
+        description = root / name / "records" / "campaign.toml"
+        if change is not None:
+            description.write_text(changed(description.read_text("utf-8"), change), "utf-8")
+        made.append(description.parent)
+    return made
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, folders):
+    """Return a function that runs the program with a copy of the package."""
+    root = tmp_path_factory.mktemp("package")
     shutil.copytree(PACKAGE, root / "counterspin", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in DIAGNOSIS:
-        path = root / "counterspin" / name
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
-    def run(program, *arguments):
-        finished = subprocess.run(
-            [sys.executable, "-c", program, *map(str, arguments)],
-            env={**os.environ, "PYTHONPATH": str(root)},
-            stdout=subprocess.PIPE,
-            check=True,
-        )
-        return finished.stdout
+    @contextmanager
+    def without(modules):
+        package, removed = root / "counterspin", root / "removed"
+        removed.mkdir()
+        try:
+            for name in modules:
+                (package / name).rename(removed / name.replace("/", "-"))
+            yield
+        finally:
+            for name in modules:
+                (removed / name.replace("/", "-")).rename(package / name)
+            removed.rmdir()
 
-    return run
+    def run_without(modules=()):
+        with without(modules):
+            finished = subprocess.run(
+                [sys.executable, "-c", PROGRAM, *map(str, folders)],
+                env={**os.environ, "PYTHONPATH": str(root)},
+                stdout=subprocess.PIPE,
+                check=True,
+            )
+        lost, results = json.loads(finished.stdout)
+        return lost, results
+
+    return run_without
 
 
-def test_every_other_module_can_be_imported(without_diagnosis):
-    assert without_diagnosis(IMPORT_ALL) == b""
+@pytest.fixture(scope="module")
+def whole(run):
+    lost, results = run()
+    assert lost == []
+    assert [result["state"] for result in results[1:]] == ["contradicted"] * len(CONTRADICTED)
+    return results
 
 
-@pytest.mark.parametrize("which", CONTRADICTED)
-def test_a_contradicted_campaign_stays_contradicted(tmp_path, without_diagnosis, which):
-    simulate(write(tmp_path, SMALL, "plan.toml"), tmp_path / "records")
-    description = tmp_path / "records" / "campaign.toml"
-    description.write_text(changed(description.read_text("utf-8"), CONTRADICTED[which]), "utf-8")
-    whole = calibrate(description.parent)
-    plain = json.loads(without_diagnosis(CALIBRATE, description.parent))
-    assert whole.state == plain["state"] == "contradicted"
-    assert (
-        plain["accelerometers"]["Qx"]["coefficients"]
-        == json.loads(whole.to_json())["accelerometers"]["Qx"]["coefficients"]
-    )
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_a_calibration_needs_no_extra(run, whole, extra):
+    modules, dependents = EXTRAS[extra]
+    lost, results = run(modules)
+    assert {name.split(".")[1] for name in lost} <= dependents
+    for result, expected in zip(results, whole, strict=True):
+        assert result["state"] == expected["state"]
+        assert result["runs"] == expected["runs"]
+        for name, accelerometer in expected["accelerometers"].items():
+            filled = FILLED.get(extra, set())
+            found = result["accelerometers"][name]
+            different = {key for key, value in accelerometer.items() if found[key] != value}
+            assert different <= filled

@@ -17,7 +17,7 @@ from certificates import write_lab
 from counterspin import cli
 from counterspin.application.jobs import Job, Jobs, LiveViews, calibrate_into
 from counterspin.calibration.calibrate import calibrate
-from counterspin.records import isolation
+from counterspin.records import reader_process
 from counterspin.simulation.simulate import simulate
 
 #: What a new process of Python, of multiprocessing and of the reader imports first.
@@ -64,8 +64,8 @@ def made(tmp_path_factory):
 def foreign(made, monkeypatch):
     """Be in that folder, with no process of the reader that was started elsewhere."""
     monkeypatch.chdir(made)
-    reader = isolation._Reader()
-    monkeypatch.setattr(isolation, "_READER", reader)
+    reader = reader_process._Reader()
+    monkeypatch.setattr(reader_process, "_READER", reader)
     yield made
     reader.close()
     assert sorted(made.glob("*.ran")) == []

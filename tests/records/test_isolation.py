@@ -11,7 +11,7 @@ import pytest
 from record_files import SIGNAL, read, refusal, table, write
 
 from counterspin.errors import DamagedFileError, RecordError
-from counterspin.records import isolation
+from counterspin.records import isolation, reader_process
 from counterspin.records.isolation import (
     in_reader_process,
     in_reader_process_if_slow,
@@ -104,14 +104,14 @@ def test_a_mistake_of_ours_stays_one(file):
 
 
 def test_where_no_process_can_be_started_files_are_read_here(file, monkeypatch):
-    reader = isolation._Reader()
-    monkeypatch.setattr(isolation, "_READER", reader)
+    reader = reader_process._Reader()
+    monkeypatch.setattr(reader_process, "_READER", reader)
     monkeypatch.setattr(sys, "path", [])
     assert in_reader_process(misbehaving.process, file) == os.getpid()
     monkeypatch.undo()
-    embedding = isolation._Reader()
+    embedding = reader_process._Reader()
     embedding._startable = False
-    monkeypatch.setattr(isolation, "_READER", embedding)
+    monkeypatch.setattr(reader_process, "_READER", embedding)
     assert in_reader_process(misbehaving.process, file) == os.getpid()
 
 

@@ -9,7 +9,7 @@ import pytest
 from record_files import table, write
 
 from counterspin.errors import DamagedFileError
-from counterspin.records import isolation, reader_limits
+from counterspin.records import reader_limits, reader_process
 from counterspin.records.isolation import in_reader_process
 
 
@@ -100,4 +100,4 @@ def test_a_reader_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
 def test_how_a_reader_ends_on_windows(monkeypatch, status, words):
     monkeypatch.setattr("sys.platform", "win32")
     with pytest.raises(AssertionError, match=words):
-        raise AssertionError(isolation._death_words(status))
+        raise AssertionError(reader_process._death_words(status))

@@ -14,6 +14,7 @@
 - `memory`: columns that a program holds, in the place of a file; `frames`: columns of frames
 - `averages`: the mean of a record with its uncertainty, and the course of a temperature
 - `poses`: where a sensor with three axes lay still, in one long record
-- `isolation`, `reader_limits`: the process of its own in which native code reads, and the limits
+- `isolation`, `reader_process`, `reader_limits`: which files are read in a process of its own, that
+  process, and the limits
   on its time and memory
 """
