@@ -111,7 +111,7 @@ ROWS = {
     "history": [
         ("its expanded uncertainty of {} %", 100.0 * conformity.COVERAGE),
         ("per year of {} days", page._YEAR),
-        ("from {} results on, the limits", consistency.FEWEST_RESULTS),
+        ("from {} results on, the limits", consistency.MIN_RESULTS),
         ("moving range over {}; warning", consistency._D2),
         (
             "warning limits lie at {} and action limits at {} of them",
@@ -121,7 +121,7 @@ ROWS = {
         ("by more than {} mean ranges", 1.0 + 3.0 * consistency._D3 / consistency._D2),
         ("limits at z = ± {}", page._ACTION_Z),
         ("(`--reliability`, {})", default(cs.history, "reliability")),
-        ("none is more than {} years after the last result", consistency.LONGEST_YEARS),
+        ("none is more than {} years after the last result", consistency.MAX_YEARS),
         ("A probability below {} % is a finding", 100.0 * diagnostics.SIGNIFICANCE),
         ("correlations below {} are left out", consistency._NEGLIGIBLE_CORRELATION),
     ],

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.histories.consistency import drift, en_score, weighted_mean
+from counterspin.histories.consistency import en_score, fit_drift, weighted_mean
 
 numbers = st.integers(-1000, 1000).map(lambda n: n / 8)
 spreads = st.integers(1, 400).map(lambda n: n / 16)
@@ -72,12 +72,12 @@ def test_an_uncertainty_that_is_none(u):
 
 
 def test_line_through_two_points():
-    found = drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
+    found = fit_drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
     assert found.slope == pytest.approx(0.5)
     assert found.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
     assert found.p == pytest.approx(math.erfc(4.0 / math.sqrt(2.0)))
     assert found.scatter.p is None
-    value, u = found.at([2000.0, 2004.0])
+    value, u = found.evaluate([2000.0, 2004.0])
     assert value == pytest.approx([1.0, 3.0])
     assert u == pytest.approx([0.3, 0.4])
 
@@ -86,7 +86,7 @@ def test_line_through_two_points():
 def test_an_exact_line_is_found(measured, slope):
     u = np.array([spread for _, spread in measured])
     time = np.arange(u.size) * 0.5 + 2020.0
-    found = drift(time, 7.0 + slope * (time - 2020.0), u)
+    found = fit_drift(time, 7.0 + slope * (time - 2020.0), u)
     assert found.slope == pytest.approx(slope, abs=1e-7)
     assert found.scatter.chi2 == pytest.approx(0.0, abs=1e-8)
 
@@ -97,15 +97,15 @@ def test_agrees_with_the_textbook_formula():
     w = u**-2
     sw, sx, sy = w.sum(), (w * time).sum(), (w * y).sum()
     delta = sw * (w * time**2).sum() - sx**2
-    found = drift(time, y, u)
+    found = fit_drift(time, y, u)
     assert found.slope == pytest.approx((sw * (w * time * y).sum() - sx * sy) / delta)
     assert found.u == pytest.approx(math.sqrt(sw / delta))
     assert (found.time, found.value) == (pytest.approx(sx / sw), pytest.approx(sy / sw))
 
 
 def test_one_date_has_no_drift():
-    assert drift([5.0, 5.0, 5.0], [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]) is None
-    assert drift([5.0], [1.0], [1.0]) is None
+    assert fit_drift([5.0, 5.0, 5.0], [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]) is None
+    assert fit_drift([5.0], [1.0], [1.0]) is None
 
 
 def test_drift_is_unbiased_and_its_interval_covers():
@@ -113,7 +113,7 @@ def test_drift_is_unbiased_and_its_interval_covers():
     trials, true = 2000, 0.3
     time = np.array([0.0, 0.4, 1.1, 1.9, 2.5, 3.6])
     u = np.array([0.5, 0.2, 0.4, 0.3, 0.6, 0.25])
-    found = [drift(time, 5.0 + true * time + rng.normal(0.0, u), u) for _ in range(trials)]
+    found = [fit_drift(time, 5.0 + true * time + rng.normal(0.0, u), u) for _ in range(trials)]
     slopes, claimed = np.array([one.slope for one in found]), found[0].u
     # Four and a half standard deviations of each statistic: 1 in 150 000.
     assert abs(slopes.mean() - true) < 4.5 * claimed / math.sqrt(trials)
@@ -122,14 +122,14 @@ def test_drift_is_unbiased_and_its_interval_covers():
     assert abs(covered - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / trials)
     p = np.array([one.scatter.p for one in found])
     assert abs(np.mean(p < 0.1) - 0.1) < 4.5 * math.sqrt(0.1 * 0.9 / trials)
-    level = np.array([one.at(2.0)[0] for one in found])
-    assert abs(level.std() / found[0].at(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)
+    level = np.array([one.evaluate(2.0)[0] for one in found])
+    assert abs(level.std() / found[0].evaluate(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)
 
 
 def test_drift_is_rarely_seen_where_there_is_none():
     rng = np.random.default_rng(13528)
     trials, u = 2000, np.full(4, 0.2)
-    p = np.array([drift(np.arange(4.0), rng.normal(0.0, u), u).p for _ in range(trials)])
+    p = np.array([fit_drift(np.arange(4.0), rng.normal(0.0, u), u).p for _ in range(trials)])
     for level in (0.01, 0.2, 0.7):
         assert abs(np.mean(p < level) - level) < 4.5 * math.sqrt(level * (1 - level) / trials)
 

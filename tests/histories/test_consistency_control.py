@@ -2,12 +2,12 @@
 
 import pytest
 
-from counterspin.histories.consistency import individuals
+from counterspin.histories.consistency import individuals_chart
 
 
 def test_limits_by_hand():
     # Changes 2, 4, 2: mean 8/3, over 1.1284.
-    found = individuals([1.0, 3.0, -1.0, 1.0], list("abcd"))
+    found = individuals_chart([1.0, 3.0, -1.0, 1.0], list("abcd"))
     assert (found.centre, found.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
     sigma = 8.0 / 3.0 / 1.128379
     warning, action = (1.0 - 2.0 * sigma, 1.0 + 2.0 * sigma), (1.0 - 3.0 * sigma, 1.0 + 3.0 * sigma)
@@ -20,10 +20,10 @@ def test_limits_by_hand():
 
 def test_what_lies_beyond_is_named():
     values = [0.0, 1.0] * 8 + [20.0] + [0.0, 1.0] * 4
-    found = individuals(values, [str(place) for place in range(len(values))])
+    found = individuals_chart(values, [str(place) for place in range(len(values))])
     assert found.beyond == ["16"]
     assert found.leaps == ["16", "17"]
 
 
 def test_fewer_than_three_results_have_no_limits():
-    assert individuals([1.0, 2.0], ["a", "b"]) is None
+    assert individuals_chart([1.0, 2.0], ["a", "b"]) is None

@@ -4,7 +4,7 @@ from datetime import datetime, timedelta
 
 import pytest
 
-from counterspin.histories.consistency import Drift, next_due, probability_inside
+from counterspin.histories.consistency import Drift, next_due_date, probability_within
 from counterspin.histories.result import Scatter
 
 START, LAST = datetime(2020, 1, 1), datetime(2024, 1, 1)
@@ -25,25 +25,25 @@ def line(slope, u=0.0, u_value=0.1, birge=1.0):
 
 def test_a_certain_drift_reaches_the_limit_less_the_quantile():
     # One side: 1.6449 u below the limit of 10, at a slope of one a year.
-    due = next_due(line(1.0), START, LAST, (None, 10.0), 0.95)
+    due = next_due_date(line(1.0), START, LAST, (None, 10.0), 0.95)
     assert (due - START) / timedelta(days=365.25) == pytest.approx(10.0 - 0.164485, abs=2e-4)
     # A Birge ratio above 1 counts, one below does not.
-    due = next_due(line(1.0, birge=2.0), START, LAST, (None, 10.0), 0.95)
+    due = next_due_date(line(1.0, birge=2.0), START, LAST, (None, 10.0), 0.95)
     assert (due - START) / timedelta(days=365.25) == pytest.approx(10.0 - 0.328971, abs=2e-4)
-    assert next_due(line(1.0, birge=0.5), START, LAST, (None, 10.0), 0.95) == next_due(
+    assert next_due_date(line(1.0, birge=0.5), START, LAST, (None, 10.0), 0.95) == next_due_date(
         line(1.0), START, LAST, (None, 10.0), 0.95
     )
 
 
 def test_an_uncertain_slope_alone_sets_an_end():
     # Both sides: 1.9600 times the root of 0.1^2 + (0.2 t)^2 is 2.
-    due = next_due(line(0.0, u=0.2), START, LAST, (-2.0, 2.0), 0.95)
+    due = next_due_date(line(0.0, u=0.2), START, LAST, (-2.0, 2.0), 0.95)
     expected = ((2.0 / 1.959964) ** 2 - 0.01) ** 0.5 / 0.2
     assert (due - START) / timedelta(days=365.25) == pytest.approx(expected, abs=2e-4)
-    assert probability_inside(line(0.0, u=0.2), expected, -2.0, 2.0) == pytest.approx(0.95)
+    assert probability_within(line(0.0, u=0.2), expected, -2.0, 2.0) == pytest.approx(0.95)
 
 
 def test_what_is_outside_is_due_at_once_and_what_stays_inside_is_not():
-    assert next_due(line(1.0), START, LAST, (None, 1.0), 0.95) == LAST
-    assert next_due(line(0.0), START, LAST, (-1.0, 1.0), 0.95) is None
+    assert next_due_date(line(1.0), START, LAST, (None, 1.0), 0.95) == LAST
+    assert next_due_date(line(0.0), START, LAST, (-1.0, 1.0), 0.95) is None
     assert YEARS > 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from results import coefficient, result
 
-from counterspin.histories.consistency import drift, en_score, in_common, weighted_mean
+from counterspin.histories.consistency import en_score, find_shared_inputs, fit_drift, weighted_mean
 from counterspin.histories.files import shared_sources
 
 V = np.array([[4.0, 1.5, 0.5], [1.5, 9.0, 2.0], [0.5, 2.0, 1.0]])
@@ -26,10 +26,10 @@ def test_mean_and_drift_are_those_of_generalised_least_squares():
     time = np.array([0.0, 1.0, 4.0])
     design = np.stack([np.ones(3), time], axis=1)
     covariance = np.linalg.inv(design.T @ inverse @ design)
-    line = drift(time, X, np.sqrt(np.diag(V)), V)
+    line = fit_drift(time, X, np.sqrt(np.diag(V)), V)
     expected = covariance @ design.T @ inverse @ X
     assert (line.slope, line.u) == pytest.approx((expected[1], math.sqrt(covariance[1, 1])))
-    value, u = line.at(4.0)
+    value, u = line.evaluate(4.0)
     assert float(value) == pytest.approx(expected @ [1.0, 4.0])
     assert float(u) == pytest.approx(math.sqrt(np.array([1.0, 4.0]) @ covariance @ [1.0, 4.0]))
 
@@ -88,11 +88,11 @@ def test_what_nobody_states_is_the_same_in_all_results_of_an_instrument():
         "records.timing_offset",
     }
     # (6e-10)^2 + (2e-10)^2 + (3e-10)^2 + (1e-10)^2 over (1e-9)^2.
-    assert in_common([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
+    assert find_shared_inputs([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
     # Taken at another size it is not known to be the same: less is then shared, never more.
     lines[0] = line("K_OO", 1e-6, -3e-4, kind="unstated")
     other = shared_sources(*of(result(budget={"K_II": lines})))
-    assert in_common([1e-9, 1e-9], [first, other]).largest == pytest.approx(0.14)
+    assert find_shared_inputs([1e-9, 1e-9], [first, other]).largest == pytest.approx(0.14)
 
 
 LINES = [
@@ -107,7 +107,7 @@ def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
     found = shared_sources(*of(given))
     assert {source for source, _ in found} == {"centrifuge.radius", "K_I"}
     assert found["K_I", "5e-06"] == pytest.approx(2e-10)
-    common = in_common([1e-9, 1e-9], [found, found])
+    common = find_shared_inputs([1e-9, 1e-9], [found, found])
     # (6e-10)^2 + (2e-10)^2 over (1e-9)^2.
     assert common.largest == pytest.approx(0.40)
     assert common.covariance[0, 0] == pytest.approx(1e-18)
@@ -115,8 +115,8 @@ def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
     # Another radius is another measurement.
     inputs = given.inputs.model_copy(update={"radius": 2.51})
     other = shared_sources(*of(given.model_copy(update={"inputs": inputs})))
-    assert in_common([1e-9, 1e-9], [found, other]).names == ("K_I",)
-    assert in_common([1e-9, 1e-9], [found, {}]) is None
+    assert find_shared_inputs([1e-9, 1e-9], [found, other]).names == ("K_I",)
+    assert find_shared_inputs([1e-9, 1e-9], [found, {}]) is None
 
 
 def test_a_budget_of_another_uncertainty_says_nothing():
@@ -130,5 +130,5 @@ def test_terms_of_another_accelerometer_are_shared_if_it_is_the_same_one():
     found = shared_sources(*of(given))
     assert found == {("Qx.K_OO", "2e-06 of Q-1"): pytest.approx(-6e-10)}
     other = shared_sources(*of(result(budget={"K_II": lines}, serial_number="Q-2")))
-    assert in_common([1e-9, 1e-9], [found, found]).largest == pytest.approx(0.36)
-    assert in_common([1e-9, 1e-9], [found, other]) is None
+    assert find_shared_inputs([1e-9, 1e-9], [found, found]).largest == pytest.approx(0.36)
+    assert find_shared_inputs([1e-9, 1e-9], [found, other]) is None

@@ -5,7 +5,7 @@ rate of batches: centre 50.81, mean moving range 1.8778, limits 45.8159 and 55.8
 factor 1.128 of the moving range, which has more digits here.
 """
 
-from counterspin.histories.consistency import individuals
+from counterspin.histories.consistency import individuals_chart
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check
 
@@ -16,6 +16,6 @@ def test_flow_rate():
     # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
     assert check(CASE).state == "passed"
     values = CASE.given["values"]
-    found = individuals(values, [str(place) for place in range(len(values))])
+    found = individuals_chart(values, [str(place) for place in range(len(values))])
     assert (f"{found.action_low:.2f}", f"{found.action_high:.2f}") == ("45.82", "55.80")
     assert found.beyond == found.leaps == []

@@ -117,7 +117,7 @@ def history(
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """
     from counterspin.histories.history import history as run
-    from counterspin.histories.page import CHART, history_plots
+    from counterspin.histories.page import FILE_DESCRIPTION, history_plots
     from counterspin.histories.result import History
     from counterspin.output import marked, reserve
     from counterspin.reports.charts import check_format, save
@@ -127,12 +127,12 @@ def history(
         raise CampaignError("history", ["give result files, or folders that contain them"])
     if figure is not None:
         check_format(figure)
-        reserve(figure, lambda: marked(CHART), overwrite=saved.overwrite)
+        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
     saved.reserve(History.file_kind)
     result = run(paths, term=term, serial=serial, reliability=reliability)
     with saved.written(result):
         if figure is not None:
-            save(history_plots(result), figure, CHART, overwrite=saved.overwrite)
+            save(history_plots(result), figure, FILE_DESCRIPTION, overwrite=saved.overwrite)
         report_console().print(result)
     if result.damaged:
         raise CounterspinError(

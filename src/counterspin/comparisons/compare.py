@@ -12,14 +12,14 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.comparisons.estimates import (
-    by_the_joint_check,
     chi_square,
     covariance_of_difference,
     estimates_of,
     records_of,
     relation_of,
+    use_joint_check,
 )
-from counterspin.comparisons.rerun import changes
+from counterspin.comparisons.rerun import find_changes
 from counterspin.comparisons.result import (
     AgreementOfTwo,
     ComparedCoefficient,
@@ -29,7 +29,7 @@ from counterspin.comparisons.result import (
 )
 from counterspin.errors import CampaignError
 
-#: A difference whose variance is below this part of the variances' sum has none.
+#: Part of the sum of variances below which the variance of a difference is rounding.
 _NO_VARIANCE: Final = 1e-9
 
 
@@ -65,22 +65,26 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
         raise CampaignError(
             "compare", [f"there are {len(results)} results and {len(names)} `names`"]
         )
-    read = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
-    called = list(names) if names is not None else _names(results, read)
-    names_in_results = dict.fromkeys(name for result in read for name in result.accelerometers)
-    shared = [name for name in names_in_results if sum(name in r.accelerometers for r in read) > 1]
+    loaded = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
+    result_names = list(names) if names is not None else _result_names(results, loaded)
+    names_in_results = dict.fromkeys(name for result in loaded for name in result.accelerometers)
+    shared = [
+        name for name in names_in_results if sum(name in r.accelerometers for r in loaded) > 1
+    ]
     if not shared:
-        known = "; ".join(
-            f"{n}: {', '.join(r.accelerometers)}" for n, r in zip(called, read, strict=True)
+        available = "; ".join(
+            f"{n}: {', '.join(r.accelerometers)}" for n, r in zip(result_names, loaded, strict=True)
         )
-        raise CampaignError("compare", [f"the results have no accelerometer in common ({known})"])
+        raise CampaignError(
+            "compare", [f"the results have no accelerometer in common ({available})"]
+        )
     coefficients, agreements = [], []
     for name in shared:
-        table, agreements_of_name = _accelerometer(name, read, called)
+        table, agreements_of_name = _compare_accelerometer(name, loaded, result_names)
         coefficients += table
         agreements += agreements_of_name
     return ResultComparison(
-        gravity=read[0].inputs.gravity,
+        gravity=loaded[0].inputs.gravity,
         results=[
             ComparedResult(
                 name=label,
@@ -90,67 +94,71 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
                 state=result.state,
                 version=result.provenance.version,
                 date=result.details.get("date"),
-                gravity=_conversion_gravity(read, place),
+                gravity=_conversion_gravity(loaded, index),
                 accelerometers=list(result.accelerometers),
             )
-            for place, (label, result) in enumerate(zip(called, read, strict=True))
+            for index, (label, result) in enumerate(zip(result_names, loaded, strict=True))
         ],
         coefficients=coefficients,
         agreements=agreements,
-        changes=changes(read),
-        unsealed=[name for name, result in zip(called, read, strict=True) if not result.sealed],
+        changes=find_changes(loaded),
+        unsealed=[
+            name for name, result in zip(result_names, loaded, strict=True) if not result.sealed
+        ],
     )
 
 
-def _names(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
-    """Return a name for each: its file or title, with its place where several are alike."""
+def _result_names(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
+    """Return a name for each result: its file or title, numbered if not unique."""
     names = [
         (result.title or "result") if isinstance(g, Result) else str(g)
         for g, result in zip(given, results, strict=True)
     ]
     return [
-        f"{name} ({place})" if names.count(name) > 1 else name
-        for place, name in enumerate(names, 1)
+        f"{name} ({number})" if names.count(name) > 1 else name
+        for number, name in enumerate(names, 1)
     ]
 
 
-def _determined(c: Coefficient | None) -> bool:
+def _is_determined(c: Coefficient | None) -> bool:
     return c is not None and c.estimated and c.value is not None and bool(c.u)
 
 
-def _accelerometer(
-    name: str, results: Sequence[Result], called: Sequence[str]
+def _compare_accelerometer(
+    name: str, results: Sequence[Result], result_names: Sequence[str]
 ) -> tuple[list[ComparedCoefficient], list[AgreementOfTwo]]:
-    """Return an accelerometer's coefficients, and its agreement in each result with the first."""
-    having = [place for place, result in enumerate(results) if name in result.accelerometers]
-    start, *later = having
+    """Return an accelerometer's coefficients, and the agreement of each result with the first."""
+    indices = [index for index, result in enumerate(results) if name in result.accelerometers]
+    start, *later = indices
     first = results[start].accelerometers[name].coefficients
     rows: dict[str, list[ComparedEstimate]] = {}
     units: dict[str, str] = {}
-    for place in having:
-        for symbol, c in results[place].accelerometers[name].coefficients.items():
-            nothing = ComparedEstimate(value=None, u=None)
-            row = rows.setdefault(symbol, [nothing] * len(results))
+    for index in indices:
+        for symbol, c in results[index].accelerometers[name].coefficients.items():
+            missing = ComparedEstimate(value=None, u=None)
+            row = rows.setdefault(symbol, [missing] * len(results))
             units[symbol] = c.unit
-            if _determined(c):
+            if _is_determined(c):
                 gravity = results[0].inputs.gravity
                 estimates = estimates_of(
-                    results[place], name, [symbol], _units(results, place, gravity)
+                    results[index], name, [symbol], _target_gravity(results, index, gravity)
                 )
-                row[place] = ComparedEstimate(
+                row[index] = ComparedEstimate(
                     value=float(estimates.value[0]),
                     u=float(estimates.covariance[0, 0] ** 0.5),
                     dof=c.dof,
                 )
     agreements = []
-    for place in later:
-        coefficients = results[place].accelerometers[name].coefficients
-        terms = [s for s in first if _determined(first[s]) and _determined(coefficients.get(s))]
-        agreement, differences = _pair(name, results, (start, place), terms, called)
+    for index in later:
+        coefficients = results[index].accelerometers[name].coefficients
+        terms = [
+            s for s in first if _is_determined(first[s]) and _is_determined(coefficients.get(s))
+        ]
+        agreement, differences = _compare_pair(name, results, (start, index), terms, result_names)
         agreements.append(agreement)
         for symbol, (difference, u, z) in differences.items():
             update = {"difference": difference, "u_difference": u, "z": z}
-            rows[symbol][place] = rows[symbol][place].model_copy(update=update)
+            rows[symbol][index] = rows[symbol][index].model_copy(update=update)
     table = [
         ComparedCoefficient(accelerometer=name, term=symbol, unit=units[symbol], estimates=row)
         for symbol, row in rows.items()
@@ -158,38 +166,40 @@ def _accelerometer(
     return table, agreements
 
 
-def _units(results: Sequence[Result], place: int, gravity: float) -> float | None:
-    """Return the gravity to convert to; None where the same records were given another gravity.
+def _target_gravity(results: Sequence[Result], index: int, gravity: float) -> float | None:
+    """Return the gravity to convert to; None if the results share records.
 
-    In that case the changed gravity is the subject of the comparison.
+    With shared records, a changed gravity is the subject of the comparison.
     """
-    return None if records_of(results[place]) & records_of(results[0]) else gravity
+    return None if records_of(results[index]) & records_of(results[0]) else gravity
 
 
-def _conversion_gravity(results: Sequence[Result], place: int) -> float | None:
-    """Return the gravity of a result whose numbers are converted; None where they stay."""
-    own_gravity, gravity = results[place].inputs.gravity, results[0].inputs.gravity
+def _conversion_gravity(results: Sequence[Result], index: int) -> float | None:
+    """Return the gravity of a result whose numbers are converted; None if they are not."""
+    own_gravity, gravity = results[index].inputs.gravity, results[0].inputs.gravity
     return (
-        None if own_gravity == gravity or _units(results, place, gravity) is None else own_gravity
+        None
+        if own_gravity == gravity or _target_gravity(results, index, gravity) is None
+        else own_gravity
     )
 
 
-def _pair(
+def _compare_pair(
     name: str,
     results: Sequence[Result],
-    places: tuple[int, int],
+    indices: tuple[int, int],
     terms: Sequence[str],
-    called: Sequence[str],
+    result_names: Sequence[str],
 ) -> tuple[AgreementOfTwo, dict[str, tuple[float, float, float | None]]]:
     gravity = results[0].inputs.gravity
     first_estimates, second_estimates = (
-        estimates_of(results[place], name, terms, _units(results, place, gravity))
-        for place in places
+        estimates_of(results[index], name, terms, _target_gravity(results, index, gravity))
+        for index in indices
     )
-    first, second = (results[place] for place in places)
+    first, second = (results[index] for index in indices)
     relation, assumed = relation_of(name, (first, second), (first_estimates, second_estimates))
     covariance, shared = covariance_of_difference(first_estimates, second_estimates, relation)
-    covariance = by_the_joint_check(
+    covariance = use_joint_check(
         name, (first, second), (first_estimates, second_estimates), covariance
     )
     difference = second_estimates.value - first_estimates.value
@@ -202,7 +212,7 @@ def _pair(
         z = float(difference[i]) / u if u else None
         differences[symbol] = (float(difference[i]), u, z)
     agreement = AgreementOfTwo(
-        result=called[places[1]],
+        result=result_names[indices[1]],
         accelerometer=name,
         records=relation.records,
         terms=list(terms),

@@ -31,22 +31,22 @@ NEGLIGIBLE: Final = 1e-9
 #: Part of u below which two values differ by rounding.
 _ROUNDING: Final = 1e-6
 
-#: Part of a variance from which a source that both results share is named.
-_SAID: Final = 1e-3
+#: Smallest share of a variance for which a shared source is named.
+_MIN_SHARE: Final = 1e-3
 
 
 @frozen
 class Relation:
-    """The relation of two results: common records, better estimate, noise ratio."""
+    """Relation of two results: common records, efficient estimate, noise ratio."""
 
-    #: Whether their records are the ``same``, some are (``part``), or they are ``independent``.
+    #: Overlap of their records.
     records: Literal["same", "part", "independent"]
-    #: Place of the result whose estimate is the best of what both rest on, 0 or 1, or None: nothing
-    #: says which; the one with the smaller variance is then taken for it.
-    better: Literal[0, 1] | None = None
-    #: Whether both weigh the same records in the same way, so that noise moves them alike.
-    alike: bool = False
-    #: Noise of the first result over that of the second, where it was estimated in both.
+    #: Index of the result whose estimate is efficient for the common data; None: unknown, and the
+    #: one with the smaller variance is assumed efficient.
+    efficient: Literal[0, 1] | None = None
+    #: Whether both give the same weights to the same records, so that noise shifts them equally.
+    same_weights: bool = False
+    #: Noise of the first result over that of the second, if both estimate it.
     noise_ratio: float = 1.0
 
 
@@ -54,7 +54,7 @@ def covariance_of_difference(
     first: Estimates, second: Estimates, relation: Relation
 ) -> tuple[Array, list[str]]:
     """Return the covariance of second minus first, and the names of the shared sources."""
-    partial_overlap = relation.records == "part" and relation.better is None
+    partial_overlap = relation.records == "part" and relation.efficient is None
     if relation.records == "independent" or partial_overlap:
         return _independent_covariance(first, second)
     return _common_record_covariance(first, second, relation)
@@ -65,10 +65,10 @@ def _independent_covariance(first: Estimates, second: Estimates) -> tuple[Array,
     shared = []
     for name, source in first.sources.items():
         counterpart = second.sources.get(name)
-        if counterpart is not None and not source.of_run and source.is_as(counterpart):
-            cross = np.outer(source.moves, counterpart.moves)
+        if counterpart is not None and not source.of_run and source.same_statement(counterpart):
+            cross = np.outer(source.shifts, counterpart.shifts)
             covariance = covariance - cross - cross.T
-            if np.any(np.abs(np.diag(cross)) > _SAID * np.diag(first.covariance)):
+            if np.any(np.abs(np.diag(cross)) > _MIN_SHARE * np.diag(first.covariance)):
                 shared.append(name)
     return covariance, shared
 
@@ -76,63 +76,71 @@ def _independent_covariance(first: Estimates, second: Estimates) -> tuple[Array,
 def _common_record_covariance(
     first: Estimates, second: Estimates, relation: Relation
 ) -> tuple[Array, list[str]]:
-    better, worse = (first, second) if relation.better != 1 else (second, first)
+    efficient, inefficient = (first, second) if relation.efficient != 1 else (second, first)
     size = len(first.symbols)
     if not (first.complete and second.complete):
-        # The sensitivities are unknown: all considered terms are assumed to move both alike.
-        rest = [np.diag(e.covariance) - e.held**2 for e in (first, second)]
-        if relation.alike:
-            rest = [np.zeros(size), np.zeros(size)]
-        difference = np.abs(rest[0] - rest[1]) + (first.held - second.held) ** 2
-        return np.diag(difference), []
-    in_both, unshared = list[tuple[SharedSource, SharedSource]](), list[Array]()
-    anew = list[tuple[Array, Array]]()
+        # The sensitivities are unknown: considered terms are assumed to shift both equally.
+        noise = [np.diag(e.covariance) - e.considered_u**2 for e in (first, second)]
+        if relation.same_weights:
+            noise = [np.zeros(size), np.zeros(size)]
+        covariance = np.abs(noise[0] - noise[1]) + (first.considered_u - second.considered_u) ** 2
+        return np.diag(covariance), []
+    common, unshared = list[tuple[SharedSource, SharedSource]](), list[Array]()
+    remeasured = list[tuple[Array, Array]]()
     shared = []
-    for name, source in better.sources.items():
-        its = worse.sources.get(name)
+    for name, source in efficient.sources.items():
+        counterpart = inefficient.sources.get(name)
         if source.estimated:
             # A new measurement does not belong to the common data.
-            if its is not None and its.estimated and source.is_another(its):
-                anew.append((source.moves, its.moves))
-        elif its is not None and source.is_as(its):
-            in_both.append((source, its))
+            if counterpart is not None and counterpart.estimated and source.remeasured(counterpart):
+                remeasured.append((source.shifts, counterpart.shifts))
+        elif counterpart is not None and source.same_statement(counterpart):
+            common.append((source, counterpart))
             shared.append(name)
         else:
-            unshared.append(source.moves)
-    # Stated otherwise, or left out by the better one: by itself in the other.
-    alone = [
-        source.moves
-        for name, source in worse.sources.items()
-        if not (source.estimated or name in shared or _estimated(better, name))
+            unshared.append(source.shifts)
+    # Sources that the efficient result states differently or omits.
+    unshared_shifts = [
+        source.shifts
+        for name, source in inefficient.sources.items()
+        if not (source.estimated or name in shared or _is_estimated(efficient, name))
     ]
-    own_anew, their_anew = (squares([moves[i] for moves in anew], size) for i in (0, 1))
-    worse_covariance = worse.covariance - their_anew
-    worse_covariance = worse_covariance - squares(
-        [*(its.moves for _, its in in_both), *alone], size
+    remeasured_efficient, remeasured_inefficient = (
+        covariance_of_shifts([pair[i] for pair in remeasured], size) for i in (0, 1)
     )
-    better_covariance = better.covariance - own_anew - better.part(estimated=False)
+    inefficient_covariance = inefficient.covariance - remeasured_inefficient
+    inefficient_covariance = inefficient_covariance - covariance_of_shifts(
+        [*(counterpart.shifts for _, counterpart in common), *unshared_shifts], size
+    )
+    efficient_covariance = (
+        efficient.covariance - remeasured_efficient - efficient.source_covariance(estimated=False)
+    )
     if relation.noise_ratio != 1.0:
-        ratio = relation.noise_ratio if better is second else 1.0 / relation.noise_ratio
-        priors = better.part(estimated=True) - own_anew
-        better_covariance = priors + ratio**2 * (better_covariance - priors)
+        ratio = relation.noise_ratio if efficient is second else 1.0 / relation.noise_ratio
+        priors = efficient.source_covariance(estimated=True) - remeasured_efficient
+        efficient_covariance = priors + ratio**2 * (efficient_covariance - priors)
     scale = np.sqrt(np.diag(first.covariance) + np.diag(second.covariance))
     excess = np.zeros((size, size))
-    if not relation.alike:
-        excess = _size_of(
-            (worse_covariance - better_covariance) / np.outer(scale, scale)
+    if not relation.same_weights:
+        excess = _absolute_matrix(
+            (inefficient_covariance - efficient_covariance) / np.outer(scale, scale)
         ) * np.outer(scale, scale)
-    moved = squares([its.moves - source.moves for source, its in in_both], size)
-    return excess + moved + squares([*unshared, *alone], size) + own_anew + their_anew, shared
+    common_shifts = covariance_of_shifts(
+        [counterpart.shifts - source.shifts for source, counterpart in common], size
+    )
+    return excess + common_shifts + covariance_of_shifts(
+        [*unshared, *unshared_shifts], size
+    ) + remeasured_efficient + remeasured_inefficient, shared
 
 
-def _estimated(estimates: Estimates, name: str) -> bool:
+def _is_estimated(estimates: Estimates, name: str) -> bool:
     return name in estimates.sources and estimates.sources[name].estimated
 
 
-def _size_of(matrix: Array) -> Array:
-    """Return a symmetric matrix with its negative eigenvalues positive.
+def _absolute_matrix(matrix: Array) -> Array:
+    """Return a symmetric matrix with the absolute values of its eigenvalues.
 
-    There are none where the better estimate is the better one.
+    Negative eigenvalues occur only if the estimate assumed efficient is not.
     """
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     values = np.where(np.abs(values) > NEGLIGIBLE, np.abs(values), 0.0)
@@ -146,38 +154,38 @@ def chi_square(
     """Return chi-square of a difference, its degrees of freedom and the probability of more.
 
     difference: Shape (p,).
-    covariance: Of it, shape (p, p); as many degrees of freedom as directions in which it is not
-        negligible.
+    covariance: Covariance of the difference, shape (p, p); the degrees of freedom are the number
+        of directions with non-negligible variance.
     scale: Standard uncertainties, relative to which a variance is negligible, shape (p,).
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     significant = values > 2.0 * NEGLIGIBLE
-    along = vectors.T @ (difference / scale)
-    chi2 = float(np.sum(along[significant] ** 2 / values[significant]))
+    projection = vectors.T @ (difference / scale)
+    chi2 = float(np.sum(projection[significant] ** 2 / values[significant]))
     dof = int(np.count_nonzero(significant))
     return chi2, dof, chi_square_tail(dof, chi2) if dof and math.isfinite(chi2) else None
 
 
 @frozen(eq=False)
 class SharedSource:
-    """A source of uncertainty that moves estimates."""
+    """A source of uncertainty that shifts estimates."""
 
-    estimated: bool  #: Whether it was weighed with the data; else it was held.
-    #: Its value, where the result says it, and its standard uncertainty.
+    estimated: bool  #: True: estimated with the data; False: considered.
+    #: Value, if the result states it, and standard uncertainty.
     stated: tuple[float | None, float]
-    moves: Array  #: Signed shift of each estimate by its standard uncertainty, shape (p,).
-    of_run: bool  #: Whether it belongs to one run or mounting, as a tilt or a misalignment does.
+    shifts: Array  #: Signed shift of each estimate by its standard uncertainty, shape (p,).
+    of_run: bool  #: Whether it belongs to one run or mounting, like a tilt or a misalignment.
 
-    def is_as(self, other: SharedSource) -> bool:
-        """Check that another source has an equal statement, as far as the results state it."""
-        return self.is_as_sure_as(other) and not self.is_another(other)
+    def same_statement(self, other: SharedSource) -> bool:
+        """Return whether another source has the same statement, as far as the results state it."""
+        return self.same_u(other) and not self.remeasured(other)
 
-    def is_as_sure_as(self, other: SharedSource) -> bool:
-        """Check that another source has the same standard uncertainty."""
+    def same_u(self, other: SharedSource) -> bool:
+        """Return whether another source has the same standard uncertainty."""
         return bool(np.isclose(self.stated[1], other.stated[1], rtol=1e-9, atol=0.0))
 
-    def is_another(self, other: SharedSource) -> bool:
-        """Check that another source has a different value, which means a new measurement."""
+    def remeasured(self, other: SharedSource) -> bool:
+        """Return whether another source has a different value, which means a new measurement."""
         return None not in (self.stated[0], other.stated[0]) and self.stated[0] != other.stated[0]
 
 
@@ -185,39 +193,43 @@ class SharedSource:
 class Estimates:
     """Estimates of one accelerometer, p of them."""
 
-    symbols: tuple[str, ...]  #: Of the terms.
+    symbols: tuple[str, ...]  #: Symbols of the terms.
     value: Array  #: Shape (p,).
-    covariance: Array  #: All of it, shape (p, p).
-    #: By name: stated and default priors, considered terms, and recorded rotations.
+    covariance: Array  #: Total covariance, shape (p, p).
+    #: Stated and default priors, considered terms, and recorded rotations, by name.
     sources: dict[str, SharedSource]
-    #: Whether the sources and correlations are known; else what is held is only known as a sum, in
-    #: `held`, and the covariance may be without its correlations.
+    #: Whether the sources and correlations are known; else only the sum of the considered terms is
+    #: known, `considered_u`, and the covariance may lack correlations.
     complete: bool
-    held: Array  #: Root of the sum of squares of all that is held, shape (p,).
+    considered_u: Array  #: Root sum of squares of the considered terms, shape (p,).
 
-    def part(self, *, estimated: bool) -> Array:
+    def source_covariance(self, *, estimated: bool) -> Array:
         """Return the covariance due to the estimated sources, or due to the considered ones."""
         if not self.complete and not estimated:
-            return np.diag(self.held**2)
-        moves = [s.moves for s in self.sources.values() if s.estimated is estimated]
-        return squares(moves, len(self.symbols))
+            return np.diag(self.considered_u**2)
+        moves = [s.shifts for s in self.sources.values() if s.estimated is estimated]
+        return covariance_of_shifts(moves, len(self.symbols))
 
 
-def squares(moves: Sequence[Array], size: int) -> Array:
-    """Return the covariance of independent sources from the shifts by each, shape (size, size)."""
-    if not moves:
+def covariance_of_shifts(shifts: Sequence[Array], size: int) -> Array:
+    """Return the covariance due to independent sources, shape (size, size)."""
+    if not shifts:
         return np.zeros((size, size))
-    stacked = np.stack(moves)
+    stacked = np.stack(shifts)
     covariance: Array = stacked.T @ stacked
     return covariance
 
 
-def g_units_ratio(symbol: str, own: float, other: float) -> float:
-    """Return the number of a term in g-units of another gravity over that in its own.
+def g_units_ratio(symbol: str, gravity: float, other_gravity: float) -> float:
+    """Return the factor that converts a term to g-units of another gravity.
 
-    A coefficient of n factors is in g/g^n, and so goes with g^(1 - n).
+    A coefficient of n factors is in g/g^n, and so is proportional to g^(1 - n).
     """
-    return (own / other) ** (1 - len(TERMS[symbol].effect.factors)) if symbol in TERMS else 1.0
+    return (
+        (gravity / other_gravity) ** (1 - len(TERMS[symbol].effect.factors))
+        if symbol in TERMS
+        else 1.0
+    )
 
 
 def estimates_of(
@@ -230,15 +242,15 @@ def estimates_of(
     accelerometer = result.accelerometers[name]
     coefficients = [accelerometer.coefficients[symbol] for symbol in symbols]
     own_gravity = result.inputs.gravity
-    given = own_gravity if gravity is None else gravity
-    factor = np.array([g_units_ratio(s, own_gravity, given) for s in symbols])
+    target_gravity = own_gravity if gravity is None else gravity
+    factor = np.array([g_units_ratio(s, own_gravity, target_gravity) for s in symbols])
     u = np.array([c.u or 0.0 for c in coefficients])
     correlation = np.eye(len(coefficients))
     stated = accelerometer.correlation
     known = stated is not None and set(symbols) <= set(stated.terms)
     if stated is not None and known:
-        places = [stated.terms.index(symbol) for symbol in symbols]
-        correlation = np.array(stated.matrix)[np.ix_(places, places)]
+        indices = [stated.terms.index(symbol) for symbol in symbols]
+        correlation = np.array(stated.matrix)[np.ix_(indices, indices)]
     sources = {
         source: _scale_source(shared, factor)
         for source, shared in _sources(result, name, symbols).items()
@@ -249,39 +261,39 @@ def estimates_of(
         covariance=np.outer(factor * u, factor * u) * correlation,
         sources=sources,
         complete=known and all(accelerometer.budget.get(symbol) for symbol in symbols),
-        held=factor * np.array([_considered_u(result, c) for c in coefficients]),
+        considered_u=factor * np.array([_considered_u(result, c) for c in coefficients]),
     )
 
 
 def _considered_u(result: Result, coefficient: Coefficient) -> float:
-    """Return u of the possibly considered terms: in two stages of all priors, else zero."""
+    """Return u due to possibly considered terms: of all priors in two stages, else zero."""
     if result.method != "two-stage":
         return 0.0
     return math.hypot(coefficient.u_stated or 0.0, coefficient.u_unstated or 0.0)
 
 
 def _scale_source(source: SharedSource, factor: Array) -> SharedSource:
-    return SharedSource(source.estimated, source.stated, source.moves * factor, source.of_run)
+    return SharedSource(source.estimated, source.stated, source.shifts * factor, source.of_run)
 
 
 def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, SharedSource]:
     accelerometer = result.accelerometers[name]
     sources: dict[str, SharedSource] = {}
-    for place, symbol in enumerate(symbols):
+    for index, symbol in enumerate(symbols):
         for line in accelerometer.budget.get(symbol, ()):
             if line.u is None or line.sensitivity is None:
                 continue
             source = sources.get(line.source)
             if source is None:
                 source = sources[line.source] = SharedSource(
-                    # What the encoder leaves open of a rotation is the same in every fit.
+                    # The encoder leaves the same uncertainty of a rotation in every fit.
                     estimated=line.kind in ("stated", "unstated"),
                     stated=(_value(result, name, line.source), line.u),
-                    moves=np.zeros(len(symbols)),
+                    shifts=np.zeros(len(symbols)),
                     of_run=bool(mounting_of(line.source))
                     or any(line.source.startswith(f"{run}.") for run in result.runs),
                 )
-            source.moves[place] = line.sensitivity * line.u
+            source.shifts[index] = line.sensitivity * line.u
     return sources
 
 
@@ -333,10 +345,12 @@ def relation_of(
             "as one measurement; everything else is assumed independent."
         )
         return Relation("independent"), assumed
-    kind: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
-    better = _better(results, records, estimates)
-    alike = kind == "same" and better is not None and _alike(name, results, estimates)
-    if better is None and kind == "part":
+    overlap: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
+    efficient = _efficient_estimate(results, records, estimates)
+    same_weights = (
+        overlap == "same" and efficient is not None and _has_same_weights(name, results, estimates)
+    )
+    if efficient is None and overlap == "part":
         assumed.append(
             "The results share some records, but neither uses all records of the other: they are "
             "assumed independent, which overestimates the uncertainty of a difference."
@@ -346,7 +360,7 @@ def relation_of(
             "One of the results comes from the equations as printed, which estimate something "
             "else: the uncertainty of a difference has little meaning."
         )
-    elif better is None:
+    elif efficient is None:
         assumed.append(
             "Neither model is part of the other, or the priors differ: the result with the "
             "smaller variance is assumed to be the best estimate from these records, "
@@ -357,15 +371,15 @@ def relation_of(
             "The joint method is assumed to be the best estimate from these records, "
             "so that the variances subtract."
         )
-    elif not alike and _noise(name, first) != _noise(name, second):
+    elif not same_weights and _estimated_noise(name, first) != _estimated_noise(name, second):
         assumed.append(
             "The stated noise differs: the variances are subtracted although "
             "the weights differ too."
         )
-    return Relation(kind, better, alike, _noise_ratio(name, first, second)), assumed
+    return Relation(overlap, efficient, same_weights, _noise_ratio(name, first, second)), assumed
 
 
-def _better(
+def _efficient_estimate(
     results: tuple[Result, Result],
     records: tuple[frozenset[str], frozenset[str]],
     estimates: tuple[Estimates, Estimates],
@@ -397,11 +411,15 @@ def _better(
 def _same_prior(
     name: str, first: Mapping[str, SharedSource], second: Mapping[str, SharedSource]
 ) -> bool:
-    its = second[name]
-    return not its.estimated or first[name].is_as(its) or first[name].is_another(its)
+    counterpart = second[name]
+    return (
+        not counterpart.estimated
+        or first[name].same_statement(counterpart)
+        or first[name].remeasured(counterpart)
+    )
 
 
-def _alike(
+def _has_same_weights(
     name: str, results: tuple[Result, Result], estimates: tuple[Estimates, Estimates]
 ) -> bool:
     first, second = results
@@ -416,34 +434,38 @@ def _alike(
         and first.provenance.options == second.provenance.options
         and terms_of(first) == terms_of(second)
         and estimated[0] == estimated[1]
-        and all(first_sources[n].is_as_sure_as(second_sources[n]) for n in estimated[0])
-        and _noise(name, first) == _noise(name, second)
+        and all(first_sources[n].same_u(second_sources[n]) for n in estimated[0])
+        and _estimated_noise(name, first) == _estimated_noise(name, second)
     )
 
 
-def _noise(name: str, result: Result) -> dict[str, float | None]:
+def _estimated_noise(name: str, result: Result) -> dict[str, float | None]:
     """Return the noise sizes that affect the weights: none for white noise alone."""
     lines = result.accelerometers[name].noise
     if len(lines) == 1:
         return dict.fromkeys(lines)
-    return {part: None if line.estimated else line.value for part, line in lines.items()}
+    return {component: None if line.estimated else line.value for component, line in lines.items()}
 
 
 def _noise_ratio(name: str, first: Result, second: Result) -> float:
     first_noise, second_noise = (result.accelerometers[name].noise for result in (first, second))
     if len(first_noise) != 1 or set(first_noise) != set(second_noise):
         return 1.0
-    ((part, line),) = first_noise.items()
-    return line.value / second_noise[part].value if line.value and second_noise[part].value else 1.0
+    ((component, line),) = first_noise.items()
+    return (
+        line.value / second_noise[component].value
+        if line.value and second_noise[component].value
+        else 1.0
+    )
 
 
-def by_the_joint_check(
+def use_joint_check(
     name: str,
     results: tuple[Result, Result],
     estimates: tuple[Estimates, Estimates],
     covariance: Array,
 ) -> Array:
-    """Return a covariance with the u that a joint result itself states of the two methods."""
+    """Return a covariance with the u of the difference that a joint result states."""
     for joint, two_stage in (results, results[::-1]):
         check = joint.accelerometers[name].two_stage
         coefficient = two_stage.accelerometers[name].coefficients.get("K_II")
@@ -455,12 +477,12 @@ def by_the_joint_check(
         ):
             continue
         # The same estimate, except for the rounding of sums in each result.
-        same = (
+        is_same_estimate = (
             coefficient.value is not None
             and abs(coefficient.value - check.value) <= _ROUNDING * check.u
         )
-        if same and "K_II" in estimates[0].symbols:
-            place = estimates[0].symbols.index("K_II")
+        if is_same_estimate and "K_II" in estimates[0].symbols:
+            index = estimates[0].symbols.index("K_II")
             covariance = covariance.copy()
-            covariance[place, place] = check.u_difference**2
+            covariance[index, index] = check.u_difference**2
     return covariance

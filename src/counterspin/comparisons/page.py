@@ -30,8 +30,8 @@ from counterspin.results import unsealed_sentences
 
 _TITLE: Final = "Comparison of results"
 
-#: What every file of one says that it is.
-KIND: Final = "a comparison"
+#: Description in the file of a comparison.
+FILE_DESCRIPTION: Final = "a comparison"
 
 _RECORDS: Final = {
     "same": "the same records",
@@ -45,10 +45,10 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
     yield Heading(_TITLE, 1)
     yield from _unsealed(compared.unsealed)
     for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
-        yield Paragraph(in_words(compared, agreement), _style(agreement))
+        yield Paragraph(agreement_sentence(compared, agreement), _style(agreement))
     for result in compared.results:
         if result.gravity is not None:
-            yield Paragraph(_conversion(compared, result, result.gravity))
+            yield Paragraph(_conversion_note(compared, result, result.gravity))
     for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
         yield Heading(name)
         coefficients = [c for c in compared.coefficients if c.accelerometer == name]
@@ -62,7 +62,7 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
         "uncertainty.",
         "quiet",
     )
-    yield from _what_is_common(compared)
+    yield from _shared_source_blocks(compared)
     yield Heading("What changed")
     if compared.changes:
         columns = [Column("", wraps=True), *(Column(r.name, wraps=True) for r in compared.results)]
@@ -95,7 +95,7 @@ def _references(compared: ResultComparison) -> str:
     )
 
 
-def _conversion(compared: ResultComparison, result: ComparedResult, gravity: float) -> str:
+def _conversion_note(compared: ResultComparison, result: ComparedResult, gravity: float) -> str:
     """Return the note on the conversion of a result's numbers to the first result's g."""
     moved = dict[float, list[str]]()
     terms = (c.term for c in compared.coefficients if result.has(c.accelerometer))
@@ -113,14 +113,14 @@ def _conversion(compared: ResultComparison, result: ComparedResult, gravity: flo
     )
 
 
-def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
+def agreement_sentence(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
     """Return a sentence on the agreement of two results."""
     first = compared.reference(agreement.accelerometer).name
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
         return f"{whose} have no coefficient that both determine ({records})."
-    if agreement.p is None and _are_equal(compared, agreement):
+    if agreement.p is None and _is_identical(compared, agreement):
         return f"{whose} are equal ({records})."
     if agreement.p is None:
         return f"{whose} cannot differ by chance ({records}): what was changed makes them differ."
@@ -133,7 +133,7 @@ def in_words(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
     return f"{whose} {agree} ({words}; {records})."
 
 
-def _are_equal(compared: ResultComparison, agreement: AgreementOfTwo) -> bool:
+def _is_identical(compared: ResultComparison, agreement: AgreementOfTwo) -> bool:
     """Check that all coefficients determined by both results are equal."""
     place = [result.name for result in compared.results].index(agreement.result)
     return not any(
@@ -151,7 +151,7 @@ def _table(compared: ResultComparison, coefficients: Sequence[ComparedCoefficien
         label = f"{coefficient.term}, {unit}"
         for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
             if not result.has(coefficient.accelerometer):
-                continue  # the accelerometers of one result need not be in another
+                continue  # a result may lack an accelerometer of another one
             if estimate.value is None or estimate.u is None:
                 quiet.add(len(rows))
                 rows.append((label, result.name, NOT_DETERMINED, "", ""))
@@ -181,10 +181,10 @@ def _difference(estimate: ComparedEstimate, factor: float) -> str:
 
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names of files without the folders and the ending that all of them have in common."""
+    """Return file names without their common folders and suffix."""
     parts = [name.split("/") for name in names]
     if len({*names}) < len(names):
-        return tuple(names)  # nothing would be left
+        return tuple(names)  # the name would be empty
     while all(len(path) > 1 for path in parts) and len({path[0] for path in parts}) == 1:
         parts = [path[1:] for path in parts]
     while all(len(path) > 1 for path in parts) and len({path[-1] for path in parts}) == 1:
@@ -223,7 +223,7 @@ def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -
             )
 
 
-def _what_is_common(compared: ResultComparison) -> Iterator[Block]:
+def _shared_source_blocks(compared: ResultComparison) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
         yield Paragraph(
@@ -238,7 +238,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     blocks: list[Block] = [
         Heading("A result calibrated again", 1),
         *_unsealed(repeated.unsealed),
-        Paragraph(repetition_in_words(repeated), "answer" if repeated.same else "warning"),
+        Paragraph(repetition_sentence(repeated), "answer" if repeated.same else "warning"),
     ]
     if repeated.moved:
         locations = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
@@ -247,7 +247,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
         )
     differing = [c for c in repeated.coefficients if c.relative is None or c.relative > 0.0]
     if not repeated.same and differing:
-        blocks.append(_differing(differing))
+        blocks.append(_difference_table(differing))
     if repeated.changes:
         blocks.append(Heading("What changed"))
         blocks.append(
@@ -259,7 +259,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     return blocks
 
 
-def repetition_in_words(repeated: RepeatedCalibration) -> str:
+def repetition_sentence(repeated: RepeatedCalibration) -> str:
     """Return a sentence on the validity of a repeated result."""
     limit = format_number(repeated.limit)
     if repeated.same:
@@ -282,7 +282,7 @@ def repetition_in_words(repeated: RepeatedCalibration) -> str:
     return f"{repeated.result}: not the same within {limit}: {how}.{cause}"
 
 
-def _differing(differing: list[RepeatedCoefficient]) -> Table:
+def _difference_table(differing: list[RepeatedCoefficient]) -> Table:
     rows = list[tuple[str, ...]]()
     for c in differing:
         unit, factor = field_unit(c.unit)

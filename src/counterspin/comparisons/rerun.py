@@ -24,19 +24,19 @@ from counterspin.errors import RecordError
 from counterspin.physics.terms import symbol_of
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
-#: Characters of a checksum by which two files are told apart.
-_DIGITS: Final = 12
+#: Number of characters shown of a checksum.
+_CHECKSUM_DIGITS: Final = 12
 
-_NOTHING: Final = "-"
+_MISSING: Final = "-"
 
 
-def changes(results: Sequence[Result]) -> list[Change]:
+def find_changes(results: Sequence[Result]) -> list[Change]:
     """Return the differences between results: method and options, terms, noise, inputs, files."""
     rows = [dict(_description(result)) for result in results]
     subjects = dict.fromkeys(subject for row in rows for subject in row)
     differences = []
     for subject in subjects:
-        values = [row.get(subject, _NOTHING) for row in rows]
+        values = [row.get(subject, _MISSING) for row in rows]
         if len(set(values)) > 1:
             differences.append(Change(subject=subject, values=values))
     return differences
@@ -58,8 +58,8 @@ def _description(result: Result) -> Iterator[tuple[str, str]]:
     yield from provenance.environment.items()
     yield "method", result.method
     yield "equations", result.model
-    yield "options", " ".join(provenance.options) or _NOTHING
-    yield "accepted misfit", result.accepted_misfit or _NOTHING
+    yield "options", " ".join(provenance.options) or _MISSING
+    yield "accepted misfit", result.accepted_misfit or _MISSING
     for subject, value, u, unit in (
         ("gravity", inputs.gravity, inputs.u_gravity, "m/s^2"),
         ("latitude", inputs.latitude, inputs.u_latitude, "rad"),
@@ -70,7 +70,7 @@ def _description(result: Result) -> Iterator[tuple[str, str]]:
     yield from result.details.items()
     for file, checksum in provenance.inputs.items():
         where = ", in memory" if file in provenance.in_memory else ""
-        yield file, checksum.removeprefix("sha256:")[:_DIGITS] + where
+        yield file, checksum.removeprefix("sha256:")[:_CHECKSUM_DIGITS] + where
 
 
 def _model(result: Result) -> Iterator[tuple[str, str]]:
@@ -79,17 +79,17 @@ def _model(result: Result) -> Iterator[tuple[str, str]]:
         for symbol, known in accelerometer.known.items():
             yield f"{name}.{symbol}, known", _quantity(known.value, known.u, known.unit)
         considered, priors = _prior_information(result, name)
-        yield f"held of {name}", ", ".join(considered) or _NOTHING
+        yield f"held of {name}", ", ".join(considered) or _MISSING
         for source, text in priors.items():
             yield f"{name}: {source}", text
         for part, line in accelerometer.noise.items():
             size = _quantity(line.value, 0.0, line.unit)
             yield f"noise of {name}, {part}", "estimated" if line.estimated else size
-    yield "assumed", ", ".join(result.assumed) or _NOTHING
-    yield "not stated", ", ".join(_default_priors(result)) or _NOTHING
-    yield "terms of the platform", ", ".join(result.platform) or _NOTHING
+    yield "assumed", ", ".join(result.assumed) or _MISSING
+    yield "not stated", ", ".join(_default_priors(result)) or _MISSING
+    yield "terms of the platform", ", ".join(result.platform) or _MISSING
     run_terms = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
-    yield "terms of runs", ", ".join(run_terms) or _NOTHING
+    yield "terms of runs", ", ".join(run_terms) or _MISSING
     yield "runs", ", ".join(result.runs)
 
 
@@ -117,14 +117,14 @@ def _default_priors(result: Result) -> list[str]:
 
 def _quantity(value: float | None, u: float | None, unit: str) -> str:
     if value is None:
-        return _NOTHING
+        return _MISSING
     shown, factor = field_unit(unit)
     if not u:
         return f"{format_number(value * factor, 12)} {shown}"
     return format_estimate(value * factor, u * factor, shown)
 
 
-#: Largest relative difference of equal numbers: rounding stays below it.
+#: Largest relative difference of numbers that count as equal.
 LIMIT: Final = 1e-12
 
 
@@ -161,33 +161,33 @@ def rerun(
         If the campaign can no longer be calibrated, or an option is of another version.
     """
     before = judge_result(result if isinstance(result, Result) else Result.read(result))
-    called = before.title or "the result" if isinstance(result, Result) else str(result)
+    result_name = before.title or "the result" if isinstance(result, Result) else str(result)
     if folder is None and isinstance(result, Result):
-        raise RecordError(f"{called}: give the folder of its campaign: `folder`")
-    place = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
+        raise RecordError(f"{result_name}: give the folder of its campaign: `folder`")
+    campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
     if before.provenance.in_memory or not before.provenance.inputs:
         raise RecordError(
-            f"{called}: made from data in memory; only results from a "
+            f"{result_name}: made from data in memory; only results from a "
             "campaign's files can be repeated"
         )
     method, options, without = asked_by(before.provenance.options)
     with ExitStack() as stack:
-        paths, moved = _find(before.provenance.inputs, place, called)
+        paths, moved = _locate_inputs(before.provenance.inputs, campaign_folder, result_name)
         if moved:
             staged = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             for name, file in paths.items():
                 (staged / name).parent.mkdir(parents=True, exist_ok=True)
-                _stage(file, staged / name)
-            place = staged
-        again = calibrate(
-            _calibration_input(before, place / next(iter(paths))),
+                _link_or_copy(file, staged / name)
+            campaign_folder = staged
+        after = calibrate(
+            _calibration_input(before, campaign_folder / next(iter(paths))),
             method=method,
             options=options,
             accept_misfit=before.accepted_misfit,
             without=without,
             progress=progress,
         )
-    return _compare_coefficients(called, before, again, moved)
+    return _compare_coefficients(result_name, before, after, moved)
 
 
 def _calibration_input(before: Result, path: Path) -> Path | Campaign:
@@ -199,82 +199,85 @@ def _calibration_input(before: Result, path: Path) -> Path | Campaign:
     return keep(replace(campaign, model=model), source_of(campaign))
 
 
-def _find(
-    inputs: dict[str, str], folder: Path, called: str
+def _locate_inputs(
+    inputs: dict[str, str], folder: Path, result_name: str
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """Return the path of each input, and the new paths of renamed inputs."""
     paths, moved = dict[str, Path](), dict[str, str]()
     with Checksums() as checksums:
-        stated = {name: folder / name for name in inputs}
-        actual = dict(zip(stated, checksums.of(stated.values()), strict=True))
-        lost = {name for name in inputs if actual[name] != inputs[name]}
-        others = _by_checksum(folder, {Path(name).suffix for name in lost}, checksums)
+        named_paths = {name: folder / name for name in inputs}
+        actual = dict(zip(named_paths, checksums.of(named_paths.values()), strict=True))
+        changed = {name for name in inputs if actual[name] != inputs[name]}
+        by_checksum = _files_by_checksum(folder, {Path(name).suffix for name in changed}, checksums)
     for name, checksum in inputs.items():
-        # A name that leaves the folder cannot be given to another file.
-        elsewhere = others.get(checksum) if _is_inside(name) else None
-        if name in lost and elsewhere is not None:
+        # A path outside the folder cannot be assigned to another file.
+        elsewhere = by_checksum.get(checksum) if _is_inside_folder(name) else None
+        if name in changed and elsewhere is not None:
             paths[name] = elsewhere
             moved[name] = str(elsewhere)
-        elif name in lost and actual[name] == "unreadable":
+        elif name in changed and actual[name] == "unreadable":
             raise RecordError(
-                f"{called}: its input {name} ({checksum}) is not in {folder}, under this name or "
-                "another; name the folder of its campaign"
+                f"{result_name}: its input {name} ({checksum}) is not in {folder}, under this name "
+                "or another; name the folder of its campaign"
             )
         else:
-            paths[name] = stated[name]
-    if any(not _is_inside(name) for name in inputs):
-        moved = {} if not moved else _cannot_move(called, moved)
+            paths[name] = named_paths[name]
+    if any(not _is_inside_folder(name) for name in inputs):
+        moved = {} if not moved else _refuse_renamed(result_name, moved)
     return paths, moved
 
 
-def _by_checksum(folder: Path, suffixes: set[str], checksums: Checksums) -> dict[str, Path]:
+def _files_by_checksum(folder: Path, suffixes: set[str], checksums: Checksums) -> dict[str, Path]:
     if not suffixes:
         return {}
     files = sorted(f for f in folder.rglob("*") if f.suffix in suffixes and f.is_file())
     return dict(zip(checksums.of(files), files, strict=True))
 
 
-def _is_inside(name: str) -> bool:
+def _is_inside_folder(name: str) -> bool:
     return not Path(name).is_absolute() and ".." not in Path(name).parts
 
 
-def _cannot_move(called: str, moved: dict[str, str]) -> dict[str, str]:
-    name, where = next(iter(moved.items()))
+def _refuse_renamed(result_name: str, moved: dict[str, str]) -> dict[str, str]:
+    name, new_path = next(iter(moved.items()))
     raise RecordError(
-        f"{called}: its input {name} is now {where}; rename it, since other inputs are "
+        f"{result_name}: its input {name} is now {new_path}; rename it, since other inputs are "
         "outside the campaign's folder"
     )
 
 
-def _stage(file: Path, target: Path) -> None:
+def _link_or_copy(file: Path, target: Path) -> None:
     try:
         target.symlink_to(file.absolute())
-    except OSError:  # links need a right that not every user of Windows has
+    except OSError:  # on Windows, symbolic links need a privilege
         shutil.copyfile(file, target)
 
 
 def _compare_coefficients(
-    called: str, before: Result, again: Result, moved: dict[str, str]
+    result_name: str, before: Result, after: Result, moved: dict[str, str]
 ) -> RepeatedCalibration:
-    old, new = dict(_coefficients(before)), dict(_coefficients(again))
-    rows = [_row(name, old.get(name), new.get(name)) for name in dict.fromkeys([*old, *new])]
+    old, new = dict(_coefficients(before)), dict(_coefficients(after))
+    rows = [
+        _compare_coefficient(name, old.get(name), new.get(name))
+        for name in dict.fromkeys([*old, *new])
+    ]
     relative = [row.relative for row in rows]
     in_u = [abs(row.in_u) for row in rows if row.in_u is not None]
     known = [size for size in relative if size is not None]
     complete = len(known) == len(relative)
     largest = max(known, default=0.0) if complete else None
     return RepeatedCalibration(
-        result=called,
-        same=largest is not None and largest <= LIMIT and before.state == again.state,
+        result=result_name,
+        same=largest is not None and largest <= LIMIT and before.state == after.state,
         limit=LIMIT,
         largest=largest,
         largest_in_u=max(in_u, default=None),
         coefficients=rows,
         state_before=before.state,
-        state_now=again.state,
-        changes=changes([before, again]),
+        state_now=after.state,
+        changes=find_changes([before, after]),
         moved=moved,
-        unsealed=[] if before.sealed else [called],
+        unsealed=[] if before.sealed else [result_name],
     )
 
 
@@ -288,31 +291,35 @@ def _coefficients(result: Result) -> Iterator[tuple[str, Coefficient]]:
             yield f"{owner}.{symbol}", c
 
 
-def _row(name: str, old: Coefficient | None, new: Coefficient | None) -> RepeatedCoefficient:
-    stated = old or new
-    assert stated is not None
+def _compare_coefficient(
+    name: str, old: Coefficient | None, new: Coefficient | None
+) -> RepeatedCoefficient:
+    coefficient = old or new
+    assert coefficient is not None
     before, u_before = (old.value, old.u) if old else (None, None)
     now, u_now = (new.value, new.u) if new else (None, None)
-    of_value = _relative(before, now, u_before or 0.0)
-    of_u = _relative(u_before, u_now, 0.0)
+    value_change = _relative_difference(before, now, u_before or 0.0)
+    u_change = _relative_difference(u_before, u_now, 0.0)
     in_both = (old is None) == (new is None)
     in_u = None
     if before is not None and now is not None and u_before:
         in_u = (now - before) / u_before
     return RepeatedCoefficient(
         name=name,
-        unit=stated.unit,
+        unit=coefficient.unit,
         before=before,
         u_before=u_before,
         now=now,
         u_now=u_now,
-        relative=None if not in_both or of_value is None or of_u is None else max(of_value, of_u),
+        relative=None
+        if not in_both or value_change is None or u_change is None
+        else max(value_change, u_change),
         in_u=in_u,
     )
 
 
-def _relative(before: float | None, now: float | None, scale: float) -> float | None:
-    """Return a relative difference; None where only one of the numbers is there."""
+def _relative_difference(before: float | None, now: float | None, scale: float) -> float | None:
+    """Return a relative difference; None if only one of the numbers exists."""
     if before is None or now is None:
         return 0.0 if before is now else None
     if before == now:

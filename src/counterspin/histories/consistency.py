@@ -25,46 +25,45 @@ from counterspin.inference.variance_components import variance_components
 
 @frozen
 class Mean:
-    """A weighted mean."""
+    """A weighted mean of measurements."""
 
-    #: The mean and its standard uncertainty, in the unit of the measurements.
+    #: Mean and its standard uncertainty, in the unit of the measurements.
     value: float
     u: float
-    scatter: Scatter  #: Of the measurements with it.
+    scatter: Scatter  #: Scatter of the measurements about the mean.
     difference: Array  #: Measurements minus mean, shape (n,).
-    #: `difference` over its own standard uncertainty, which is the root of u_i^2 - u^2, for the
-    #: measurement is part of the mean; shape (n,), NaN for one measurement alone.
+    #: `difference` over its standard uncertainty, the root of u_i^2 - u^2 because the measurement
+    #: is part of the mean; shape (n,), NaN for a single measurement.
     z: Array
 
 
 @frozen
 class Drift:
-    """A straight line over time."""
+    """A straight line through measurements over time."""
 
-    #: Change per unit of time, and its standard uncertainty from those of the measurements.
+    #: Change per unit of time, and its standard uncertainty.
     slope: float
     u: float
-    #: Probability of a slope as large if there is no drift (normal distribution, both sides).
+    #: Two-sided p-value of the slope under no drift (normal distribution).
     p: float
-    #: The weighted mean time, at which slope and value are uncorrelated, and the line's value
-    #: there.
+    #: Weighted mean time, at which slope and value are uncorrelated, and the line's value at it.
     time: float
     value: float
     u_value: float  #: Standard uncertainty of `value`.
-    scatter: Scatter  #: Of the measurements with the line.
+    scatter: Scatter  #: Scatter of the measurements about the line.
 
-    def at(self, time: npt.ArrayLike) -> tuple[Array, Array]:
-        """Return the line and its standard uncertainty at times, each of the times' shape."""
+    def evaluate(self, time: npt.ArrayLike) -> tuple[Array, Array]:
+        """Return the line and its standard uncertainty at times, each with the shape of `time`."""
         since = np.asarray(time, dtype=np.float64) - self.time
         return self.value + self.slope * since, np.hypot(self.u_value, self.u * since)
 
 
 def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | None = None) -> Mean:
-    """Return the mean with weights 1/u^2 and whether the measurements agree with it.
+    """Return the mean with weights 1/u^2 and the scatter of the measurements about it.
 
     values, u: Measurements and their standard uncertainties, shape (n,), n >= 1, u > 0.
-    covariance: Of the measurements, shape (n, n), where they are not independent: the mean is then
-        that of generalised least squares.
+    covariance: Covariance of dependent measurements, shape (n, n); the mean is then that of
+        generalised least squares.
     """
     measured, sigma = np.asarray(values, np.float64), np.asarray(u, np.float64)
     if covariance is not None:
@@ -79,7 +78,7 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | N
     )
 
 
-def drift(
+def fit_drift(
     time: npt.ArrayLike,
     values: npt.ArrayLike,
     u: npt.ArrayLike,
@@ -87,13 +86,13 @@ def drift(
 ) -> Drift | None:
     """Fit a straight line by weighted least squares.
 
-    time: Of the measurements, shape (n,), in any unit and order.
-    Returns: none where all measurements are of one time.
+    time: Times of the measurements, shape (n,), in any unit and order.
+    Returns: None if all times are equal.
     """
     when, sigma = np.asarray(time, np.float64), np.asarray(u, np.float64)
     if np.ptp(when) == 0.0:
         return None
-    # About the weighted mean time value and slope are uncorrelated.
+    # At the weighted mean time, value and slope are uncorrelated.
     measured = np.asarray(values, np.float64)
     if covariance is None:
         middle = float(np.average(when, weights=sigma**-2.0))
@@ -138,7 +137,7 @@ def _correlated_mean(values: Array, covariance: Array) -> Mean:
     mean, u = float(constant.estimate[0]), float(constant.u[0])
     difference = values - mean
     z = np.full(values.size, np.nan)
-    # Of generalised least squares too, the covariance of a measurement with the mean is u^2.
+    # For generalised least squares too, the covariance of a measurement with the mean is u^2.
     variance = np.diag(covariance) - u**2
     distinct = variance > 1e-12 * np.diag(covariance)
     if values.size > 1:
@@ -147,7 +146,7 @@ def _correlated_mean(values: Array, covariance: Array) -> Mean:
 
 
 def _whiten(columns: Array, covariance: Array) -> Array:
-    """Return columns in units in which the measurements are independent, of variance one."""
+    """Return the whitened columns."""
     from scipy.linalg import cholesky, solve_triangular
 
     whitened: Array = solve_triangular(cholesky(covariance, lower=True), columns, lower=True)
@@ -155,8 +154,8 @@ def _whiten(columns: Array, covariance: Array) -> Array:
 
 
 def _leave_one_out_scores(values: Array, u: Array) -> Array:
-    # The same number as difference over the root of u_i^2 - u^2, without its cancellation where
-    # one measurement has nearly all the weight.
+    # Equals the difference over the root of u_i^2 - u^2, without cancellation when one
+    # measurement has nearly all the weight.
     weight = u**-2.0
     z = np.full(values.size, np.nan)
     for i in range(values.size if values.size > 1 else 0):
@@ -182,19 +181,19 @@ _D3: Final = math.sqrt(2.0 - 4.0 / math.pi)
 ACTION_SIGMAS: Final = 3.0
 WARNING_SIGMAS: Final = 2.0
 
-#: Fewer results have no limits that could tell anything.
-FEWEST_RESULTS: Final = 3
+#: Smallest number of results for control limits.
+MIN_RESULTS: Final = 3
 
 
-def individuals(values: npt.ArrayLike, files: Sequence[str]) -> ControlLimits | None:
+def individuals_chart(values: npt.ArrayLike, files: Sequence[str]) -> ControlLimits | None:
     """Return the chart of results in order of time (NIST/SEMATECH e-Handbook, 6.3.2.2).
 
     values: Shape (n,).
-    files: What each is called by, n of them.
-    Returns: none for fewer than `FEWEST_RESULTS` results.
+    files: Names of the results' files, n of them.
+    Returns: None for fewer than `MIN_RESULTS` results.
     """
     measured = np.asarray(values, dtype=np.float64)
-    if measured.size < FEWEST_RESULTS:
+    if measured.size < MIN_RESULTS:
         return None
     ranges = np.abs(np.diff(measured))
     mean_range = float(ranges.mean())
@@ -214,64 +213,64 @@ def individuals(values: npt.ArrayLike, files: Sequence[str]) -> ControlLimits | 
     )
 
 
-#: No interval is longer, whatever the line says; years.
-LONGEST_YEARS: Final = 10.0
+#: Longest calibration interval, years.
+MAX_YEARS: Final = 10.0
 
 YEAR: Final = timedelta(days=365.25)
 
 
-def probability_inside(line: Drift, time: float, low: float | None, high: float | None) -> float:
+def probability_within(line: Drift, time: float, low: float | None, high: float | None) -> float:
     """Return the probability that the quantity lies within limits at a time.
 
-    The line's uncertainty is enlarged by its Birge ratio where that is above 1.
+    The line's uncertainty is multiplied by its Birge ratio if that is above 1.
 
     low, high: The limits; None: no limit.
     """
-    value, u = (float(part) for part in line.at(time))
+    value, u = (float(part) for part in line.evaluate(time))
     u *= max(1.0, line.scatter.birge or 1.0)
     below = 1.0 if high is None else normal_cdf((high - value) / u)
     return below - (0.0 if low is None else normal_cdf((low - value) / u))
 
 
-def next_due(
+def next_due_date(
     line: Drift,
     start: datetime,
     last: datetime,
     limits: tuple[float | None, float | None],
     reliability: float,
 ) -> datetime | None:
-    """Return the last day on which the quantity is in specification with the reliability wanted.
+    """Return the last day on which the quantity is in specification with the given reliability.
 
     After method 2 of ILAC-G24:2022 (OIML D 10:2022), 6.3, "Control chart (calendar-time)": drift
-    and its uncertainty are found from the results of the past and carried on.
+    and its uncertainty are estimated from past results and extrapolated.
 
-    Returns: `last` itself where the probability is too small already; None if it is large enough
-        for `LONGEST_YEARS` years.
+    Returns: `last` if the probability is already too small; None if it is large enough for
+        `MAX_YEARS` years.
     """
     begin = (last - start) / YEAR
-    if probability_inside(line, begin, *limits) < reliability:
+    if probability_within(line, begin, *limits) < reliability:
         return last
-    # The probability may first grow, when the line leads back: the first time that it fails counts.
-    steps = int(LONGEST_YEARS * 52)
+    # The probability may first grow, if the line approaches the centre: use the first failure.
+    steps = int(MAX_YEARS * 52)
     inside = begin
     for step in range(1, steps + 1):
-        outside = begin + LONGEST_YEARS * step / steps
-        if probability_inside(line, outside, *limits) < reliability:
+        outside = begin + MAX_YEARS * step / steps
+        if probability_within(line, outside, *limits) < reliability:
             break
         inside = outside
     else:
         return None
     while outside - inside > 1e-4:
         middle = 0.5 * (inside + outside)
-        if probability_inside(line, middle, *limits) < reliability:
+        if probability_within(line, middle, *limits) < reliability:
             outside = middle
         else:
             inside = middle
     return start + inside * YEAR
 
 
-#: Fewest results, beyond the other estimated parameters, that determine a variance.
-_FEWEST: Final = 2
+#: Smallest number of results, beyond the other parameters, that determine a variance.
+_MIN_DOF: Final = 2
 
 
 def repeatability(
@@ -279,15 +278,15 @@ def repeatability(
 ) -> Repeatability | None:
     """Return the variation of results in excess of their u; None for too few.
 
-    covariance: Of the results, shape (n, n); None: they are independent.
-    drifts: True: deviations are from a line over time; False: from the mean.
+    covariance: Covariance of the results, shape (n, n); None: they are independent.
+    drifts: True: deviations from a line over time; False: from the mean.
     """
     start = records[0].date
     years = np.array([(record.date - start) / YEAR for record in records])
     columns = [np.ones(len(records)), *([years - years.mean()] if drifts else [])]
-    if len(records) < len(columns) + _FEWEST:
+    if len(records) < len(columns) + _MIN_DOF:
         return None
-    groups, not_told = _groups(records)
+    groups, not_told = _repeat_groups(records)
     if not groups:
         return None
     known = np.diag([record.u**2 for record in records]) if covariance is None else covariance
@@ -314,7 +313,7 @@ def repeatability(
     )
 
 
-def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[str, str]]:
+def _repeat_groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[str, str]]:
     """Return the groups of each result by repeated condition, and reasons for missing groups."""
     labels: dict[str, list[str | None]] = {
         "day": [record.date.date().isoformat() for record in records],
@@ -335,26 +334,26 @@ def _groups(records: Sequence[DatedResult]) -> tuple[dict[str, list[str]], dict[
     return groups, not_told
 
 
-#: Correlations below this change nothing that is printed.
+#: Correlation below which shared inputs are negligible in print.
 _NEGLIGIBLE_CORRELATION: Final = 0.01
 
-#: What a result does not share is at least this part of its u.
-_LEAST_OWN_PART: Final = 1e-3
+#: Smallest unshared part of u.
+_MIN_UNSHARED_PART: Final = 1e-3
 
 
 @frozen
 class SharedInputs:
-    """The shared inputs of results."""
+    """Shared inputs of results."""
 
-    names: tuple[str, ...]  #: What it is, such as ``centrifuge.radius``.
-    largest: float  #: The largest correlation of two results.
-    covariance: Array  #: Of the results, shape (n, n).
+    names: tuple[str, ...]  #: Names of the inputs, such as ``centrifuge.radius``.
+    largest: float  #: Largest correlation of two results.
+    covariance: Array  #: Covariance of the results, shape (n, n).
 
 
-def in_common(
+def find_shared_inputs(
     u: Sequence[float], shared: Sequence[Mapping[tuple[str, str], float]]
 ) -> SharedInputs | None:
-    """Return the shared inputs of results; None where they are negligible."""
+    """Return the shared inputs of results; None if they are negligible."""
     count: dict[tuple[str, str], int] = {}
     for sources in shared:
         for key in sources:
@@ -364,7 +363,9 @@ def in_common(
     total = np.asarray(u, dtype=np.float64)
     unshared = total**2 - (moved**2).sum(axis=1)
     covariance = moved @ moved.T
-    covariance[np.diag_indices(total.size)] += np.maximum(unshared, (_LEAST_OWN_PART * total) ** 2)
+    covariance[np.diag_indices(total.size)] += np.maximum(
+        unshared, (_MIN_UNSHARED_PART * total) ** 2
+    )
     size = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(size, size) - np.eye(total.size))
     if not keys or (largest := float(correlation.max())) < _NEGLIGIBLE_CORRELATION:

@@ -16,19 +16,25 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import (
-    LONGEST_YEARS,
+    MAX_YEARS,
     YEAR,
     Drift,
     Mean,
-    drift,
     en_score,
-    in_common,
-    individuals,
-    next_due,
+    find_shared_inputs,
+    fit_drift,
+    individuals_chart,
+    next_due_date,
     repeatability,
     weighted_mean,
 )
-from counterspin.histories.files import KINDS, CollectedResults, DatedResult, collect, term_like
+from counterspin.histories.files import (
+    TRIAD_QUANTITIES,
+    DatedResult,
+    ResultSet,
+    collect_results,
+    term_of,
+)
 from counterspin.histories.result import (
     Due,
     History,
@@ -82,12 +88,12 @@ def history(
     """
     if not 0.5 < reliability < 1.0:
         raise CampaignError("`reliability`", [f"{reliability} does not lie between 0.5 and 1"])
-    if term not in TERMS and term not in KINDS:
-        raise CampaignError("`term`", [_unknown(term)])
-    collected = collect([p if isinstance(p, Result) else Path(p) for p in paths], term)
-    _leave_out_repeated(collected)
+    if term not in TERMS and term not in TRIAD_QUANTITIES:
+        raise CampaignError("`term`", [_unknown_term_message(term)])
+    collected = collect_results([p if isinstance(p, Result) else Path(p) for p in paths], term)
+    _remove_duplicates(collected)
     if not collected.records:
-        raise CounterspinError(_nothing(paths, collected))
+        raise CounterspinError(_no_results_message(paths, collected))
     gravity = max(collected.records, key=lambda record: (record.date, record.file)).gravity
     by_serial: dict[str, list[DatedResult]] = {}
     for record in sorted(collected.records, key=lambda record: (record.date, record.file)):
@@ -104,42 +110,42 @@ def history(
         )
     return History(
         term=term,
-        unit=term_like(term).unit,
+        unit=term_of(term).unit,
         gravity=gravity,
         converted=any(record.gravity != gravity for record in collected.records),
         instruments=[
-            _instrument([_in_units_of(gravity, r, term) for r in records], reliability)
+            _instrument_history([_convert_gravity(gravity, r, term) for r in records], reliability)
             for _, records in sorted(by_serial.items())
         ],
         left_out=collected.left_out,
         damaged=collected.damaged,
         passed_over=collected.passed_over,
-        notes=[*unsealed_sentences(collected.unsealed), *_shared(by_serial)],
+        notes=[*unsealed_sentences(collected.unsealed), *_shared_record_notes(by_serial)],
     )
 
 
-# Which results count
+# Selection of results
 
 
-def _unknown(term: str) -> str:
+def _unknown_term_message(term: str) -> str:
     if term in SHARED_TERMS:
         return f'"{term}" belongs to the machine; a history follows a term of an accelerometer'
     kind, _, owner = term.partition(".")
-    if owner and kind in KINDS:
+    if owner and kind in TRIAD_QUANTITIES:
         return f'"{term}" is one of a triad; "{kind}" follows those of all accelerometers'
-    return f'unknown term "{term}"{did_you_mean(term, [*TERMS, *KINDS])}'
+    return f'unknown term "{term}"{did_you_mean(term, [*TERMS, *TRIAD_QUANTITIES])}'
 
 
-def _leave_out_repeated(collected: CollectedResults) -> None:
+def _remove_duplicates(collected: ResultSet) -> None:
     """Keep one result of the same records and accelerometer: a measurement counts once.
 
-    The joint method's goes before that of two stages, then the first one read.
+    A result of the joint method takes precedence, then the first one read.
     """
-    kept: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
+    unique: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
     for record in sorted(collected.records, key=lambda record: record.method != "joint"):
-        # Without checksums the input files of the result are unknown.
+        # Without checksums, the input files of the result are unknown.
         key = (record.serial_number, record.accelerometer, record.records or {record.file})
-        first = kept.setdefault((*key[:2], frozenset(key[2])), record)
+        first = unique.setdefault((*key[:2], frozenset(key[2])), record)
         if first is not record:
             collected.records.remove(record)
             collected.left_out.append(
@@ -151,24 +157,26 @@ def _leave_out_repeated(collected: CollectedResults) -> None:
             )
 
 
-def _nothing(paths: Sequence[Path | str | Result], collected: CollectedResults) -> str:
-    where = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
-    lost = [*collected.damaged, *collected.left_out]
-    if not lost:
-        return f"no results in {where}. Write one with `write_result`" + (
+def _no_results_message(paths: Sequence[Path | str | Result], collected: ResultSet) -> str:
+    places = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
+    unused = [*collected.damaged, *collected.left_out]
+    if not unused:
+        return f"no results in {places}. Write one with `write_result`" + (
             f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
         )
-    whose: dict[str, list[str]] = {}
-    for item in lost[:5]:
+    names_by_reason: dict[str, list[str]] = {}
+    for item in unused[:5]:
         name = f"{item.accelerometer} of {item.file}" if item.accelerometer else item.file
-        whose.setdefault(item.reason, []).append(name)
-    reasons = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in whose.items())
-    more = f"; and {len(lost) - 5} more" if len(lost) > 5 else ""
+        names_by_reason.setdefault(item.reason, []).append(name)
+    reasons = "; ".join(
+        f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items()
+    )
+    more = f"; and {len(unused) - 5} more" if len(unused) > 5 else ""
     return f"no result can be used in a history. {reasons}{more}"
 
 
-def _shared(by_serial: dict[str, list[DatedResult]]) -> list[str]:
-    """Return a note for each pair of results that share records, and so are not independent."""
+def _shared_record_notes(by_serial: dict[str, list[DatedResult]]) -> list[str]:
+    """Return a note for each pair of results that share records and are not independent."""
     notes = []
     for serial, records in by_serial.items():
         for i, later in enumerate(records):
@@ -184,12 +192,12 @@ def _shared(by_serial: dict[str, list[DatedResult]]) -> list[str]:
 # From results to a history
 
 
-def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:
+def _convert_gravity(gravity: float, record: DatedResult, term: str) -> DatedResult:
     """Return the record in g-units of another gravity.
 
-    A coefficient of n factors is in g/g^n, and so inversely as g^(n - 1).
+    A coefficient of n factors is in g/g^n, and so proportional to g^(1 - n).
     """
-    factor = (record.gravity / gravity) ** (1 - len(term_like(term).effect.factors))
+    factor = (record.gravity / gravity) ** (1 - len(term_of(term).effect.factors))
     limits = record.limits
     if limits is not None:
         low, high = (None if end is None else end * factor for end in limits[:2])
@@ -204,35 +212,35 @@ def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:
     )
 
 
-def _instrument(records: Sequence[DatedResult], reliability: float) -> InstrumentHistory:
+def _instrument_history(records: Sequence[DatedResult], reliability: float) -> InstrumentHistory:
     values, u = [record.value for record in records], [record.u for record in records]
-    common = in_common(u, [record.shared for record in records])
+    common = find_shared_inputs(u, [record.shared for record in records])
     covariance = None if common is None else common.covariance
     mean = weighted_mean(values, u, covariance)
     start = records[0].date
-    line = drift([(record.date - start) / YEAR for record in records], values, u, covariance)
+    line = fit_drift([(record.date - start) / YEAR for record in records], values, u, covariance)
     verdict = _verdict(mean, line)
     return InstrumentHistory(
         serial_number=records[0].serial_number,
-        # One that is stated in both ways is the accelerometer's own.
+        # The accelerometer's serial number takes precedence over the campaign's.
         stated_by=min(record.stated_by for record in records),
-        points=[_point(i, records, mean, covariance) for i in range(len(records))],
+        points=[_make_point(i, records, mean, covariance) for i in range(len(records))],
         mean=mean.value,
         u_mean=mean.u,
         scatter=mean.scatter,
-        drift=None if line is None else _trend(line, start),
+        drift=None if line is None else _make_trend(line, start),
         verdict=verdict,
         shared=[] if common is None else list(common.names),
         correlation=None if common is None else common.largest,
-        control=individuals(values, [record.file for record in records]),
-        specification=_specification(records),
-        due=_due(records, line, verdict, reliability),
+        control=individuals_chart(values, [record.file for record in records]),
+        specification=_latest_specification(records),
+        due=_due_date(records, line, verdict, reliability),
         repeatability=repeatability(records, covariance, drifts=verdict == "drifts"),
-        laboratories=_laboratories(records, covariance),
+        laboratories=_compare_laboratories(records, covariance),
     )
 
 
-def _specification(records: Sequence[DatedResult]) -> SpecificationLimits | None:
+def _latest_specification(records: Sequence[DatedResult]) -> SpecificationLimits | None:
     """Return the specification of the latest result that has one."""
     for record in reversed(records):
         if record.limits is not None:
@@ -241,10 +249,10 @@ def _specification(records: Sequence[DatedResult]) -> SpecificationLimits | None
     return None
 
 
-def _due(
+def _due_date(
     records: Sequence[DatedResult], line: Drift | None, verdict: Verdict, reliability: float
 ) -> Due:
-    limits = _specification(records)
+    limits = _latest_specification(records)
     if limits is None:
         reason = "no result has a specification"
     elif line is None:
@@ -253,15 +261,17 @@ def _due(
         reason = "the results do not agree with a straight line that could be extrapolated"
     else:
         ends = (limits.low, limits.high)
-        date = next_due(line, records[0].date, records[-1].date, ends, reliability)
+        date = next_due_date(line, records[0].date, records[-1].date, ends, reliability)
         if date is not None:
             return Due(date=date.date().isoformat(), reliability=reliability)
-        reason = f"it is within specification for {LONGEST_YEARS:g} years by the line: set a limit"
+        reason = f"it is within specification for {MAX_YEARS:g} years by the line: set a limit"
     return Due(date=None, reliability=reliability, reason=reason)
 
 
-def _laboratories(records: Sequence[DatedResult], covariance: Array | None) -> list[LaboratoryPair]:
-    """Compare the weighted means of laboratories, each with each."""
+def _compare_laboratories(
+    records: Sequence[DatedResult], covariance: Array | None
+) -> list[LaboratoryPair]:
+    """Compare the weighted means of all pairs of laboratories."""
     u = np.array([record.u for record in records])
     full_covariance = np.diag(u**2) if covariance is None else covariance
     values = np.array([record.value for record in records])
@@ -297,14 +307,14 @@ def _laboratories(records: Sequence[DatedResult], covariance: Array | None) -> l
     return pairs
 
 
-def _point(
+def _make_point(
     index: int, records: Sequence[DatedResult], mean: Mean, covariance: Array | None
 ) -> Point:
     record = records[index]
     alone, z = len(records) == 1, float(mean.z[index])
     before = records[index - 1] if index else None
     return Point(
-        date=_iso(record.date),
+        date=_format_date(record.date),
         file=record.file,
         accelerometer=record.accelerometer,
         method=record.method,
@@ -326,12 +336,12 @@ def _point(
     )
 
 
-def _iso(date: datetime) -> str:
-    """Write a date; the time of day only where there is one."""
+def _format_date(date: datetime) -> str:
+    """Format a date, with the time of day if it has one."""
     return (date.date() if date.time() == datetime.min.time() else date).isoformat()
 
 
-def _trend(line: Drift, start: datetime) -> Trend:
+def _make_trend(line: Drift, start: datetime) -> Trend:
     return Trend(
         value=line.slope,
         u=line.u,

@@ -1,4 +1,4 @@
-"""A history as a page: a sentence, a table and a control chart for each instrument."""
+"""Printed report of a history: a sentence, a table and a control chart for each instrument."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from counterspin.reports.numbers import (
     round_to_uncertainty,
 )
 
-#: What a file of control charts says that it is.
-CHART: Final = "a control chart"
+#: Description in the file of a control chart.
+FILE_DESCRIPTION: Final = "a control chart"
 
 _YEAR: Final = 365.25  #: days
 
-#: z beyond which a result asks for action (ISO 13528:2015, 9.4.2).
+#: |z| above which a result requires action (ISO 13528:2015, 9.4.2).
 _ACTION_Z: Final = 3.0
 
 
 def history_blocks(history: History) -> Iterator[Block]:
     """Yield each instrument's verdict, table and control chart, then the unused files."""
-    yield Heading(f"History of {_words(history)}", 1)
+    yield Heading(f"History of {_title(history)}", 1)
     for instrument in history.instruments:
-        yield Heading(_name(instrument))
+        yield Heading(_instrument_name(instrument))
         good = instrument.verdict in {"single", "constant"}
-        yield Paragraph(verdict_in_words(history, instrument), "answer" if good else "warning")
+        yield Paragraph(verdict_sentences(history, instrument), "answer" if good else "warning")
         yield _table(history, instrument)
-        for line in judgements(history, instrument):
+        for line in conclusion_sentences(history, instrument):
             yield Paragraph(line)
         if instrument.repeatability is not None:
-            yield from _repeat_blocks(history, instrument.repeatability)
+            yield from _repeatability_blocks(history, instrument.repeatability)
         if len(instrument.points) > 1:
             yield control_plot(history, instrument)
     yield Paragraph(
@@ -61,12 +61,12 @@ def history_blocks(history: History) -> Iterator[Block]:
             "latest result.",
             "quiet",
         )
-    yield from _not_among_them(history)
+    yield from _unused_blocks(history)
 
 
-def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
+def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     """Return the verdict on the agreement of an instrument's results, in one or two sentences."""
-    name, unit, factor = _words(history), *field_unit(history.unit)
+    name, unit, factor = _title(history), *field_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
@@ -75,14 +75,14 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     slope = None
     if line is not None:
         slope = format_estimate(line.value * factor, line.u * factor, unit) + " a year"
-    scatter = _scatter_in_words(instrument.scatter)
+    scatter = _scatter_sentence(instrument.scatter)
     if instrument.verdict == "constant":
         drift = f" No significant drift: {slope}." if slope else ""
         return f"{name} is constant: {len(points)} results agree with {average} ({scatter}).{drift}"
     if instrument.verdict == "drifts" and line is not None:
         return (
             f"{name} drifts by {slope}; {len(points)} results agree with a straight line "
-            f"({_scatter_in_words(line.scatter)}), better than with a constant ({scatter})."
+            f"({_scatter_sentence(line.scatter)}), better than with a constant ({scatter})."
         )
     if instrument.verdict == "differ":
         first, last = points
@@ -102,8 +102,8 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     )
 
 
-def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]:
-    """Yield the verdicts on limits, shared inputs, and pairs of laboratories."""
+def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Iterator[str]:
+    """Yield sentences on control limits, shared inputs, due date, and pairs of laboratories."""
     unit, factor = field_unit(history.unit)
 
     def shown(low: float, high: float) -> str:
@@ -143,18 +143,18 @@ def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]
         )
 
 
-#: Component -> the condition that changes, and its plural.
-_REPEATED: Final = {
+#: Component -> the repeated condition, singular and plural.
+_CONDITIONS: Final = {
     "day": ("day", "days"),
     "mounting": ("mounting", "mountings"),
     "turn_on": ("turn-on", "turn-ons"),
 }
 
-#: Degrees of freedom below which a standard deviation is hardly known.
-_FEW: Final = 5
+#: Degrees of freedom below which a standard deviation is poorly known.
+_MIN_RELIABLE_DOF: Final = 5
 
 
-def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
+def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
     """Yield the table of the variation of results in excess of their u."""
     unit, factor = field_unit(history.unit)
 
@@ -162,10 +162,10 @@ def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
         return format_number(value * factor, 2)
 
     def row(name: str, component: RepeatComponent) -> tuple[str, ...]:
-        what = " or ".join(_REPEATED[alias][0] for alias in (name, *component.same_as))
+        what = " or ".join(_CONDITIONS[alias][0] for alias in (name, *component.same_as))
         upper = "any" if component.high is None else shown(component.high)
         interval = f"{shown(component.low) if component.low else 0} to {upper}"
-        counted = f"{component.groups} {_REPEATED[name][1]}"
+        counted = f"{component.groups} {_CONDITIONS[name][1]}"
         return f"another {what}", shown(component.value), interval, counted, str(component.freedom)
 
     rows = [row(name, component) for name, component in repeats.components.items()]
@@ -183,10 +183,12 @@ def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
     )
     about = "a line" if repeats.about == "line" else "their mean"
     few = [
-        _REPEATED[n][1] for n, component in repeats.components.items() if component.freedom < _FEW
+        _CONDITIONS[n][1]
+        for n, component in repeats.components.items()
+        if component.freedom < _MIN_RELIABLE_DOF
     ]
     why = [
-        f"{_REPEATED[name][0]}: {words}"
+        f"{_CONDITIONS[name][0]}: {words}"
         for name, words in repeats.not_told.items()
         if name != "day"
     ]
@@ -203,10 +205,10 @@ def _repeat_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
     )
 
 
-def _limit_lines(
+def _limit_series(
     instrument: InstrumentHistory, ends: tuple[float, float], factor: float
 ) -> Iterator[PlotSeries]:
-    """Yield control and specification limits; each kind has one entry in the legend."""
+    """Yield control and specification limits; each type has one legend entry."""
     lines: list[tuple[str, tuple[float | None, ...], int]] = []
     if (chart := instrument.control) is not None:
         lines += [
@@ -228,7 +230,7 @@ def _limit_lines(
 def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     """Return the results with their 95 % intervals over time, mean, control limits and drift."""
     unit, factor = field_unit(history.unit)
-    x = tuple(_days(point.date) for point in instrument.points)
+    x = tuple(_days_since_epoch(point.date) for point in instrument.points)
     y = tuple(point.value * factor for point in instrument.points)
     half = tuple(expanded_uncertainty(point.u, point.dof) * factor for point in instrument.points)
     ends = (min(x), max(x))
@@ -242,7 +244,7 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
             high=(mean + u, mean + u),
         )
     ]
-    series += _limit_lines(instrument, ends, factor)
+    series += _limit_series(instrument, ends, factor)
     if len(x) > 1 and instrument.control is None:
         # The standard uncertainty of a result minus the mean, which includes the result.
         away = [
@@ -259,7 +261,8 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
                 "drift",
                 ends,
                 tuple(
-                    factor * (line.level + line.value * (end - _days(line.date)) / _YEAR)
+                    factor
+                    * (line.level + line.value * (end - _days_since_epoch(line.date)) / _YEAR)
                     for end in ends
                 ),
                 stands_out=instrument.verdict == "drifts",
@@ -278,9 +281,9 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
         )
     )
     return Plot(
-        title=f"{_words(history)} of {_name(instrument)}",
+        title=f"{_title(history)} of {_instrument_name(instrument)}",
         x_label="date",
-        y_label=f"{_words(history)}, {unit}",
+        y_label=f"{_title(history)}, {unit}",
         series=tuple(series),
         dates=True,
     )
@@ -291,17 +294,17 @@ def history_plots(history: History) -> list[Plot]:
     return [control_plot(history, instrument) for instrument in history.instruments]
 
 
-def _words(history: History) -> str:
+def _title(history: History) -> str:
     return "angle less 90 deg" if history.term == "angle" else history.term
 
 
-def _name(instrument: InstrumentHistory) -> str:
+def _instrument_name(instrument: InstrumentHistory) -> str:
     if instrument.stated_by == "campaign":
         return f"{instrument.serial_number} (serial number of the campaign)"
     return instrument.serial_number
 
 
-def _scatter_in_words(scatter: Scatter) -> str:
+def _scatter_sentence(scatter: Scatter) -> str:
     if scatter.p is None or scatter.birge is None:
         return "no degree of freedom"
     p, birge = format_number(scatter.p, 2), format_number(scatter.birge, 2)
@@ -315,7 +318,7 @@ def _table(history: History, instrument: InstrumentHistory) -> Table:
             Column("Date"),
             Column("File", wraps=True),
             Column("Method", wraps=True),
-            Column(f"{_words(history)}, {unit}", "right"),
+            Column(f"{_title(history)}, {unit}", "right"),
             Column("Less mean", "right"),
             Column("z", "right"),
             Column("E_n", "right"),
@@ -343,7 +346,7 @@ def _row(point: Point, factor: float) -> tuple[str, ...]:
     )
 
 
-def _not_among_them(history: History) -> Iterator[Block]:
+def _unused_blocks(history: History) -> Iterator[Block]:
     for note in history.notes:
         yield Paragraph(f"Warning: {note}", "warning")
     for unused in history.damaged:
@@ -362,6 +365,6 @@ def _not_among_them(history: History) -> Iterator[Block]:
         yield Paragraph(f"{count} {files} ignored.", "quiet")
 
 
-def _days(date: str) -> float:
+def _days_since_epoch(date: str) -> float:
     """Return a date as days since 1970-01-01."""
     return (datetime.fromisoformat(date) - datetime(1970, 1, 1)) / timedelta(days=1)
