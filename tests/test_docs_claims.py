@@ -19,7 +19,6 @@ from counterspin.calibration.checks import limits, small_angles
 from counterspin.calibration.diagnosis import search
 from counterspin.calibration.two_stage import findings as two_stage_findings
 from counterspin.campaign import conditions, runs
-from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
 from counterspin.inference import (
@@ -27,8 +26,6 @@ from counterspin.inference import (
     diagnostics,
     distributions,
     identifiability,
-    reading_tests,
-    readings,
 )
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint import encoder, mistakes, prepared, used_rows
@@ -39,6 +36,8 @@ from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import EARTH_RATE
 from counterspin.physics.observation import columns, parabola
 from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
+from counterspin.readings import fitted, patterns
+from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
 from counterspin.records import column_file, reduction, spikes
 from counterspin.reproduction import plan as paper
 from counterspin.studies import strobed_effects
@@ -153,13 +152,13 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
-    ("diagnosis", "effective ones, rounded: from {} on", [readings.FEWEST_FREEDOM]),
-    ("diagnosis", "sine of 1 to {} times the head's angle", [reading_tests._HARMONICS]),
-    ("diagnosis", "constant of {} and of {} of the series", [*reading_tests._WARM_UPS]),
+    ("diagnosis", "effective ones, rounded: from {} on", [fitted.FEWEST_FREEDOM]),
+    ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
+    ("diagnosis", "constant of {} and of {} of the series", [*patterns._WARM_UPS]),
     (
         "diagnosis",
         "Every explanation within {} of its chi-square is named with it",
-        [reading_tests._DECISIVE_CHI2],
+        [patterns._DECISIVE_CHI2],
     ),
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     (
@@ -176,9 +175,9 @@ NUMBERS = [
         "with the model | from {} times the stated noise; two-stage: beyond {} standard",
         [findings.RESIDUAL_RATIO_LIMIT, findings.CONTRADICTION_SIGMAS],
     ),
-    ("conformity", "Student's factor for {} % and", [100 * conformity.COVERAGE]),
+    ("conformity", "Student's factor for {} % and", [100 * distributions.COVERAGE]),
     ("conformity", "U, and the factor is {} (", [conformity.DecisionRule("guarded").guard_factor]),
-    ("conformity", "with a probability of at most {} %", [50 * (1 - conformity.COVERAGE)]),
+    ("conformity", "with a probability of at most {} %", [50 * (1 - distributions.COVERAGE)]),
     (
         "conformity",
         "asks for `conformance_probability`, {} % if",

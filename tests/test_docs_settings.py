@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import get_args
 
 from counterspin.campaign.changes import SHORT
-from counterspin.campaign.readings_table import _COLUMNS, ReadingsSettings
 from counterspin.physics.terms import READING_TERMS
+from counterspin.readings.table import _COLUMNS, ReadingsSettings
 from counterspin.studies import description
 from counterspin.studies.choice import EngineName
 from counterspin.studies.draws import NOISE_LEVELS

@@ -5,13 +5,13 @@ import math
 import numpy as np
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.linear_readings import Readings
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site
 from counterspin.physics.simulation import changed
 from counterspin.physics.station import FRAMES, Station, mean_products
 from counterspin.physics.terms import TERMS, term
+from counterspin.readings.known_attitudes import Readings
 
 SITE = Site(9.80665, 0.8)
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}

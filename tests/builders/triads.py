@@ -65,8 +65,8 @@ def table(folder, values, u=None, description=None, **columns):
 
 def group(values, u=None, names=NAMES):
     """Return poses as the fit takes them."""
-    from counterspin.inference.poses import TriadPoses
     from counterspin.physics.accelerometer import Mounting
+    from counterspin.triads.poses import TriadPoses
 
     values = np.asarray(values)
     n = len(values)

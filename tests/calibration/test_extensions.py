@@ -16,6 +16,12 @@ from counterspin.simulation.simulate import simulate
 
 PACKAGE = Path(counterspin.__file__).parent
 
+#: Packages that import readings, and triads.
+ABOVE_READINGS = {
+    *("application", "ingest", "monitoring", "planning", "reproduction", "schemas", "simulation"),
+    "studies",
+}
+
 #: Extra -> its modules, and the packages that import it, directly or not, and go with it.
 EXTRAS = {
     "diagnosis": (("calibration/diagnosis", "inference/joint/mistakes.py"), set()),
@@ -35,6 +41,8 @@ EXTRAS = {
         ),
         {"application", "ingest", "monitoring"},
     ),
+    "triads": (("triads",), ABOVE_READINGS),
+    "readings": (("readings", "triads"), ABOVE_READINGS),
 }
 
 #: Fields of an accelerometer that an extra fills; its state follows its own findings.

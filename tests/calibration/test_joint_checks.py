@@ -8,7 +8,7 @@ from mistaken_campaigns import Mistake, make_records, mistaken
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint import unseen_ripple
-from counterspin.calibration.joint_problem import AccelerometerView
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.memory import make_campaign
 from counterspin.simulation.simulate import simulate
 

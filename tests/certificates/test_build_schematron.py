@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import triads
 from results import CONFORMITY, coefficient, result, two_accelerometers
 
+import triads
 from certificates import LAB, document
 from counterspin import calibrate
 from counterspin.inference.verdicts import Conformity

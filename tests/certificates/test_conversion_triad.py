@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import triads
 
 import counterspin as cs
+import triads
 from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates.amendment import describe_changes

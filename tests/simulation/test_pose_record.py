@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import triads
 
 import counterspin as cs
-from counterspin.campaign.triad import PoseRecord
+import triads
+from counterspin.campaign.reading import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.simulation.pose_record import forces_in_record, record_seconds

@@ -16,7 +16,6 @@ from counterspin.application.editing import with_value
 from counterspin.application.jobs import Job, report_progress
 from counterspin.campaign.documents import load_document, parse_document, table_of
 from counterspin.campaign.quantity import BARE
-from counterspin.campaign.readings import MOST_READINGS
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder
@@ -31,6 +30,7 @@ from counterspin.planning.plan import (
 )
 from counterspin.planning.plan_file import Plan, is_plan
 from counterspin.planning.stations import ReadingPlan, read_any_plan
+from counterspin.readings.entries import MOST_READINGS
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
 from counterspin.units import unit_factor

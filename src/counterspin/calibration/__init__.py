@@ -4,16 +4,14 @@
 - `options`: how a calibration is made
 - `observed`: records brought together with the rotation they were taken on, and with how warm it
   was
-- `mean_records`: records whose means are readings, and the rotation of those on an arm
 - `timing`: the timing offset at which the fit takes derivatives
 - `assembly`: from observed runs to a `Result`, by either method
 - `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
-- `joint_problem`: the joint fit's data and noise; the fit as one accelerometer sees it
-- `readings`: single values and poses beside records, or alone
+- `joint_problem`: the joint fit's data and noise
+- `view`: the fit as one accelerometer sees it, and data other than records in it
 - `joint`: the outcome of the joint method
 - `two_stage`: the two-stage method
 - `outcome`: what a method has found, as the result states it
-- `triad`: three accelerometers as one sensor
 - `findings`: what speaks against a result, and its state
 - `checks`: checks of every result
 - `extensions`: the functions that a calibration calls by name; `diagnosis`: the causes of a misfit

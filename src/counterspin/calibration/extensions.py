@@ -2,6 +2,7 @@
 
 Without them a calibration has its coefficients, uncertainties, tests and states. The diagnosis
 adds the causes of a misfit. The two-stage method is the paper's, and a check of the joint K_II.
+Readings, and poses of a triad, are data of the joint fit beside the records.
 """
 
 from __future__ import annotations
@@ -10,13 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from counterspin.calibration.findings import Cause
-from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import Outcome
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Comparison, Trace
+from counterspin.calibration.view import AccelerometerView, OtherData
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+from counterspin.inference.joint.estimation import Estimate
 from counterspin.loading import is_installed, load_name
 
 if TYPE_CHECKING:
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
 DIAGNOSIS: Final = "counterspin.calibration.diagnosis.search:diagnose"
 TWO_STAGE: Final = "counterspin.calibration.two_stage.method:in_two_stages"
 CONFORMITY: Final = "counterspin.calibration.conformity:with_conformity"
+READINGS: Final = "counterspin.readings.joining:join"
 TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare"
 TRACES: Final = "counterspin.calibration.pages.traces:traces"
 
@@ -67,6 +71,13 @@ def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals that pictures show, by run; none where no pages are installed."""
     traces = _find(TRACES)
     return {} if traces is None else cast("dict[str, Trace]", traces(view))
+
+
+def join_readings(problem: JointProblem) -> tuple[Estimate, OtherData]:
+    """Return the estimate from records, readings and poses, and the last two in it."""
+    if (join := _find(READINGS)) is None:
+        raise CampaignError("calibrate", ["this installation does not read readings"])
+    return cast("tuple[Estimate, OtherData]", join(problem))
 
 
 def apply_specifications(result: Result, specifications: Specifications) -> Result:

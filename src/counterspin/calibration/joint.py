@@ -2,84 +2,63 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-import numpy as np
-
-from counterspin.arrays import Array
 from counterspin.calibration.checks.limits import beyond_typical, incredible, incredible_shared
-from counterspin.calibration.checks.methods import MethodComparison, compare_methods
 from counterspin.calibration.checks.priors import contradicted_prior
-from counterspin.calibration.checks.readings import no_more_than_rounded, outliers_of_means
 from counterspin.calibration.checks.residuals import (
     hidden_walk,
     other_noise,
-    overstated_noise,
     residual_findings,
 )
 from counterspin.calibration.checks.small_angles import large_drifts, large_tilts
-from counterspin.calibration.checks.unseen_faults import remarks_of, unseen_faults
 from counterspin.calibration.extensions import (
     Diagnosis,
     compare_two_stage,
     find_diagnosis,
+    join_readings,
     thin_residuals,
 )
 from counterspin.calibration.findings import (
     not_determined,
 )
-from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
-from counterspin.calibration.model import SQUARES, inputs_of, is_requested
+from counterspin.calibration.joint_problem import JointProblem
+from counterspin.calibration.model import inputs_of, is_requested
 from counterspin.calibration.outcome import (
     Outcome,
     coefficient,
     confounded,
     confounded_platform,
     correlation,
+    in_output_units,
     knowledge,
     noise_lines,
     own_description,
+    radii,
     residual,
     residual_frame,
     run_result,
     whole_correlation,
-)
-from counterspin.calibration.readings import (
-    ReadingsAndPoses,
-    in_output_units,
-    only_at_rest,
-    radii,
-    results_of,
-    with_readings,
 )
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     Finding,
 )
-from counterspin.calibration.triad import triad_result
+from counterspin.calibration.view import AccelerometerView, Contribution, OtherData
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.inference.poses import TriadPoses
 from counterspin.physics.terms import TERMS
-from counterspin.records.averages import RecordMean
-
-#: An input axis that no pose turns below the level by more than asin of this was never down.
-_DOWN: Final = 0.3
 
 #: Rates whose ratio is smaller count as one rate.
 _SAME_RATE: Final = 1.05
 
 #: What determines a term of which nothing more is known.
 _PRIOR: Final = " State what is known of it in [model.priors], or remove it from model.terms."
-
-#: Poses whose directions differ by less count as one direction in words, rad (3 deg).
-_APART: Final = math.radians(3.0)
 
 
 def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
@@ -91,13 +70,13 @@ def _beside_stated(unknown: Unknown, c: Coefficient) -> Coefficient:
 def joint(problem: JointProblem) -> Outcome:
     """Fit all records of a campaign together."""
     campaign, observed, model = problem.campaign, problem.observed, problem.model
-    estimated, read = estimate_campaign(problem)
+    estimated, data = estimate_campaign(problem)
     assessment = estimated.fit.assessment
     views = [
-        AccelerometerView(problem, estimated, assessment, name).with_parts(read.parts)
+        AccelerometerView(problem, estimated, assessment, name, data).with_parts(data.parts)
         for name in campaign.accelerometers
     ]
-    compared = compare_methods(views)
+    added = data.contributions(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.asked)
@@ -112,11 +91,7 @@ def joint(problem: JointProblem) -> Outcome:
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
-    faults = unseen_faults(views)
-    accelerometers = {
-        view.name: _accelerometer(view, compared[view.name], read.recorded.means, faults[view.name])
-        for view in views
-    }
+    accelerometers = {view.name: _accelerometer(view, added[view.name]) for view in views}
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
@@ -127,7 +102,6 @@ def joint(problem: JointProblem) -> Outcome:
     units = {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()}
     return Outcome(
         model="exact",
-        triad=triad_result(campaign, estimated, read),
         accelerometers=accelerometers,
         runs={
             name: run_result(
@@ -156,38 +130,23 @@ def joint(problem: JointProblem) -> Outcome:
         ],
         causes=diagnosis.causes,
         remarks=(
-            *remarks_of(faults),
+            *(remark for contribution in added.values() for remark in contribution.remarks),
             *diagnosis.remarks,
-            *no_more_than_rounded(views),
-            *overstated_noise(views),
+            *data.remarks(views),
             *hidden_walk(views),
             *other_noise(views),
-            *warn_of_stated_rates(read.recorded.without_angle),
         ),
-        arm_rates=read.recorded.rates,
         residuals=residual_frame(estimated.fit, units),
+        **data.fields(problem, estimated),
     )
 
 
-def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
-    """Return the estimate from records and readings, and how the readings fit; as `joint`."""
+def estimate_campaign(problem: JointProblem) -> tuple[Estimate, OtherData]:
+    """Return the estimate from all data of a campaign, and those other than records."""
     campaign = problem.campaign
-    read = campaign.readings or campaign.posed
-    from_records = None
-    if problem.observed or not read:
-        from_records = estimate(problem.series, problem.model, problem.noise)
-    if from_records is not None and not read:
-        return from_records, ReadingsAndPoses()
-    return with_readings(from_records, problem.model, campaign)
-
-
-def warn_of_stated_rates(runs: Sequence[str]) -> Iterator[str]:
-    """Yield a remark where records on the arm have no angle."""
-    if runs:
-        yield (
-            f"The records of {', '.join(runs)} have no angle: the mean is that over whole "
-            "revolutions at the stated rate."
-        )
+    if campaign.readings or campaign.triad:
+        return join_readings(problem)
+    return estimate(problem.series, problem.model, problem.noise), OtherData()
 
 
 def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
@@ -202,12 +161,7 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
     return rotations
 
 
-def _accelerometer(
-    view: AccelerometerView,
-    compared: MethodComparison,
-    means: Mapping[tuple[str, str], RecordMean],
-    faults: list[str],
-) -> AccelerometerResult:
+def _accelerometer(view: AccelerometerView, contribution: Contribution) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
     own = {
         symbol: coefficient(estimated, view.assessment, index)
@@ -223,25 +177,22 @@ def _accelerometer(
         coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
         correlation=correlation(view),
         confounded=confounded(view),
-        residual=residual(compared.residual_view),
+        residual=residual(contribution.residual_view),
         noise=noise_lines(view),
         budget=budgets,
         what_if=what_if(estimated.fit, view.places, budgets, name),
         jackknife=view.jackknife(),
         two_stage=compare_two_stage(view) if view.problem.observed else None,
         traces=thin_residuals(view),
-        readings=[line for part in view.readings for line in results_of(part, means)],
-        kinds=compared.results,
         output=in_output_units(view.campaign, name, own),
-        unseen_faults=faults,
         findings=[
-            *compared.findings,
-            *residual_findings(compared.residual_view),
-            *outliers_of_means(name, means),
+            *contribution.findings,
+            *residual_findings(contribution.residual_view),
             *unseen_ripple(view),
             *_undetermined(view, own),
             *incredible(view.campaign.limit_of, name, own),
         ],
+        **contribution.fields,
         **own_description(view.accelerometer, own),
     )
 
@@ -249,11 +200,12 @@ def _accelerometer(
 def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> Iterator[Finding]:
     for symbol, c in own.items():
         if c.value is None:
+            data, advice = view.data.advice(view, symbol)
             yield not_determined(
                 f"{view.name}.{symbol}",
                 symbol,
-                "poses" if only_posed(view) else "records",
-                too_few_poses(view) or _remedy(view, symbol),
+                data,
+                advice or _remedy(view, symbol),
                 requested=is_requested(view.campaign, symbol, view.name),
             )
 
@@ -261,12 +213,6 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> It
 def _remedy(view: AccelerometerView, symbol: str) -> str:
     """Return what would determine a term."""
     campaign = view.campaign
-    if only_at_rest(campaign) and symbol in ("K_F", "K_II", *SQUARES):
-        return (
-            " At 1 g the squares of the specific forces add up to one, so that no set of positions "
-            "separates K_II, K_PP and K_OO together from K_F: state what is known of K_PP and "
-            "K_OO, or test at other forces."
-        )
     rates = [abs(run.rate) for run in campaign.runs]
     rates += [abs(reading.rate) for reading in campaign.readings if reading.rate]
     if symbol in TERMS and rates and max(rates) < _SAME_RATE * min(rates):
@@ -321,54 +267,3 @@ def unseen_ripple(view: AccelerometerView) -> list[Finding]:
         "is not included in it. Record the angle, or calibrate with displacement."
     )
     return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]
-
-
-def only_posed(view: AccelerometerView) -> bool:
-    """Return whether an accelerometer has poses of unknown attitude and no other data."""
-    return bool(view.poses) and not view.readings and not view.has_records
-
-
-def too_few_poses(view: AccelerometerView) -> str:
-    """Return what poses would have to be added; empty where readings or records are there too."""
-    if not only_posed(view):
-        return ""
-    axes: dict[str, list[Array]] = {}
-    for part in view.poses:
-        group = part.readings
-        assert isinstance(group, TriadPoses)
-        there = group.at(view.fit.model, view.fit.solution.estimate)
-        for name, own in zip(group.accelerometers, group.axes, strict=True):
-            axes.setdefault(name, []).append(there.direction @ own[0])
-    count, distinct = _count_directions(view)
-    free = sum(math.isinf(u.prior[1]) or u.defaulted for u in view.fit.model.unknowns)
-    said = []
-    if count < free:
-        said.append(f" {count} poses are fewer than the {free} unknowns without a prior.")
-    elif distinct < free:
-        said.append(
-            f" The {count} poses have only {distinct} different directions, fewer than the {free} "
-            "unknowns without a prior."
-        )
-    for way, sign in (("up", -1.0), ("down", 1.0)):
-        never = [name for name, own in axes.items() if np.min(sign * np.concatenate(own)) > -_DOWN]
-        if never:
-            said.append(f" No pose has {' or '.join(never)} pointing {way}.")
-    return (
-        "".join(said) + " Take poses whose directions are spread over the whole sphere, or "
-        "request fewer coefficients in model.terms: the others then enter with their default "
-        "priors."
-    )
-
-
-def _count_directions(view: AccelerometerView) -> tuple[int, int]:
-    """Return the number of poses, and of directions that differ by more than `_APART`."""
-    found: list[Array] = []
-    count = 0
-    for part in view.poses:
-        group = part.readings
-        assert isinstance(group, TriadPoses)
-        count += group.size
-        for direction in group.at(view.fit.model, view.fit.solution.estimate).direction:
-            if all(direction @ other < math.cos(_APART) for other in found):
-                found.append(direction)
-    return count, len(found)

@@ -29,10 +29,10 @@ from counterspin.campaign.terms import acts, shows, symbols_shown
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.inference.poses import LINEAR
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import Product, Slope, Turn
 from counterspin.physics.terms import (
+    LINEAR,
     OWN_TERMS,
     SHARED_TERMS,
     Term,

@@ -17,10 +17,9 @@ from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import keep
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import PoseRecord, Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics import observation
@@ -28,11 +27,11 @@ from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
-from counterspin.records.averages import read_course
 from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
 from counterspin.records.signals import WORDS as REMOVED
 from counterspin.records.signals import Swing, removed
+from counterspin.records.temperature_course import read_course
 from counterspin.units import ZERO_CELSIUS
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.

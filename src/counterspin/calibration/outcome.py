@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field
 from typing import Any, Final
 
 import numpy as np
 import polars as pl
 
+from counterspin.arrays import median
 from counterspin.calibration.findings import Cause
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
-from counterspin.calibration.readings import readings_noise, residual_of
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
@@ -28,18 +27,19 @@ from counterspin.calibration.result_parts import (
     RunResult,
     TriadResult,
 )
+from counterspin.calibration.view import AccelerometerView, Part
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import countable
+from counterspin.inference.distributions import chi_square_tail, countable
 from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.budget import by_kind, kind_of
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.noise.model import COMPONENTS, WALK_UNIT, Noise
 from counterspin.inference.noise.search import FoundNoise
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
@@ -172,6 +172,35 @@ def residual(view: AccelerometerView) -> Residual:
     )
 
 
+def residual_of(parts: Sequence[Part]) -> Residual:
+    """Return the size of the residuals of readings, and how well the model fits them."""
+    left = np.concatenate([part.residuals for part in parts])
+    stated = [part for part in parts if math.isinf(part.dof)]
+    chi2 = sum(part.squares for part in stated)
+    freedom = sum(part.freedom for part in stated)
+    testable = len(stated) == len(parts) and freedom > 0.5
+    return Residual(
+        rms=float(np.sqrt(np.mean(left**2))),
+        unit="g",
+        dof=round(sum(part.freedom for part in parts), 9),  # of as many readings as unknowns: 0
+        chi2=chi2 if testable else None,
+        lack_of_fit_p=chi_square_tail(freedom, chi2) if testable else None,
+    )
+
+
+def readings_noise(parts: Sequence[Part]) -> dict[str, NoiseLine]:
+    """Return the noise of readings, motion by motion."""
+    return {
+        part.words: NoiseLine(
+            value=median(part.sigma),
+            u=median(part.sigma) / math.sqrt(2.0 * part.dof) if math.isfinite(part.dof) else None,
+            unit="g",
+            estimated=math.isfinite(part.dof),
+        )
+        for part in parts
+    }
+
+
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
     of_readings = readings_noise(view.parts)
@@ -258,6 +287,35 @@ def residual_frame(fit: JointFit, units: Mapping[str, str]) -> pl.DataFrame | No
         }
         frames.append(pl.DataFrame(columns))
     return pl.concat(frames) if frames else None
+
+
+def radii(campaign: Campaign, shared: Mapping[Unknown, Coefficient]) -> dict[Unknown, Coefficient]:
+    """Return the radii of mountings as such; the fit has their deviations from the machine's."""
+    return {
+        unknown: c.model_copy(update={"value": c.value + campaign.radius.value})
+        for unknown, c in shared.items()
+        if unknown.symbol.startswith("centrifuge.radius.") and c.value is not None
+    }
+
+
+def in_output_units(
+    campaign: Campaign, name: str, own: dict[str, Coefficient]
+) -> dict[str, Coefficient]:
+    """Return bias and scale factor in what the readings are in; empty where that is g."""
+    output = campaign.accelerometers[name].output
+    if output is None:
+        return {}
+    shown, size = {}, output.sensitivity
+    for symbol, key, unit, zero in (
+        ("K_F", "bias", output.unit, output.zero),
+        ("K_I", "scale_factor", f"{output.unit}/g", 0.0),
+    ):
+        c = own.get(symbol)
+        if c is None or c.value is None or c.u is None:
+            continue
+        value, u = zero + c.value * size, c.u * abs(size)
+        shown[key] = Coefficient(value=value, u=u, dof=c.dof, unit=unit, estimated=c.estimated)
+    return shown
 
 
 @frozen

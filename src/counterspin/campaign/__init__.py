@@ -10,8 +10,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `columns`: columns of files, and how these are read
 - `accelerometers`: the tables of the accelerometers: axes, columns, priors
 - `runs`: runs with records: how each is read, and which are left out
-- `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
-- `triad`: three accelerometers of one sensor, in poses whose attitudes nobody knows
+- `reading`: readings, poses and the triad of a campaign
 - `terms`: names of error terms: what each stands for, and where it acts
 - `model`: what is asked for, held and known of terms
 - `truth`, `simulated_truth`: the tables of [truth], and the truth of a simulated campaign as read
@@ -23,7 +22,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `changes`: a campaign with named changes
 - `memory`: campaigns from mappings and arrays, and campaigns written as a folder
 - `questions`: what a description says that may well be a slip
-- `conditions`: when runs were made, and how warm it was; readings and poses grouped with theirs
+- `conditions`: when runs were made, and how warm it was
 - `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `noise_at_rest`: noise that is left to a record at rest
 """

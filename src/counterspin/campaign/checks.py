@@ -19,7 +19,7 @@ from counterspin.campaign.documents import KeyPath, list_of, table_of
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.model import ErrorModel
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
 from counterspin.physics.terms import CONDITION_TERMS

@@ -25,7 +25,7 @@ from counterspin.campaign.model import (
     ErrorModel,
 )
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading, Triad
 from counterspin.campaign.resolution import DescriptionReader
 from counterspin.campaign.runs import (
     Run,
@@ -33,7 +33,6 @@ from counterspin.campaign.runs import (
 from counterspin.campaign.settings import (
     NoiseSettings,
 )
-from counterspin.campaign.triad import Triad
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.loading import load_name
@@ -48,7 +47,6 @@ from counterspin.records.record import ColumnSpec
 if TYPE_CHECKING:
     from counterspin.campaign.simulated_truth import Simulation
     from counterspin.campaign.specification import Specifications
-
 
 #: The functions that change a campaign and write it as a folder.
 CHANGES: Final = "counterspin.campaign.changes:change_campaign"

@@ -24,6 +24,7 @@ from counterspin.campaign.documents import (
     unusable,
 )
 from counterspin.errors import CampaignError, CounterspinError
+from counterspin.loading import load_name
 from counterspin.output import make_folder, write_open, write_text, write_whole
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 #: Name of the record at rest among the records of runs: its key in the description.
 AT_REST: Final = "noise.from"
+
+#: The function that takes a table of readings from a frame.
+_TAKE_READINGS: Final = "counterspin.readings.table:take_readings"
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
@@ -83,9 +87,7 @@ def make_campaign(
     document = dict(source.document)
     problems = Problems(document)
     if readings is not None:
-        from counterspin.campaign.readings_table import take_readings
-
-        take_readings(document, readings, problems)
+        load_name(_TAKE_READINGS)(document, readings, problems)
         if problems.lines:
             raise CampaignError(source.label, problems.lines)
     if records is None:

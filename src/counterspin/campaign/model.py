@@ -11,7 +11,7 @@ from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.documents import KeyPath, flat_keys
 from counterspin.campaign.kinds import exact
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.terms import (
     BARE_NAMES,

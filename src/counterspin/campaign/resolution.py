@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -27,15 +26,9 @@ from counterspin.campaign.model import (
     resolve_model,
 )
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import (
-    Reading,
-    positioned,
-    resolve_readings,
-    with_recorded_angles,
-)
+from counterspin.campaign.reading import DescribedReadings, Reading
 from counterspin.campaign.runs import (
     Run,
-    is_pose,
     is_reading,
     recorders_of,
     resolve_runs,
@@ -50,8 +43,7 @@ from counterspin.campaign.settings import (
     NoiseSettings,
     SiteSettings,
 )
-from counterspin.campaign.triad import TriadSettings, resolve_triad, with_usual_axes
-from counterspin.loading import load_name
+from counterspin.loading import is_installed, load_name
 from counterspin.physics.motion import Site
 from counterspin.records.record import ColumnSpec
 
@@ -72,7 +64,10 @@ Accelerometers = Annotated[
 Runs = Annotated[list[Any], Section(list[Run])]
 
 
-_READINGS: Final = "counterspin.campaign.readings_table:ReadingsSettings"
+_READINGS: Final = "counterspin.readings.table:ReadingsSettings"
+_READINGS_READER: Final = "counterspin.readings.description:read_readings"
+_TRIAD_SECTION: Final = "counterspin.triads.section"
+_TRIAD: Final = f"{_TRIAD_SECTION}:TriadSettings"
 _SPECIFICATION: Final = "counterspin.campaign.specification:Specifications"
 _TRUTH_READER: Final = "counterspin.campaign.simulated_truth"
 _SIMULATION: Final = f"{_TRUTH_READER}:Simulation"
@@ -95,7 +90,7 @@ class CampaignDocument(SettingsSection):
     fixture: Annotated[dict[str, Any] | None, Section(FixtureSettings)] = described(
         "[how well positions are set](#fixture)", {}, None
     )
-    triad: Annotated[dict[str, Any] | None, Section(TriadSettings)] = described(
+    triad: Annotated[dict[str, Any] | None, Section(_TRIAD)] = described(
         "[three accelerometers of one sensor](triads.md)", {}, None
     )
     records: Annotated[dict[str, Any] | None, Section(RecordsSettings)] = described(
@@ -160,12 +155,11 @@ class DescriptionReader:
         self.simulated = "simulation" in raw or "truth" in raw
         self.skipped = skipped_runs(runs)
         self.accelerometers = AccelerometersReader(
-            with_usual_axes(tables, raw.get("triad")),
+            self._tables_with_axes(tables),
             [run for _, run in listed],
             problems,
             self.gravity,
         )
-        self.table_checksums: dict[Path, str] = {}
 
     def _read(self, key: str, model: type[BaseModel], **context: object) -> None:
         """Read a section; a missing required section has already been reported."""
@@ -189,35 +183,10 @@ class DescriptionReader:
         placed = parts["runs"] = resolve_runs(
             listed, folder, table_of(raw, "records"), turns, problems
         )
-        mountings = {n: self.accelerometers.mountings.get(n) for n in self.accelerometers.tables}
-        before = len(problems.lines)
-        numbered = self._numbered_readings()
-        read = partial(
-            resolve_readings,
-            mountings=mountings,
-            outputs=self.accelerometers.outputs,
-            folder=folder,
-            problems=problems,
-            gravity=gravity,
-            turns=turns,
-        )
-        known = [one for one in numbered if not is_pose(one[0])]
-        readings = positioned(read(known), fixture.position)
         common = records.recording if records else NOT_RECORDED
-        if common.angle is not None:
-            readings = with_recorded_angles(readings)
-        parts["right_readings"] = readings
-        whole = len(problems.lines) == before
         given = self.accelerometers.own_priors
-        triad = resolve_triad(
-            raw.get("triad"),
-            mountings,
-            [one for one in numbered if is_pose(one[0])],
-            folder,
-            read,
-            given=None if readings or placed else given,
-            problems=problems,
-        )
+        read = self._read_readings(turns, has_records=bool(placed))
+        readings = parts["right_readings"] = read.readings
         priors = given
         if settings is not None:
             apparatus = Apparatus(
@@ -225,21 +194,16 @@ class DescriptionReader:
                 self.accelerometers.grades,
                 [run.attitude for run in placed.values()],
                 readings,
-                triad.count if triad else 0,
+                read.triad.count if read.triad else 0,
                 centrifuge,
                 fixture.position,
-                whole,
+                read.whole,
             )
             parts["model"], priors = resolve_model(settings, given, apparatus, problems, gravity)
             parts["recorded_temperatures"] = {
                 run.name for run in placed.values() if (run.recording or common).temperature
             }
-        truths = {
-            str(raw["name"]): (raw["truth"], (*path, "truth"))
-            for raw, path in numbered
-            if isinstance(raw, Mapping) and "name" in raw and isinstance(raw.get("truth"), Mapping)
-        }
-        simulation = self._simulation(placed, readings if whole else None, truths)
+        simulation = self._simulation(placed, readings if read.whole else None, read.truths)
         specifications = self._specifications()
         accelerometers = self.accelerometers.accelerometers(observables, priors)
         parts["accelerometers"] = accelerometers
@@ -277,33 +241,30 @@ class DescriptionReader:
             specifications=specifications,
             readings=readings,
             reference_temperature=centrifuge.reference_temperature if centrifuge else None,
-            tables=self._tables(),
-            table_checksums=self.table_checksums,
-            triad=triad,
+            tables=read.files,
+            table_checksums=read.checksums,
+            triad=read.triad,
         )
 
-    def _numbered_readings(self) -> list[tuple[Any, KeyPath]]:
-        """Return the runs that are readings, including rows of the table, with their places."""
-        runs: list[tuple[Any, KeyPath]] = [
-            (raw, ("runs", index)) for index, raw in self.parts["listed"] if is_reading(raw)
-        ]
-        if "readings" in self.raw:
-            from counterspin.campaign.readings_table import read_table
+    def _read_readings(self, turns: float | None, *, has_records: bool) -> DescribedReadings:
+        """Return the readings, poses and triad; none of a document without them."""
+        listed = any(is_reading(run) for _, run in self.parts["listed"])
+        if not listed and not {"readings", "triad"} & self.raw.keys():
+            return DescribedReadings()
+        if not is_installed(_READINGS_READER):
+            self.problems.add(("runs",), "this installation does not read readings")
+            return DescribedReadings(whole=False)
+        read: DescribedReadings = load_name(_READINGS_READER)(self, turns, has_records=has_records)
+        return read
 
-            outputs = self.accelerometers.outputs
-            every = {name: outputs.get(name) for name in self.accelerometers.raw}
-            folder, checksums = self.file.parent, self.table_checksums
-            runs += read_table(self.raw, folder, every, self.problems, checksums)
-        return runs
-
-    def _tables(self) -> tuple[Path, ...]:
-        """Return the files of readings."""
-        named = [
-            run["record"] for _, run in self.parts["listed"] if is_reading(run) and "record" in run
-        ]
-        if "readings" in self.raw:
-            named.append(self.raw["readings"]["file"])
-        return tuple(sorted({self.file.parent / name for name in named}))
+    def _tables_with_axes(self, tables: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the tables of accelerometers, with the usual axes of a triad that states none."""
+        if "triad" not in self.raw or not is_installed(_TRIAD):
+            return tables
+        complete: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:with_usual_axes")(
+            tables, self.raw["triad"]
+        )
+        return complete
 
     def _simulation(
         self,

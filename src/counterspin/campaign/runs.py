@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -32,6 +32,7 @@ from counterspin.campaign.kinds import (
     with_units,
 )
 from counterspin.campaign.quantity import UNKNOWN, Quantity, of_platform, read_attitude
+from counterspin.loading import load_name
 from counterspin.physics.station import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -97,6 +98,7 @@ class PosesSettings(SettingsSection):
 
 
 _TRUTH: Final = "counterspin.campaign.truth:RunTruthSettings"
+_OF_READING: Final = "counterspin.readings.entries:contradictions"
 
 
 class Run(SettingsSection):
@@ -288,7 +290,7 @@ class Run(SettingsSection):
                 yield (field.alias or name,), said, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:
             yield ("duration",), "revolutions is given too; keep one"
-        yield from self._of_reading() if read else self._of_record()
+        yield from load_name(_OF_READING)(self) if read else self._of_record()
 
     def _of_record(self) -> Iterator[Contradiction]:
         if self.file is None:
@@ -308,86 +310,6 @@ class Run(SettingsSection):
         start, stop = self.part
         if not start < stop:
             yield ("stop",), "must come after start", "start"
-
-    def _of_reading(self) -> Iterator[Contradiction]:
-        posed, static, turns = self.stand.unknown, self.motion == "static", self.rate != 0.0
-        stated, no_axes = "stand" in self.model_fields_set, self.axes is None
-        one_temperature = len(self.temperature or ()) < 2
-        no_meaning = "has no meaning at an unknown attitude"
-        arm = 'on an arm there is no attitude; write axes = { input = "inward", pendulous = "up" }'
-        # Whether it is wrong, its key, and further ones on which that hangs.
-        rows: Iterable[tuple[object, str, str]] = (
-            (
-                (self.reading is None) == (self.file is None),
-                "give one of reading and record",
-                " reading record",
-            ),
-            (
-                posed and not static,
-                'an attitude can be unknown only at rest; write "static"',
-                "motion attitude",
-            ),
-            (posed and not no_axes, no_meaning, "axes attitude"),
-            (posed and self.mounting, no_meaning, "mounting attitude"),
-            # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
-            ("." in self.mounting, f'"{self.mounting}" has a dot; leave it out', "mounting"),
-            (static and turns, "a static run does not turn; leave the rate out", "rate motion"),
-            (
-                static and self.truth,
-                "a static run does not turn, and its truth is that of the spindle; leave it out",
-                "truth motion",
-            ),
-            (
-                "tilt" in (self.truth or {}),
-                "has the tilt of a platform, which readings do not show; leave that out",
-                "truth motion reading",
-            ),
-            (
-                not static and not turns,
-                f"is missing: a run with motion {self.motion} turns",
-                "rate motion",
-            ),
-            (
-                static and no_axes and not stated,
-                "is missing: a reading at rest needs its position",
-                "attitude axes motion",
-            ),
-            (no_axes and not posed and self.motion == "arm", arm, " axes motion"),
-            (
-                not no_axes and stated and not posed,
-                "has axes and an attitude; keep one",
-                " axes attitude",
-            ),
-            (
-                self.head is not None and not (static and any(self.stand.head)),
-                'turns about an axis: write attitude = "30 deg about north", or alike',
-                "head attitude motion",
-            ),
-            (
-                self.revolutions is not None and self.duration is None and not turns,
-                "a run that does not turn has a duration",
-                "revolutions duration rate",
-            ),
-            (
-                self.file is None and not one_temperature,
-                "a reading has one temperature; several belong to a record",
-                "temperature record",
-            ),
-            (
-                self.poses and not posed,
-                'are searched for only with attitude = "unknown"',
-                "poses attitude",
-            ),
-            (
-                self.poses and posed and self.file is None,
-                "are found in a record, but this is a reading",
-                "poses record",
-            ),
-        )
-        for wrong, words, keys in rows:
-            if wrong:
-                key, *others = keys.split(" ")
-                yield ((key,) if key else ()), words, *others
 
 
 def is_reading(raw: object) -> bool:

@@ -24,7 +24,7 @@ from counterspin.campaign.kinds import (
 )
 from counterspin.campaign.model import less_nominal
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import CentrifugeSettings, Output, StatedNoise
 from counterspin.campaign.terms import expand, symbols_shown

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
 from counterspin.physics.terms import (

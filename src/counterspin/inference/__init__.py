@@ -11,11 +11,6 @@ What stands in this room:
   `verdicts`: what a result states of that
 - `noise`: models of a record's noise, whitening, estimation of its size
 - `joint`: full records of all runs and accelerometers, solved together
-- `linear_readings`: single values at rest, on an arm or on a turntable, as rows
-- `poses`: poses of three accelerometers at unknown attitudes, as rows
-- `pose_rank`: which parameters the directions of poses determine
-- `readings`: the fit of both, alone or beside records; `fitted_readings`: how they fit then;
-  `reading_tests`: what their residuals follow
 - `variance_components`: what repeated measurements vary by from day to day and so on
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 

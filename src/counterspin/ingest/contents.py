@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.readings import MOST_READINGS
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
+from counterspin.readings.entries import MOST_READINGS
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import is_workbook, open_columns

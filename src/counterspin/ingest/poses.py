@@ -36,7 +36,7 @@ from counterspin.ingest.triads import (
 )
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
-from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST
+from counterspin.triads.rests import CLEAR_RATIO, SHORTEST_REST
 
 #: Poses that do not tell their noise beside biases and scale factors.
 _NO_NOISE: Final = 6

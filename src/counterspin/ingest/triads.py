@@ -18,7 +18,6 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.triad import USUAL_AXES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import (
@@ -30,7 +29,8 @@ from counterspin.ingest.column_roles import (
 )
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.physics.grades import GRADES
-from counterspin.records.poses import CLEAR_RATIO, SHORTEST_REST, Poses, find_poses
+from counterspin.triads.rests import CLEAR_RATIO, SHORTEST_REST, Poses, find_poses
+from counterspin.triads.section import USUAL_AXES
 from counterspin.units import unit_factor
 
 #: The triad's accelerometers, and their axes in its frame.

@@ -9,8 +9,8 @@ from pathlib import Path
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
-from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.monitoring.mean_run import MeanRun, check_mean, mean_runs

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from counterspin.calibration.mean_records import AveragedRecord, average_record
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.monitoring.observer import Observer, record_name
@@ -22,6 +21,7 @@ from counterspin.monitoring.run_state import (
     rotation_fields,
     shown_names,
 )
+from counterspin.readings.mean_records import AveragedRecord, average_record
 
 
 @frozen(eq=False)

@@ -25,11 +25,10 @@ from counterspin.calibration.observed import (
     record_columns,
     temperatures_of,
 )
-from counterspin.calibration.readings import FoundPose, columns_of_poses, found_in
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
-from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity, open_file
 from counterspin.monitoring.result import RunState
@@ -40,6 +39,7 @@ from counterspin.records.dialect import HEAD_LINES, TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS, open_columns
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import Record, RecordColumns
+from counterspin.triads.found_poses import FoundPose, columns_of_poses, found_in
 
 #: Endings of files to which rows are appended.
 APPENDED: Final = tuple(e for e, opens in RECORD_FORMATS.items() if opens is CsvFile)

@@ -13,26 +13,22 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
-from counterspin.calibration.checks.readings import pose_findings
 from counterspin.calibration.joint import estimate_campaign
-from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.outcome import OUTLIER_SHARE, coefficient
-from counterspin.calibration.readings import FoundPose, ReadingsAndPoses
+from counterspin.calibration.view import AccelerometerView, OtherData
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
+from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
-from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.inference.poses import TriadPoses
 from counterspin.monitoring.observer import record_name
 from counterspin.monitoring.result import (
     GoalState,
@@ -46,7 +42,12 @@ from counterspin.physics.terms import TERMS
 from counterspin.planning.plan_file import read_plan, resolve_goal
 from counterspin.planning.plan_sections import GoalSettings
 from counterspin.planning.stations import every_up, pointing_up, words_of_up
+from counterspin.readings.fitted import FittedReadings
 from counterspin.records.record import RecordReport
+from counterspin.triads.checks import pose_findings
+from counterspin.triads.found_poses import FoundPose
+from counterspin.triads.groups import one_group
+from counterspin.triads.poses import TriadPoses
 
 
 def run_state(
@@ -157,13 +158,13 @@ class FitSoFar:
 
     campaign: Campaign  #: With these runs alone.
     estimate: Estimate  #: Of its unknowns.
-    #: Readings and poses, and how they fit.
-    read: ReadingsAndPoses = field(default_factory=ReadingsAndPoses)
+    data: OtherData = field(default_factory=OtherData)  #: Readings and poses in it.
 
     @property
     def posed(self) -> tuple[FittedReadings, ...]:
         """The poses of its triad."""
-        return tuple(part for part in self.read.parts if isinstance(part.readings, TriadPoses))
+        fitted = (part for part in self.data.parts if isinstance(part, FittedReadings))
+        return tuple(part for part in fitted if part.readings.triad)
 
     @cached_property
     def views(self) -> tuple[AccelerometerView, ...]:

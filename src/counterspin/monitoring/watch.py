@@ -10,8 +10,8 @@ from typing import Final
 
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.description import Campaign, read_campaign
+from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
-from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.monitoring.observer import Observer, recordings

@@ -418,6 +418,14 @@ TABLE: Final[Mapping[str, Term[Effect]]] = {
 #: What the machine does to a reading; a slope of a coefficient is shown by readings as well.
 READING_TERMS: Final = {symbol: row for symbol, row in TABLE.items() if row.motions}
 
+#: Terms of the vector along which an accelerometer senses -> its component along I, P or O,
+#: numbered from 0, and the sign.
+LINEAR: Final = {
+    symbol: ("IPO".index(row.effect.factors[0]), row.effect.weight)
+    for symbol, row in TERMS.items()
+    if row.effect.is_linear
+}
+
 #: What files call the terms that everybody knows by a name.
 COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
 

@@ -14,6 +14,7 @@
 - `search`, `limits`: solution of the plan's problem, feasibility of its goal; active limits
 - `stations`, `reading_plan`: the same for readings: possible readings, their numbers and order
 - `faults`: shifts by undetected faults, and the largest tolerable size of each fault
+- `sensitivities`: the change of estimates by effects that a model lacks
 - `result`: the result of a plan or a forecast, its JSON
 - `page`: the printed report of a plan
 """

@@ -20,7 +20,6 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.runs import sample_count
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.joint.budget import Sensitivities, columns_of, sensitivities
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared, prepared_for
 from counterspin.inference.joint.series import INPUTS, TIMING
@@ -31,9 +30,10 @@ from counterspin.inference.joint.unknowns import (
     Unknowns,
     unit_of,
 )
-from counterspin.inference.linear_readings import LinearReadings
 from counterspin.physics.terms import MOTION_TERMS, term
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
+from counterspin.planning.sensitivities import Sensitivities, columns_of, sensitivities
+from counterspin.readings.linear import LinearReadings
 from counterspin.results import ResultPart
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.

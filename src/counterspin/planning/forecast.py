@@ -16,7 +16,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
-from counterspin.campaign.conditions import all_groups, conditions_of
+from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.noise_at_rest import said_noise, true_noise
 from counterspin.campaign.runs import Run, sample_count
@@ -37,6 +37,7 @@ from counterspin.planning.weights import PlannedInstrument, Setup, expected_reco
 from counterspin.records.reduction import block_size
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.simulation.simulable import require_room
+from counterspin.triads.groups import all_groups
 
 
 @frozen(eq=False)

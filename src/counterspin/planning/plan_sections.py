@@ -23,8 +23,6 @@ from counterspin.campaign.kinds import (
     with_units,
 )
 from counterspin.campaign.quantity import attitude_rows
-from counterspin.campaign.readings import MOST_READINGS, MOST_RECORDS
-from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.resolution import Accelerometers, Runs
 from counterspin.campaign.settings import (
     CampaignSettings,
@@ -34,8 +32,10 @@ from counterspin.campaign.settings import (
     NoiseSettings,
     SiteSettings,
 )
-from counterspin.campaign.triad import TriadSettings
 from counterspin.campaign.truth import TruthSettings
+from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
+from counterspin.readings.table import ReadingsSettings
+from counterspin.triads.section import TriadSettings
 
 #: Most attitudes among which is searched, which takes seconds, not minutes.
 MOST_ATTITUDES: Final = 24

@@ -16,14 +16,10 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
-from counterspin.campaign.conditions import groups_of, poses_together
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.readings import MOST_READINGS
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Block
-from counterspin.inference.linear_readings import Readings, rows_at
-from counterspin.inference.poses import TriadPoses
 from counterspin.planning.design import Criterion
 from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.limits import GAIN, RELAXATION
@@ -38,6 +34,12 @@ from counterspin.planning.result import (
 )
 from counterspin.planning.search import not_determined, words_of_missed_target
 from counterspin.planning.stations import PossibleReading, ReadingPlan
+from counterspin.readings.entries import MOST_READINGS
+from counterspin.readings.groups import groups_of
+from counterspin.readings.known_attitudes import Readings
+from counterspin.readings.linear import rows_at
+from counterspin.triads.groups import poses_together
+from counterspin.triads.poses import TriadPoses
 
 Counts = npt.NDArray[np.int64]
 

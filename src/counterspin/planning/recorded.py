@@ -14,22 +14,22 @@ from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun, observe, with_recorded_temperatures
-from counterspin.calibration.readings import noise_within, poses_of
-from counterspin.campaign.conditions import poses_together
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import source_of
 from counterspin.campaign.noise_at_rest import said_noise
 from counterspin.campaign.quantity import attitude_rows
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.noise.model import Noise
-from counterspin.inference.readings import solve_readings
 from counterspin.planning.forecast import forecast
+from counterspin.readings.fit import solve_readings
 from counterspin.threads import one_blas_thread
+from counterspin.triads.found_poses import campaign_poses, noise_within
+from counterspin.triads.groups import poses_together
 
 
 def with_pose_noise(campaign: Campaign) -> Campaign:
@@ -39,7 +39,7 @@ def with_pose_noise(campaign: Campaign) -> Campaign:
     """
     if campaign.triad is None:
         return campaign
-    fitted_poses = poses_of(campaign)
+    fitted_poses = campaign_poses(campaign)
     poses = [fitted.pose for fitted in fitted_poses]
     blank = any(math.isnan(reading.value) for pose in poses for reading in pose)
     if blank or all(reading.u is not None for pose in poses for reading in pose):

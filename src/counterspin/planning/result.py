@@ -20,7 +20,7 @@ from counterspin.calibration.outcome import coefficient
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import budget, what_if
 from counterspin.inference.joint.summary import BudgetLine, WhatIf

@@ -17,13 +17,10 @@ import numpy as np
 
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.columns import BLANK
-from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign, resolve_campaign
 from counterspin.campaign.documents import KeyPath, list_of, mistakes, table_of
-from counterspin.campaign.readings import Reading
-from counterspin.campaign.triad import TriadSettings
+from counterspin.campaign.reading import Reading
 from counterspin.frozen import frozen
-from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.planning.plan_file import (
     Plan,
     load_plan,
@@ -40,6 +37,9 @@ from counterspin.planning.plan_sections import (
 )
 from counterspin.planning.recorded import with_pose_noise
 from counterspin.planning.result import GoalResult
+from counterspin.triads.groups import one_group
+from counterspin.triads.poses import TriadPoses, indications_along
+from counterspin.triads.section import TriadSettings
 
 #: Most possible readings: the gain of an exchange is computed for all pairs.
 _MOST_POSSIBLE: Final = 3600

@@ -12,8 +12,7 @@
 - `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them
 - `signals`: the unit of a signal by its wave, and whether a recorder took a line off it
 - `memory`: columns that a program holds, in the place of a file; `frames`: columns of frames
-- `averages`: the mean of a record with its uncertainty, and the course of a temperature
-- `poses`: where a sensor with three axes lay still, in one long record
+- `temperature_course`: the course of a temperature in a record
 - `isolation`, `reader_process`, `reader_limits`: which files are read in a process of its own, that
   process, and the limits
   on its time and memory

@@ -10,9 +10,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import origin_of
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import sample_count
-from counterspin.campaign.triad import PoseRecord
-from counterspin.inference.poses import TriadPoses, indications_along
+from counterspin.triads.poses import TriadPoses, indications_along
 
 #: How long a hand takes from one pose to the next, s.
 _MOTION: Final = 1.5

@@ -16,29 +16,26 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.columns import BLANK, is_empty
-from counterspin.campaign.conditions import groups_of, one_group
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import load_document
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
-from counterspin.campaign.readings import Reading
-from counterspin.campaign.readings_table import (
-    ReadingsSettings,
-    ReadingsTable,
-    load_table,
-)
+from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import is_pose, is_reading, sample_count
 from counterspin.campaign.terms import POSITION
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.linear_readings import Readings
-from counterspin.inference.poses import indications_along
 from counterspin.input import read_file
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import Station, mean_products
 from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.readings.groups import groups_of
+from counterspin.readings.known_attitudes import Readings
+from counterspin.readings.table import ReadingsSettings, ReadingsTable, load_table
 from counterspin.simulation.simulable import at_true_inputs, with_true_inputs
 from counterspin.toml_text import parse_toml, write_document
+from counterspin.triads.groups import one_group
+from counterspin.triads.poses import indications_along
 from counterspin.units import unit_factor
 
 #: Simulated readings are written with so many digits beyond their standard uncertainty.

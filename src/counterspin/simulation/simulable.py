@@ -12,14 +12,14 @@ from counterspin.campaign.conditions import clock_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.kinds import ESTIMATE
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.readings import MOST_RECORDS
 from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
-from counterspin.inference.linear_readings import Readings, with_input
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term
+from counterspin.readings.entries import MOST_RECORDS
+from counterspin.readings.known_attitudes import Readings, with_input
 from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import record_seconds
 

@@ -20,7 +20,7 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, source_of
 from counterspin.campaign.memory import WRITERS, write_as_it_is
 from counterspin.campaign.noise_at_rest import true_noise
-from counterspin.campaign.readings import Reading
+from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, sample_count
 from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated_truth import SimulatedTruth

@@ -38,11 +38,11 @@ from counterspin.inference.joint.series import (
 )
 from counterspin.inference.joint.unknowns import RIPPLE, Unknowns
 from counterspin.inference.least_squares import REGULARISATION, Block, Solution, reduce_block
-from counterspin.inference.linear_readings import Measured, blocks_at
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS, term
+from counterspin.readings.linear import Measured, blocks_at
 from counterspin.studies.draws import (
     NOISE_LEVELS,
     Draws,

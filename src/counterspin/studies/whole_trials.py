@@ -14,16 +14,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.readings import with_groups
-from counterspin.campaign.conditions import one_group
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.readings import MeasuredRate, Reading
+from counterspin.campaign.reading import MeasuredRate, Reading
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import CLOCK, TIMING, Series
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.linear_readings import INPUT_STEPS, Readings, with_input
-from counterspin.inference.poses import TriadPoses, indications_along
 from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
@@ -31,7 +27,9 @@ from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.physics.terms import shown_by_readings, symbol_of
-from counterspin.records.averages import stretches
+from counterspin.readings.joining import with_groups
+from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
+from counterspin.readings.means import stretches
 from counterspin.simulation.readings import (
     drawn_by_run,
     head_errors,
@@ -45,6 +43,8 @@ from counterspin.simulation.readings import (
 from counterspin.studies.draws import NOISE_LEVELS, Draws, of_run
 from counterspin.studies.work import JointRequest, Trials
 from counterspin.studies.world import World, noise_of_mean
+from counterspin.triads.groups import one_group
+from counterspin.triads.poses import TriadPoses, indications_along
 
 
 @frozen

@@ -16,8 +16,8 @@ from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import true_noise
+from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import is_pose, sample_count
-from counterspin.campaign.triad import PoseRecord
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series

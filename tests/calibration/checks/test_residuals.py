@@ -7,14 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import triads
 from campaigns import PLACE, changed, runs, write
 from reading_descriptions import ACCELEROMETER, at_rest, place
 from scipy import stats
 
+import triads
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.checks.residuals import hidden_walk
-from counterspin.calibration.joint_problem import AccelerometerView
+from counterspin.calibration.view import AccelerometerView
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.simulation.simulate import simulate
 

@@ -12,15 +12,11 @@ from results import accelerometer
 
 from counterspin.calibration.checks.residuals import residual_findings
 from counterspin.calibration.diagnosis import search
-from counterspin.calibration.joint_problem import (
-    AccelerometerView,
-    JointProblem,
-    noise_of,
-    series_of,
-)
+from counterspin.calibration.joint_problem import JointProblem, noise_of, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
 from counterspin.calibration.outcome import noise_lines, residual
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.model import inputs_of
 from counterspin.calibration.result_parts import Finding
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import agreement_of, normal_equivalent

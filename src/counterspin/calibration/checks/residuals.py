@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Final
 
-import numpy as np
-
-from counterspin.arrays import median
-from counterspin.calibration.checks.readings import TRIAD, pose_findings, readings_fit
 from counterspin.calibration.findings import equivalent_deviations, lack_of_fit
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.outcome import found_timing, residual
 from counterspin.calibration.result_parts import Finding
-from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, FALSE_ALARMS
-from counterspin.inference.distributions import chi_square_tail
+from counterspin.calibration.view import AccelerometerView
+from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint.agreement import slow_parts
 from counterspin.inference.joint.fit import relax
-from counterspin.inference.linear_readings import Readings
 from counterspin.reports.numbers import format_number
-
-#: Noise that is smaller than stated by this factor is worth a remark.
-_OVERSTATED: Final = 1.1
-
-#: Fewest degrees of freedom by which the size of residuals is compared with the stated noise.
-_FEWEST_FOR_SIZE: Final = 0.5
 
 #: Share of u^2 above which noise that the records do not show is mentioned.
 _HIDDEN_SHARE: Final = 0.5
@@ -33,7 +21,7 @@ _HIDDEN_SHARE: Final = 0.5
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    findings = [*readings_fit(view), *pose_findings(view.fit, view.poses)]
+    findings = view.data.findings(view)
     if not view.has_records:
         return findings
     tests = view.diagnostics
@@ -100,31 +88,6 @@ def other_noise(views: Iterable[AccelerometerView]) -> Iterator[str]:
                 f"{view.name}: {shown}, as if the time stamps scattered by {timing * 1e6:.2g} us. "
                 f"{done} accordingly. If the time stamps do scatter, state it as timing in [noise]."
             )
-
-
-def overstated_noise(views: Sequence[AccelerometerView]) -> Iterator[str]:
-    """Yield a remark for each group of readings or poses that scatters less than is stated.
-
-    u is then too large, which speaks against nothing.
-    """
-    stated = {id(part.readings): part for view in views for part in view.parts if part.stated}
-    for part in stated.values():
-        scale, dof = part.linear.moments_of_noise(views[0].fit.solution)
-        if dof < _FEWEST_FOR_SIZE:
-            continue
-        squares = float(np.sum((part.residuals / part.sigma) ** 2))
-        times = math.sqrt(squares / (scale * dof))
-        p = 1.0 - chi_square_tail(dof, squares / scale)
-        if p >= CHI_SQUARE_SIGNIFICANCE / len(stated) or times * _OVERSTATED > 1.0:
-            continue
-        u = median(part.sigma)
-        shown, said = (f"{format_number(1e6 * size, 2)} ug" for size in (times * u, u))
-        name = part.readings.accelerometer if isinstance(part.readings, Readings) else TRIAD
-        yield (
-            f"{name}: the {part.words} scatter by {shown}, {format_number(times, 2)} times "
-            f"the stated uncertainty of {said}. u is too large. "
-            "State the noise of single readings, and errors that all of them share as priors."
-        )
 
 
 def hidden_walk(views: Iterable[AccelerometerView]) -> Iterator[str]:

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.result_parts import Finding
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.joint.estimation import Estimate

@@ -31,10 +31,10 @@ from counterspin.calibration.diagnosis.statements import (
 from counterspin.calibration.diagnosis.words import Explanation
 from counterspin.calibration.extensions import Diagnosis
 from counterspin.calibration.findings import ACCOUNTABLE, CONTRADICTION_SIGMAS, Cause, from_numbers
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.model import assumed_inputs, assumed_of, inputs_of
 from counterspin.calibration.outcome import coefficient, knowledge, noise_lines, residual
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import (

@@ -16,28 +16,24 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.checks.unseen_faults import most_moved, shown_size
-from counterspin.calibration.joint_problem import AccelerometerView
-from counterspin.calibration.readings import with_groups
+from counterspin.calibration.checks.shifts import most_moved, shown_size
 from counterspin.calibration.result_parts import Finding
+from counterspin.calibration.view import AccelerometerView, Part
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
 from counterspin.inference.distributions import normal_quantile
-from counterspin.inference.fitted_readings import FittedReadings
 from counterspin.inference.joint.alternatives import of_priors
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, relax
 from counterspin.inference.joint.mistakes import ACROSS, turned, with_turned
 from counterspin.inference.joint.series import CLOCK
-from counterspin.inference.linear_readings import Readings
-from counterspin.inference.poses import TriadPoses
-from counterspin.physics.accelerometer import Mounting
 from counterspin.reports.numbers import format_number
 
 #: Standard deviations by which a mounting may fit worse and still not be excluded.
@@ -68,7 +64,7 @@ class OtherMounting:
     #: By how much its chi-square is less than that of the stated one, over the residuals' scale.
     gain: float
     dof: float | None  #: Degrees of freedom of that scale; None where the noise was stated.
-    readings: tuple[FittedReadings, ...] = ()  #: All readings, and how they fit then.
+    readings: tuple[Part, ...] = ()  #: All readings, and how they fit then.
 
     @property
     def pendulous(self) -> tuple[str, str]:
@@ -106,7 +102,7 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
             continue
         given = not view.has_records or view.diagnostics.noise_given
         given = given and all(math.isinf(part.dof) for part in view.parts)
-        (stated, _), *others = (_turned(relaxed, read, view.name, n) for n in range(4))
+        (stated, _), *others = (_turned(view, relaxed, read, n) for n in range(4))
         for quarters, (fit, readings) in enumerate(others, 1):
             scale = fit.solution.chi2 / max(fit.solution.dof, 1.0)
             scale = max(scale, 1.0) if given else scale
@@ -117,42 +113,14 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
 
 
 def _turned(
-    relaxed: Estimate, read: Sequence[FittedReadings], name: str, quarters: int
-) -> tuple[JointFit, tuple[FittedReadings, ...]]:
+    view: AccelerometerView, relaxed: Estimate, read: Sequence[Part], quarters: int
+) -> tuple[JointFit, tuple[Part, ...]]:
     """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
-    fit = with_turned(relaxed.fit, name, quarters) if quarters else relaxed.fit
-    if not read:
-        return fit, ()
-    groups: list[Readings | TriadPoses] = []
-    for part in read:
-        group = part.readings
-        if isinstance(group, TriadPoses):
-            groups.append(_turned_poses(group, part, name, quarters))
-            continue
-        if not math.isinf(part.dof):
-            group = replace(group, u=part.noise / np.sqrt(group.repeats))
-        if group.accelerometer == name:
-            axes = (turned(station.mounting, quarters) for station in group.stations)
-            stations = zip(group.stations, axes, strict=True)
-            group = replace(group, stations=tuple(replace(s, mounting=m) for s, m in stations))
-        groups.append(group)
+    fit = with_turned(relaxed.fit, view.name, quarters) if quarters else relaxed.fit
     # The degrees of freedom are not asked for.
     dof = np.full(len(fit.model.unknowns), np.inf)
-    records = replace(relaxed, fit=fit, dof=dof) if fit.prepared else None
-    estimated, readings = with_groups(records, fit.model, groups)
-    return estimated.fit, readings
-
-
-def _turned_poses(group: TriadPoses, part: FittedReadings, name: str, quarters: int) -> TriadPoses:
-    """Return poses with one of the accelerometers turned, with the noise they have."""
-    if not math.isinf(part.dof):
-        noise = part.noise / np.sqrt(group.repeats)
-        group = replace(group, u=np.repeat(noise[:, None], 3, axis=1))
-    if name not in group.accelerometers:
-        return group
-    axes, place = group.axes.copy(), group.accelerometers.index(name)
-    axes[place] = turned(Mounting(tuple(map(tuple, axes[place]))), quarters).matrix
-    return replace(group, axes=axes)
+    estimated = replace(relaxed, fit=fit, dof=dof)
+    return view.data.turned(estimated, read, view.name, partial(turned, quarters=quarters))
 
 
 def _stated(view: AccelerometerView) -> list[str]:
@@ -181,7 +149,7 @@ def wrong_mounting(other: OtherMounting) -> Finding:
     name, (stated, found) = other.view.name, other.pendulous
     symbol, shift, size = other.moved()
     what, turns = "records", ""
-    if other.view.readings:
+    if any(part.motion != "poses" for part in other.view.parts):
         what, turns = "readings", ", the sense in which the attitudes turn"
     text = (
         f"The {what} of {name} would fit if its pendulous axis pointed {found} instead of "

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import coefficient
 from counterspin.calibration.result_parts import Comparison
 from counterspin.calibration.two_stage.method import two_stage_view, walk_is_stated
+from counterspin.calibration.view import AccelerometerView
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit

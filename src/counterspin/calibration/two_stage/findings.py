@@ -14,9 +14,9 @@ from counterspin.calibration.findings import (
     equivalent_deviations,
     not_determined,
 )
-from counterspin.calibration.joint_problem import AccelerometerView
 from counterspin.calibration.model import is_requested
 from counterspin.calibration.result_parts import Coefficient, Finding, Residual
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import (
     CHI_SQUARE_SIGNIFICANCE,

@@ -11,7 +11,7 @@ import numpy as np
 
 from counterspin.calibration.checks.limits import incredible
 from counterspin.calibration.checks.residuals import hidden_walk
-from counterspin.calibration.joint_problem import AccelerometerView, JointProblem
+from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import assumed_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
@@ -37,6 +37,7 @@ from counterspin.calibration.two_stage.findings import (
     overstated_noise,
     sums_of_alike,
 )
+from counterspin.calibration.view import AccelerometerView
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise

@@ -13,9 +13,9 @@
 - `time_stamps`: errors of time stamps, from what angle and output leave
 - `uneven_noise`: white noise that differs from run to run, or follows the slope of the signal
 - `budget`: where the uncertainty of a coefficient comes from, what it would be if that were known
-  better, and what further effects would move
+  better
 - `summary`: numbers of a joint fit that a result states
-- `agreement`: whether runs, data of several kinds, and slow residuals agree with the others
+- `agreement`: whether each run, and slow residuals, agree with the other runs
 - `alternatives`, `mistakes`: what else would explain the records; mistakes that are likely, and
   which explanation is the likelier one
 """

@@ -1,13 +1,9 @@
-"""Whether parts of the data agree with the rest: runs, kinds of test, slow residuals.
+"""Agreement of each run, and of slow residuals, with the other runs.
 
 Each run is left out in turn. With all runs the estimate is the better one, so that the variance of
 the shift is what the variance grows by (Hausman, Econometrica 46 (1978) 1251). Where the noise was
 estimated, the shift has Student's distribution, and noise that the records do not show is part of
 it, as of u itself.
-
-What a kind of data says is compared with what the others and everything known beforehand predict
-of it. That is a test of all unknowns at once, which needs none of them determined by one kind
-alone; beside it stands how far each unknown moves when the kind is left out.
 
 Noise of the accelerometer is looked for in the slowest changes of a record, where a bend of the
 record itself stands too: a slow error of one run makes the noise of all runs seem larger, and moves
@@ -30,12 +26,11 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import countable
 from counterspin.inference.joint.alternatives import Alternative, beside_fit
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit, relaxed_block, solve_blocks, solve_relaxed
+from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.found_noise import losses, uncertain
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.summary import Jackknife
-from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.least_squares import Block, Solution
+from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.search import effective_dof
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
@@ -147,85 +142,6 @@ def _with_unseen(
     level, inverse[moved] = lengthened(unseen, variance[moved], slope[moved], inverse[moved])
     variance[moved] += level * slope[moved]
     return variance, inverse
-
-
-# Kinds of test ---------------------------------------------------------------------------------
-
-#: A direction in which a credible change moves data by less than this part of their noise tells
-#: nothing; one that the others predict this many times worse than the data see it tests nothing.
-_BLIND_PART: Final = 1e-2
-_PREDICTION_RATIO: Final = 1e3
-
-#: Variances that differ by less than this part are the same but for rounding.
-_ROUNDING: Final = 1e-9
-
-
-@frozen
-class OneMethod:
-    """One kind of data against the others."""
-
-    #: What it says by itself, and what the others say, each with all that is known beforehand.
-    alone: JointFit
-    without: Solution
-    shift: Array  #: Estimates without it less those of everything, shape (p,).
-    #: Standard uncertainty of these, what both share counted once, shape (p,); NaN where leaving
-    #: the kind out changes nothing.
-    u_shift: Array
-    #: Squares of what the kind says less what the others predict, over their variances, in as many
-    #: directions as both know something of.
-    chi2: float
-    dof: int
-
-
-def agreements(fit: JointFit) -> dict[str, OneMethod]:
-    """Compare the data of each motion with all the others; empty where all are of one."""
-    kinds = list(dict.fromkeys(one.motion for one in fit.observations))
-    return {kind: _agreement(fit, kind) for kind in kinds} if len(kinds) > 1 else {}
-
-
-def _agreement(fit: JointFit, kind: str) -> OneMethod:
-    model, whole = fit.model, fit.solution
-    alone = fit.only([one.motion == kind for one in fit.observations])
-    others = [
-        block for block, one in zip(fit.blocks, fit.observations, strict=True) if one.motion != kind
-    ]
-    without = solve_blocks(others, model)
-    # The whole is the better estimate of the two, so that variances subtract (Hausman); what is
-    # considered moves both, and the shift by the difference.
-    before, after = np.diag(without.least_covariance), np.diag(whole.least_covariance)
-    moved = (without.sensitivity_considered - whole.sensitivity_considered) * whole.considered_sd
-    spread = np.maximum(before - after, 0.0) + np.sum(moved**2, axis=1)
-    if whole.covariance_unseen is not None:
-        spread = spread + np.diag(whole.covariance_unseen)
-    chi2, dof = _surprise(alone.blocks, others, model)
-    return OneMethod(
-        alone=alone,
-        without=without,
-        shift=without.estimate - whole.estimate,
-        u_shift=np.sqrt(np.where(spread > _ROUNDING * before, spread, np.nan)),
-        chi2=chi2,
-        dof=dof,
-    )
-
-
-def _surprise(own: Sequence[Block], others: Sequence[Block], model: Unknowns) -> tuple[float, int]:
-    """Return chi-square of what a kind says against the others' prediction, and its freedom."""
-    predicted = solve_relaxed(others, model)
-    blocks = [relaxed_block(block) for block in own]
-    rows = np.vstack([block.factor for block in blocks])
-    target = np.concatenate([block.target for block in blocks])
-    terms = (*model.unknowns, *model.considered)
-    credible = np.array([term.spread for term in terms])
-    limits = np.array([term.limit for term in terms])
-    seen, sizes, _ = np.linalg.svd(rows * np.minimum(credible, limits), full_matrices=False)
-    seen = seen[:, sizes > _BLIND_PART]
-    # Only what the kind says of the unknowns; its own scatter has tests of its own.
-    innovation = seen.T @ (target - rows @ predicted.estimate)
-    directions, spread, _ = np.linalg.svd(predicted.root_of(seen.T @ rows), full_matrices=True)
-    spread = np.append(spread, np.zeros(innovation.size - spread.size))
-    known = spread < _PREDICTION_RATIO
-    pulls = (directions.T @ innovation)[known] / np.sqrt(1.0 + spread[known] ** 2)
-    return float(pulls @ pulls), int(known.sum())
 
 
 # Slow residuals --------------------------------------------------------------------------------

@@ -7,25 +7,21 @@ M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes M A (the information form of 
 Bierman 1977, chapter V). What is beside the weights, of held terms and of noise that does not show,
 goes through the same gain: E becomes M E M^T. A held term weighs nothing: if it were known better,
 only what it adds to E would become less, by the square. The noise stays as it was found.
-
-`sensitivities` says by what further columns, of effects that the model lacks, would move the
-estimates, and what of them would be left in the residuals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array, triangle_of
-from counterspin.frozen import frozen
+from counterspin.arrays import Array
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.fit import JointFit, solve_blocks
-from counterspin.inference.joint.prepared import Prepared, prepare_columns
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.series import RATE
 from counterspin.inference.joint.summary import (
     HELD,
     NOISE,
@@ -37,13 +33,9 @@ from counterspin.inference.joint.summary import (
 )
 from counterspin.inference.joint.unknowns import (
     Considered,
-    Observation,
     Unknown,
-    Unknowns,
     unit_of,
 )
-from counterspin.inference.least_squares import Block
-from counterspin.inference.linear_readings import RATE, LinearReadings, Readings
 from counterspin.inference.noise.model import WALK_UNIT
 
 #: Lines below this share of u^2 say nothing.
@@ -65,7 +57,7 @@ def budget_of(fit: JointFit, weights: Array, name: str = "") -> list[BudgetLine]
     """
     solution, model = fit.solution, fit.model
     parts = solution.combine(weights)
-    of_rates = [_variance_of_rates(fit, one, weights) for one in fit.observations]
+    of_rates = [one.variances_by_rates(fit.solution, weights) for one in fit.observations]
     lines = [
         BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
         for source, share in _noise_by_source(fit, parts.noise_rows, of_rates).items()
@@ -117,25 +109,13 @@ def _encoder_lines(
         yield BudgetLine(f"{run}.{part}", NOISE, u, unit, slope, abs(size), 0.0)
 
 
-def _variance_of_rates(fit: JointFit, one: Observation, weights: Array) -> tuple[float, float]:
-    """Return the variances of a combination by the random errors of rates: stated, and default."""
-    if not isinstance(one, LinearReadings) or not isinstance(one.group, Readings):
-        return 0.0, 0.0
-    squares = (one.gains(fit.solution, weights) * one.rate) ** 2
-    default = float(np.sum(squares * one.group.default_rate))
-    return float(np.sum(squares)) - default, default
-
-
 def _lines_of_rates(fit: JointFit, of_rates: Sequence[tuple[float, float]]) -> Iterator[BudgetLine]:
     """Yield the random errors of rates that are stated, and those of the default size."""
-    groups = [one.group for one in fit.observations if isinstance(one, LinearReadings)]
-    rated = [group for group in groups if isinstance(group, Readings) and np.any(group.u_rate)]
     kinds: tuple[Kind, ...] = (STATED, UNSTATED)
-    for kind, squares in zip(kinds, zip(*of_rates, strict=True), strict=True):
+    for place, (kind, squares) in enumerate(zip(kinds, zip(*of_rates, strict=True), strict=True)):
         size = math.sqrt(sum(squares))
         if size > 0.0:
-            own = [np.broadcast_to(g.default_rate, g.size) == (kind == UNSTATED) for g in rated]
-            u = np.concatenate([g.u_rate * one for g, one in zip(rated, own, strict=True)])
+            u = np.concatenate([one.u_of_rates[place] for one in fit.observations])
             typical = math.sqrt(float(np.mean(u[u > 0.0] ** 2)))
             yield BudgetLine(RATE, kind, typical, unit_of(RATE), size / typical, size, 0.0)
 
@@ -168,7 +148,7 @@ def by_kind_of(fit: JointFit, weights: Array) -> tuple[float, float, float]:
 
 def _squares_by_kind(fit: JointFit, weights: Array, noise: float) -> dict[str, float]:
     """Return a variance of observations by kind: the errors of rates are not noise."""
-    of_rates = [_variance_of_rates(fit, one, weights) for one in fit.observations]
+    of_rates = [one.variances_by_rates(fit.solution, weights) for one in fit.observations]
     stated, default = (sum(squares) for squares in zip(*of_rates, strict=True))
     return {NOISE: max(noise - stated - default, 0.0), STATED: stated, UNSTATED: default}
 
@@ -259,110 +239,3 @@ def what_if(
 def _counts(beside: Array, weighed: Array) -> bool:
     size = np.sqrt(np.diag(weighed))
     return bool(np.any(np.abs(beside) > _ROUNDING * np.outer(size, size)))
-
-
-#: What an observation shows of one unit of each of m effects, in its own unit, shape (n, m).
-Columns = Callable[[Observation], Array]
-
-
-@frozen(eq=False)
-class Sensitivities:
-    """What m effects that the model lacks would move, and what the fit would leave of them."""
-
-    #: What one unit of each moves the unknowns by, shape (p, m).
-    moved: Array
-    #: The products of what one unit of each leaves in the whitened rows and priors once the fit has
-    #: followed it as far as it can, shape (m, m).
-    left: Array
-    #: By accelerometer, the same in its own whitened residuals, and their degrees of freedom.
-    left_in: Mapping[str, Array]
-    freedom: Mapping[str, float]
-
-
-def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
-    """Return what further columns would do to a fit, each by itself."""
-    model = fit.model
-    # One after the other: the columns of all of them together would take much memory.
-    blocks = [_block(one, columns(one), fit) for one in fit.observations]
-    solution = solve_blocks(blocks, _with_further(model, blocks[0].considered.shape[1]))
-    owners = [_owner(one) for one in fit.observations]
-    left, left_in = _left(blocks, owners, model)
-    ends = np.cumsum([block.factor.shape[0] for block in blocks])
-    freedom: dict[str, float] = {}
-    followed = np.split(solution.leverages, ends[:-1])
-    for owner, block, leverages in zip(owners, blocks, followed, strict=True):
-        rest = block.rows - block.nuisance - float(leverages.sum())
-        freedom[owner] = freedom.get(owner, 0.0) + rest
-    moved = -solution.sensitivity_considered[:, len(model.considered) :]
-    return Sensitivities(moved, left, left_in, freedom)
-
-
-def _with_further(model: Unknowns, count: int) -> Unknowns:
-    """Return a model with so many considered columns, the further ones of no uncertainty."""
-    further = range(len(model.considered), count)
-    named = (Considered("", str(place), (0.0, 0.0), 1.0) for place in further)
-    return Unknowns(model.unknowns, (*model.considered, *named))
-
-
-def _block(one: Observation, columns: Array, fit: JointFit) -> Block:
-    """Return what an observation says, with columns behind the considered ones, (n, m)."""
-    before = len(fit.model.considered)
-    count = before + columns.shape[1]
-    whole = replace(
-        one,
-        fixed=np.column_stack([one.fixed, columns]),
-        considered=(*one.considered, *range(before, count)),
-    )
-    return whole.block_in(_with_further(fit.model, count), fit.noise)
-
-
-def _owner(one: Observation) -> str:
-    """Return whose residuals an observation has."""
-    return one.group.accelerometer if isinstance(one, LinearReadings) else one.source
-
-
-def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> Columns:
-    """Return the columns of terms and inputs that are not in a fit.
-
-    expected: Values of the fit's unknowns, less nominal, on which inputs act, shape (p,).
-    """
-    model, acting = fit.model, np.flatnonzero(expected)
-    # An input acts on what is expected: nothing else is needed for its column.
-    on = Unknowns(tuple(model.unknowns[i] for i in acting), tuple(terms))
-    whole = Unknowns(model.unknowns, (*model.considered, *terms))
-
-    def shown(one: Observation) -> Array:
-        if isinstance(one, LinearReadings):
-            return one.group.linearised(whole, expected).fixed[:, len(model.considered) :]
-        assert isinstance(one, Prepared)
-        factors = {one.accelerometer: one.scale_factor}
-        (made,) = prepare_columns([one.series], on, factors, expected[acting])
-        columns = np.zeros((len(one.design), len(terms)))
-        columns[:, list(made.considered)] = made.fixed
-        return columns
-
-    return shown
-
-
-def _left(
-    blocks: Sequence[Block], owners: Sequence[str], model: Unknowns
-) -> tuple[Array, dict[str, Array]]:
-    """Return the products of what columns behind the considered ones leave in rows and priors.
-
-    What is considered is followed here as what is estimated: the test of the residuals allows
-    for it.
-    """
-    spread = np.array([*(u.spread for u in model.unknowns), *model.considered_sizes])
-    p = spread.size
-    held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
-    rows = [np.hstack([block.factor, block.considered]) for block in blocks]
-    prior = np.hstack([held, np.zeros((p, rows[0].shape[1] - p))])
-    triangle = triangle_of(np.vstack([*rows, prior]))
-    rest = triangle[p:, p:]
-    followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
-    by_accelerometer: dict[str, Array] = {}
-    for block, owner in zip(rows, owners, strict=True):
-        residual = block[:, p:] - block[:, :p] @ followed
-        before = by_accelerometer.get(owner, 0.0)
-        by_accelerometer[owner] = before + residual.T @ residual
-    return rest.T @ rest, by_accelerometer

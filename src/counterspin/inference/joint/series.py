@@ -384,6 +384,7 @@ INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
 }
 TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
 CLOCK: Final = "records.clock"  #: the part of itself by which the recorder's clock runs fast
+RATE: Final = "centrifuge.rate"  #: the random relative error of each rate of readings
 RATE_CLOCK: Final = "centrifuge.clock"  #: the same of the counter that measures rates of readings
 
 

@@ -1,7 +1,7 @@
 """A linear model: what a fit estimates or holds, and observations whose rows are linear in that.
 
 Observations are records (`counterspin.inference.joint.prepared`), or readings and poses
-(`counterspin.inference.linear_readings`). Whatever is asked of a fit, such as another noise, a run
+(`counterspin.readings.linear`). Whatever is asked of a fit, such as another noise, a run
 left out or one more column, is asked of its observations alike.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series, concerns
-from counterspin.inference.least_squares import REGULARISATION, Block
+from counterspin.inference.least_squares import REGULARISATION, Block, Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import (
     INPUTS,
@@ -197,6 +197,18 @@ class Observation(ABC):
     @abstractmethod
     def block(self, noise: Mapping[str, Noise]) -> Block:
         """Return what it says of its columns, by the noise of its source."""
+
+    def variances_by_rates(self, solution: Solution, weights: Array) -> tuple[float, float]:  # noqa: ARG002
+        """Return the variances of a combination by random errors of rates: stated, and default.
+
+        weights: Of the unknowns in the combination, shape (p,).
+        """
+        return 0.0, 0.0
+
+    @property
+    def u_of_rates(self) -> tuple[Array, Array]:
+        """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
+        return np.zeros(0), np.zeros(0)
 
     def relaxed(self, count: int) -> Self:
         """Return it with what is considered among the unknowns, behind `count` others."""

@@ -1,0 +1,216 @@
+"""A joint fit as each accelerometer sees it, and data other than records in it.
+
+Data other than records of a double turntable are readings and poses. An extension adds them
+(`counterspin.calibration.extensions`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field, replace
+from functools import cached_property
+from typing import Any, Final, Protocol, Self
+
+from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import JointProblem
+from counterspin.calibration.result_parts import Finding
+from counterspin.campaign.accelerometers import Accelerometer
+from counterspin.campaign.description import Campaign
+from counterspin.frozen import frozen
+from counterspin.inference.diagnostics import Diagnostics, diagnose
+from counterspin.inference.identifiability import Assessment
+from counterspin.inference.joint.agreement import leave_out
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import JointFit, Residuals
+from counterspin.inference.joint.found_noise import level_dof
+from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.summary import Jackknife
+from counterspin.physics.accelerometer import Mounting
+
+#: Degrees of freedom of a very short record, whose every row the fit may follow.
+_FEWEST_DOF: Final = 0.5
+
+
+class Part(Protocol):
+    """Readings or poses with noise of one kind, and their fit."""
+
+    @property
+    def residuals(self) -> Array:
+        """Residuals, g, shape (n,)."""
+
+    @property
+    def squares(self) -> float:
+        """Chi-square of the residuals."""
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the residuals."""
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of an estimated noise; infinite for a stated one."""
+
+    @property
+    def motion(self) -> str:
+        """Kind of test, as of `Observation`."""
+
+    @property
+    def words(self) -> str:
+        """Name in messages, plural."""
+
+    @property
+    def accelerometers(self) -> tuple[str, ...]:
+        """Names of the accelerometers that were read."""
+
+    @property
+    def sigma(self) -> Array:
+        """Standard uncertainty of each, g, shape (n,)."""
+
+    @property
+    def weighed(self) -> bool:
+        """Whether the residuals are compared with a noise that they did not tell."""
+
+    def under(self, fit: JointFit) -> Self:
+        """Return the same group under another fit that has it."""
+
+
+class OtherData:
+    """Data of a campaign other than records of a double turntable; this class: none."""
+
+    parts: tuple[Part, ...] = ()  #: Groups with noise of one kind.
+
+    def fields(self, problem: JointProblem, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
+        """Return fields of `Outcome` that these data determine."""
+        return {}
+
+    def contributions(self, views: Sequence[AccelerometerView]) -> dict[str, Contribution]:
+        """Return the contributions to the results of accelerometers, by name."""
+        return {view.name: Contribution(view) for view in views}
+
+    def findings(self, view: AccelerometerView) -> list[Finding]:  # noqa: ARG002
+        """Return the findings of tests of the residuals of an accelerometer."""
+        return []
+
+    def remarks(self, views: Sequence[AccelerometerView]) -> Iterator[str]:  # noqa: ARG002
+        """Yield remarks on the data that are not findings."""
+        yield from ()
+
+    def advice(self, view: AccelerometerView, symbol: str) -> tuple[str, str]:  # noqa: ARG002
+        """Return the data that do not determine a term, in a word, and advice; empty: no advice."""
+        return "records", ""
+
+    def turned(
+        self,
+        estimate: Estimate,
+        parts: Sequence[Part],  # noqa: ARG002
+        name: str,  # noqa: ARG002
+        turn: Callable[[Mounting], Mounting],  # noqa: ARG002
+    ) -> tuple[JointFit, tuple[Part, ...]]:
+        """Return the fit of groups with an accelerometer mounted otherwise, beside records.
+
+        estimate: Of the records with the accelerometer mounted otherwise.
+        parts: The groups as they are stated.
+        """
+        return estimate.fit, ()
+
+
+@frozen
+class AccelerometerView:
+    """A joint fit as one accelerometer sees it."""
+
+    problem: JointProblem  #: The campaign, and what was recorded.
+    estimate: Estimate  #: Of all accelerometers together.
+    assessment: Assessment  #: Which unknowns the records determine.
+    name: str  #: The accelerometer's.
+    #: Of all accelerometers together.
+    data: OtherData = field(default_factory=OtherData)
+    parts: tuple[Part, ...] = ()  #: Its groups of readings or poses.
+
+    @property
+    def campaign(self) -> Campaign:
+        """The description."""
+        return self.problem.campaign
+
+    @property
+    def fit(self) -> JointFit:
+        """The solved problem."""
+        return self.estimate.fit
+
+    @property
+    def accelerometer(self) -> Accelerometer:
+        """Its description."""
+        return self.campaign.accelerometers[self.name]
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """What is asked of it: symbol -> place among the unknowns of the fit."""
+        return {
+            unknown.symbol: index
+            for index, unknown in enumerate(self.fit.model.unknowns)
+            if unknown.owner == self.name and unknown.asked
+        }
+
+    @property
+    def k_ii(self) -> int | None:
+        """Place of its K_II; None where the model has none."""
+        return self.places.get("K_II")
+
+    def jackknife(self) -> list[Jackknife]:
+        """Return what becomes of its K_II without each run."""
+        return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
+
+    def with_parts(self, parts: Sequence[Part]) -> AccelerometerView:
+        """Return the view with those of some groups that are the accelerometer's."""
+        own = [part for part in parts if self.name in part.accelerometers]
+        return replace(self, parts=tuple(own))
+
+    @property
+    def has_records(self) -> bool:
+        """Whether it was recorded, and not only read."""
+        return any(prepared.accelerometer == self.name for prepared in self.fit.prepared)
+
+    def records(self) -> Iterator[tuple[int, Prepared, Residuals]]:
+        """Yield its records: place among those of the fit, columns, residuals."""
+        for index, prepared in enumerate(self.fit.prepared):
+            if prepared.accelerometer == self.name:
+                yield index, prepared, self.fit.residuals[index]
+
+    @property
+    def series(self) -> list[Series]:
+        """Its records as the fit has them."""
+        return [prepared.series for _, prepared, _ in self.records()]
+
+    @cached_property
+    def diagnostics(self) -> Diagnostics:
+        """Tests of its whitened residuals, run by run."""
+        rows, times, freedom = {}, {}, {}
+        for index, prepared, residuals in self.records():
+            whitened = residuals.whitened
+            rows[prepared.run] = whitened
+            # Differences belong to the later of the rows they are made from.
+            times[prepared.run] = prepared.series.time[-whitened.size :]
+            freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
+        noise_given = self.name not in self.estimate.components
+        fits = len(self.campaign.accelerometers)
+        return diagnose(
+            rows,
+            freedom,
+            noise_given=noise_given,
+            noise_dof=level_dof(self.fit, self.name) if noise_given else math.inf,
+            times=times,
+            fits=fits,
+        )
+
+
+@frozen(eq=False)
+class Contribution:
+    """Contribution of data other than records to the result of an accelerometer."""
+
+    #: The view whose residuals are tested. If test methods disagree, each method has a fit alone,
+    #: because the disagreement is a finding already.
+    residual_view: AccelerometerView
+    findings: Sequence[Finding] = ()
+    remarks: Sequence[str] = ()
+    fields: Mapping[str, Any] = field(default_factory=dict)  #: Of `AccelerometerResult`.

@@ -1,0 +1,122 @@
+"""The change of estimates by effects that a model lacks, and the residuals that they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import JointFit, solve_blocks
+from counterspin.inference.joint.prepared import Prepared, prepare_columns
+from counterspin.inference.joint.unknowns import Considered, Observation, Unknowns
+from counterspin.inference.least_squares import Block
+from counterspin.readings.linear import LinearReadings
+
+#: What an observation shows of one unit of each of m effects, in its own unit, shape (n, m).
+Columns = Callable[[Observation], Array]
+
+
+@frozen(eq=False)
+class Sensitivities:
+    """What m effects that the model lacks would move, and what the fit would leave of them."""
+
+    #: What one unit of each moves the unknowns by, shape (p, m).
+    moved: Array
+    #: The products of what one unit of each leaves in the whitened rows and priors once the fit has
+    #: followed it as far as it can, shape (m, m).
+    left: Array
+    #: By accelerometer, the same in its own whitened residuals, and their degrees of freedom.
+    left_in: Mapping[str, Array]
+    freedom: Mapping[str, float]
+
+
+def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
+    """Return what further columns would do to a fit, each by itself."""
+    model = fit.model
+    # One after the other: the columns of all of them together would take much memory.
+    blocks = [_block(one, columns(one), fit) for one in fit.observations]
+    solution = solve_blocks(blocks, _with_further(model, blocks[0].considered.shape[1]))
+    owners = [_owner(one) for one in fit.observations]
+    left, left_in = _left(blocks, owners, model)
+    ends = np.cumsum([block.factor.shape[0] for block in blocks])
+    freedom: dict[str, float] = {}
+    followed = np.split(solution.leverages, ends[:-1])
+    for owner, block, leverages in zip(owners, blocks, followed, strict=True):
+        rest = block.rows - block.nuisance - float(leverages.sum())
+        freedom[owner] = freedom.get(owner, 0.0) + rest
+    moved = -solution.sensitivity_considered[:, len(model.considered) :]
+    return Sensitivities(moved, left, left_in, freedom)
+
+
+def _with_further(model: Unknowns, count: int) -> Unknowns:
+    """Return a model with so many considered columns, the further ones of no uncertainty."""
+    further = range(len(model.considered), count)
+    named = (Considered("", str(place), (0.0, 0.0), 1.0) for place in further)
+    return Unknowns(model.unknowns, (*model.considered, *named))
+
+
+def _block(one: Observation, columns: Array, fit: JointFit) -> Block:
+    """Return what an observation says, with columns behind the considered ones, (n, m)."""
+    before = len(fit.model.considered)
+    count = before + columns.shape[1]
+    whole = replace(
+        one,
+        fixed=np.column_stack([one.fixed, columns]),
+        considered=(*one.considered, *range(before, count)),
+    )
+    return whole.block_in(_with_further(fit.model, count), fit.noise)
+
+
+def _owner(one: Observation) -> str:
+    """Return whose residuals an observation has."""
+    return one.group.accelerometer if isinstance(one, LinearReadings) else one.source
+
+
+def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> Columns:
+    """Return the columns of terms and inputs that are not in a fit.
+
+    expected: Values of the fit's unknowns, less nominal, on which inputs act, shape (p,).
+    """
+    model, acting = fit.model, np.flatnonzero(expected)
+    # An input acts on what is expected: nothing else is needed for its column.
+    on = Unknowns(tuple(model.unknowns[i] for i in acting), tuple(terms))
+    whole = Unknowns(model.unknowns, (*model.considered, *terms))
+
+    def shown(one: Observation) -> Array:
+        if isinstance(one, LinearReadings):
+            return one.group.linearised(whole, expected).fixed[:, len(model.considered) :]
+        assert isinstance(one, Prepared)
+        factors = {one.accelerometer: one.scale_factor}
+        (made,) = prepare_columns([one.series], on, factors, expected[acting])
+        columns = np.zeros((len(one.design), len(terms)))
+        columns[:, list(made.considered)] = made.fixed
+        return columns
+
+    return shown
+
+
+def _left(
+    blocks: Sequence[Block], owners: Sequence[str], model: Unknowns
+) -> tuple[Array, dict[str, Array]]:
+    """Return the products of what columns behind the considered ones leave in rows and priors.
+
+    What is considered is followed here as what is estimated: the test of the residuals allows
+    for it.
+    """
+    spread = np.array([*(u.spread for u in model.unknowns), *model.considered_sizes])
+    p = spread.size
+    held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
+    rows = [np.hstack([block.factor, block.considered]) for block in blocks]
+    prior = np.hstack([held, np.zeros((p, rows[0].shape[1] - p))])
+    triangle = triangle_of(np.vstack([*rows, prior]))
+    rest = triangle[p:, p:]
+    followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
+    by_accelerometer: dict[str, Array] = {}
+    for block, owner in zip(rows, owners, strict=True):
+        residual = block[:, p:] - block[:, :p] @ followed
+        before = by_accelerometer.get(owner, 0.0)
+        by_accelerometer[owner] = before + residual.T @ residual
+    return rest.T @ rest, by_accelerometer

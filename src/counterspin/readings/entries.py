@@ -1,0 +1,313 @@
+"""Readings in a campaign: runs with one value each, at rest, on an arm or on a double turntable.
+
+They stand in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names
+(`counterspin.readings.table`): every row of the table becomes such a run, so that both are
+checked alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import BLANK
+from counterspin.campaign.documents import KeyPath
+from counterspin.campaign.kinds import Contradiction
+from counterspin.campaign.quantity import Quantity, last_digit, parse
+from counterspin.campaign.reading import Reading
+from counterspin.campaign.runs import Run
+from counterspin.campaign.settings import Output
+from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.station import FRAMES
+
+#: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
+#: forecast or a study is made.
+MOST_READINGS: Final = 10_000
+MOST_RECORDS: Final = 60
+
+
+def contradictions(run: Run) -> Iterator[Contradiction]:
+    """Yield what is missing, too much, or contradicts itself in a run that is a reading."""
+    posed, static, turns = run.stand.unknown, run.motion == "static", run.rate != 0.0
+    stated, no_axes = "stand" in run.model_fields_set, run.axes is None
+    one_temperature = len(run.temperature or ()) < 2
+    no_meaning = "has no meaning at an unknown attitude"
+    arm = 'on an arm there is no attitude; write axes = { input = "inward", pendulous = "up" }'
+    # Whether it is wrong, its key, and further ones on which that hangs.
+    rows: Iterable[tuple[object, str, str]] = (
+        (
+            (run.reading is None) == (run.file is None),
+            "give one of reading and record",
+            " reading record",
+        ),
+        (
+            posed and not static,
+            'an attitude can be unknown only at rest; write "static"',
+            "motion attitude",
+        ),
+        (posed and not no_axes, no_meaning, "axes attitude"),
+        (posed and run.mounting, no_meaning, "mounting attitude"),
+        # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
+        ("." in run.mounting, f'"{run.mounting}" has a dot; leave it out', "mounting"),
+        (static and turns, "a static run does not turn; leave the rate out", "rate motion"),
+        (
+            static and run.truth,
+            "a static run does not turn, and its truth is that of the spindle; leave it out",
+            "truth motion",
+        ),
+        (
+            "tilt" in (run.truth or {}),
+            "has the tilt of a platform, which readings do not show; leave that out",
+            "truth motion reading",
+        ),
+        (
+            not static and not turns,
+            f"is missing: a run with motion {run.motion} turns",
+            "rate motion",
+        ),
+        (
+            static and no_axes and not stated,
+            "is missing: a reading at rest needs its position",
+            "attitude axes motion",
+        ),
+        (no_axes and not posed and run.motion == "arm", arm, " axes motion"),
+        (
+            not no_axes and stated and not posed,
+            "has axes and an attitude; keep one",
+            " axes attitude",
+        ),
+        (
+            run.head is not None and not (static and any(run.stand.head)),
+            'turns about an axis: write attitude = "30 deg about north", or alike',
+            "head attitude motion",
+        ),
+        (
+            run.revolutions is not None and run.duration is None and not turns,
+            "a run that does not turn has a duration",
+            "revolutions duration rate",
+        ),
+        (
+            run.file is None and not one_temperature,
+            "a reading has one temperature; several belong to a record",
+            "temperature record",
+        ),
+        (
+            run.poses and not posed,
+            'are searched for only with attitude = "unknown"',
+            "poses attitude",
+        ),
+        (
+            run.poses and posed and run.file is None,
+            "are found in a record, but this is a reading",
+            "poses record",
+        ),
+    )
+    for wrong, words, keys in rows:
+        if wrong:
+            key, *others = keys.split(" ")
+            yield ((key,) if key else ()), words, *others
+
+
+def resolve_readings(
+    runs: Sequence[tuple[Any, KeyPath]],
+    *,
+    mountings: Mapping[str, Mounting | None],
+    outputs: Mapping[str, Output | None],
+    folder: Path,
+    problems: Problems,
+    gravity: float,
+    turns: float | None,
+) -> tuple[Reading, ...]:
+    """Return the readings of runs, one for each accelerometer that was read.
+
+    runs: With their places.
+    mountings: Accelerometer -> its axes in the level attitude; None where they are a mistake.
+    outputs: Accelerometer -> unit of its readings, None: g; absent where that is a mistake.
+    gravity: Of the site, m/s^2.
+    turns: Revolutions of a record that is simulated on a machine; None without a simulation, in
+        which case every reading has its value.
+    """
+    readings: list[Reading] = []
+    blank: list[KeyPath] = []
+    units = {name: output.unit if output else "g" for name, output in outputs.items()}
+    for raw, path in runs:
+        before = len(problems.lines)
+        run, wrong = problems.partly(Run, raw, path, folder=folder, units=units)
+        if run is None or wrong & {"reading", "record", "motion"}:
+            continue
+        own: list[Reading] = []
+        for name, texts, where in _read(run, path, mountings, problems):
+            value: _Value | None = _Value(0.0, None)
+            if texts and name in outputs:
+                value = problems.attempt(where, _value, texts, outputs[name], gravity)
+            axes = problems.attempt(path, _axes, run, mountings[name])
+            if value is not None and axes is not None:
+                own.append(_reading(run, name, value, axes))
+        if len(problems.lines) > before:
+            continue
+        if any(math.isnan(reading.value) for reading in own):
+            blank.append((*path, "reading"))
+        readings += [_with_length(reading, turns) for reading in own]
+    if blank and turns is None:
+        others = f", nor have {len(blank) - 1} others" if len(blank) > 1 else ""
+        problems.add(
+            blank[0],
+            f"has no value yet{others}; enter the reading, or [truth] to simulate it",
+        )
+    return tuple(readings)
+
+
+def _with_length(reading: Reading, turns: float | None) -> Reading:
+    """Return a reading with the length of its record, if it is simulated on a machine."""
+    if reading.duration is not None or not reading.rate or turns is None:
+        return reading
+    return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
+
+
+def _read(
+    run: Run, path: KeyPath, names: Collection[str], problems: Problems
+) -> Iterator[tuple[str, Sequence[str | Quantity], KeyPath]]:
+    """Yield each accelerometer that was read, what was (nothing of a record), and its place."""
+    where, written = (*path, "reading"), run.reading
+    if run.file is not None:
+        written = {name: [] for name in names}
+    elif not isinstance(written, dict):
+        if len(names) > 1:
+            problems.add(where, "there are several accelerometers; write reading = { NAME = ... }")
+            return
+        written = dict.fromkeys(names, written or [])
+    for name, texts in written.items():
+        own = (*where, name) if isinstance(run.reading, dict) else where
+        if name in names:
+            yield name, texts if isinstance(texts, list) else [texts], own
+        elif names:
+            said = did_you_mean(name, names)
+            problems.add(own, f'there is no accelerometer "{name}"{said}')
+
+
+def _reading(run: Run, name: str, read: _Value, axes: Mounting) -> Reading:
+    """Return the reading of one accelerometer."""
+    return Reading(
+        name=run.name,
+        accelerometer=name,
+        motion=run.motion,
+        mounting=run.mounting or (_direction_names(axes) if run.motion == "arm" else ""),
+        axes=axes,
+        rate=run.rate,
+        u_rate=run.u_rate,
+        value=read.mean,
+        u=read.u,
+        head=run.stand.head,
+        u_head=run.stand.u,
+        head_angle=run.stand.angle if run.head is None else run.head,
+        temperature=run.temperature,
+        time=run.time,
+        record=run.file,
+        duration=run.length,
+        repeats=read.repeats,
+        scatter=read.scatter,
+        resolution=read.resolution,
+        in_si=read.in_si,
+        position=_position(run),
+    )
+
+
+def _direction_names(axes: Mounting) -> str:
+    """Return the name of a mounting on the arm that the description does not name."""
+    names = FRAMES["arm"]
+    along = np.array(list(names.values())) @ axes.matrix[:2].T
+    return "-".join(list(names)[place] for place in np.argmax(along, axis=0))
+
+
+def positioned(readings: Sequence[Reading], setting: Quantity | None) -> tuple[Reading, ...]:
+    """Return readings with their positions at rest numbered, where an error of setting is stated.
+
+    setting: That error.
+    """
+    keys = dict.fromkeys(r.position for r in readings if setting and r.motion == "static")
+    numbers = {key: str(number) for number, key in enumerate(keys, start=1)}
+    return tuple(replace(r, position=numbers.get(r.position, "")) for r in readings)
+
+
+def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
+    """Return readings of which those with a record on the arm have an angle in it."""
+    return tuple(
+        replace(reading, by_clock=True) if reading.record and reading.rate else reading
+        for reading in readings
+    )
+
+
+def _position(run: Run) -> str:
+    """Return the key that two readings at one position of the fixture share."""
+    if run.motion != "static":
+        return ""
+    if run.axes is not None:
+        return f"{run.mounting}: {run.axes.input}, {run.axes.pendulous}"
+    # Adding zero makes -0 the same as 0.
+    return f"{run.mounting}: {(np.round(run.attitude, 9) + 0.0).tolist()}"
+
+
+@frozen
+class _Value:
+    """Mean of repeats in g by the nominal sensitivity, its u where all state theirs."""
+
+    mean: float
+    u: float | None
+    repeats: int = 1
+    scatter: float = 0.0
+    in_si: bool = False
+    resolution: float = 0.0
+
+
+def _value(repeats: Sequence[str | Quantity], output: Output | None, gravity: float) -> _Value:
+    """Return the value of one reading from its repeats."""
+    unit, size, zero = "g", 1.0, 0.0
+    if output is not None:
+        unit, size, zero = output.unit, output.sensitivity, output.zero
+    conversion = gravity if output is None else None
+    written = [
+        f"0 {one.removeprefix(BLANK) or unit}"
+        if isinstance(one, str) and one.startswith(BLANK)
+        else one
+        for one in repeats
+    ]
+    quantities = [parse(text, unit, gravity=conversion) for text in written]
+    values = (np.array([quantity.value for quantity in quantities]) - zero) / size
+    u = np.array([quantity.u for quantity in quantities]) / abs(size)
+    mean = float(values.mean()) if written == list(repeats) else math.nan
+    in_si = False
+    if conversion is not None:
+        unlike = parse(written[0], unit, gravity=2.0 * conversion)
+        in_si = unlike != quantities[0]
+    if (u > 0.0).all():
+        return _Value(mean, float(np.linalg.norm(u)) / len(u), len(u), in_si=in_si)
+    scatter = float(np.sum((values - mean) ** 2))
+    last = 0.0
+    if not math.isnan(mean):
+        last = min(parse(last_digit(one), unit, gravity=conversion).value for one in written)
+    return _Value(mean, None, len(u), scatter, in_si, last / abs(size))
+
+
+def _axes(run: Run, mounting: Mounting | None) -> Mounting | None:
+    """Return the accelerometer's axes in the frame of the motion; None where they are a mistake."""
+    if run.axes is None:
+        return None if mounting is None else mounting.turned(run.attitude)
+    names = FRAMES[run.motion]
+    return Mounting.from_axes(
+        *(_direction(value, names) for value in (run.axes.input, run.axes.pendulous))
+    )
+
+
+def _direction(value: str | list[float], names: Mapping[str, Any]) -> list[float]:
+    if isinstance(value, str):
+        if value not in names:
+            raise ValueError(f'unknown direction "{value}" here' + did_you_mean(value, names))
+        return list(names[value])
+    return value

@@ -1,0 +1,92 @@
+"""Readings of a campaign in groups by accelerometer, motion and noise, for simulation and fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from counterspin.campaign.conditions import clock_of, directions_of, mean_of, origin_of
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.reading import Reading
+from counterspin.inference.joint.series import RATE
+from counterspin.physics.station import Station
+from counterspin.readings.known_attitudes import Readings
+
+
+def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
+    """Return the readings by accelerometer, motion and whether their noise was stated."""
+    keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in readings)
+    return [
+        _group(
+            campaign,
+            [r for r in readings if (r.accelerometer, r.motion, r.u is None) == key],
+        )
+        for key in keys
+    ]
+
+
+def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
+    first = readings[0]
+    origin, ways = origin_of(campaign), directions_of(campaign)
+    reference, start = origin.temperature, origin.time
+    return Readings(
+        accelerometer=first.accelerometer,
+        motion=first.motion,
+        names=tuple(r.name for r in readings),
+        site=campaign.site,
+        stations=tuple(
+            Station(
+                r.motion,
+                r.axes,
+                rate=r.measured.value if r.measured else r.rate * _rate_factor(campaign, r),
+                radius=campaign.radius.value if r.rate else 0.0,
+            )
+            for r in readings
+        ),
+        mountings=tuple(r.mounting for r in readings),
+        head=np.array([r.head for r in readings]),
+        u_head=np.array([r.u_head for r in readings]),
+        head_angle=np.array([r.head_angle for r in readings]),
+        value=np.array([r.value for r in readings]),
+        u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
+        temperature=np.array(
+            [mean_of(r.temperature) - reference if r.temperature else 0.0 for r in readings]
+        ),
+        time=np.array([(start if r.time is None else r.time) - start for r in readings]),
+        direction=np.array([ways.get(r.name, (0.0,))[0] for r in readings]),
+        repeats=np.array([float(r.repeats) for r in readings]),
+        scatter=np.array([r.scatter for r in readings]),
+        resolution=min(r.resolution for r in readings),
+        position=tuple(r.position for r in readings),
+        in_si=np.array([float(r.in_si) for r in readings]),
+        stated_sense=np.array([float(r.measured is None) for r in readings]),
+        stated_rates=tuple(r.rate for r in readings),
+        u_rate=np.array([_relative_u_rate(campaign, r) for r in readings]),
+        default_rate=np.array([float(not r.measured and r.u_rate is None) for r in readings]),
+        clocks=tuple(name_of_clock(campaign, r) for r in readings),
+    )
+
+
+def _rate_factor(campaign: Campaign, reading: Reading) -> float:
+    """Return the rate by a clock whose stated error is corrected over the stated rate."""
+    clock = campaign.rate_clock or campaign.clock
+    return 1.0 if clock is None or reading.by_clock else 1.0 + clock.value
+
+
+def name_of_clock(campaign: Campaign, reading: Reading) -> str:
+    """Return the name of that input; empty where nothing turns."""
+    return ".".join(filter(None, clock_of(campaign, reading))) if reading.rate else ""
+
+
+def _relative_u_rate(campaign: Campaign, reading: Reading) -> float:
+    """Return the random standard uncertainty of a rate, relative."""
+    if not reading.rate:
+        return 0.0
+    if reading.measured is not None:
+        return reading.measured.u / abs(reading.measured.value)
+    if reading.u_rate is not None:
+        return reading.u_rate / abs(reading.rate)
+    # An estimated noise contains the errors of the rates already.
+    unknown = reading.u is not None and not campaign.model.assumes(RATE)
+    return campaign.typical_of(RATE) if unknown else 0.0

@@ -1,0 +1,442 @@
+"""Readings of one accelerometer at known attitudes: at rest, on an arm or on a turntable.
+
+A reading is linear in the coefficients and nearly so in the terms of the machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.series import RATE
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.least_squares import Solution
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.motion import Site
+from counterspin.physics.station import Station, mean_products, moved
+from counterspin.physics.terms import (
+    CONDITION_TERMS,
+    TABLE,
+    TERMS,
+    accelerometer_of,
+    is_term,
+    mounting_of,
+    symbol_of,
+    term,
+)
+from counterspin.readings.linear import FINEST, LinearReadings
+
+#: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
+_STEP: Final = 1e-2
+
+#: Uncertain inputs that act on readings, and the step of each derivative: m, m/s^2, rad.
+INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
+
+#: Step of the derivatives by clocks and by the random errors of rates, relative.
+_RATE_STEP: Final = 1e-4
+
+#: Step of the derivative by the dividing head's angle, rad.
+_HEAD_STEP: Final = 1e-5
+
+_SYMBOLS: Final = tuple(TERMS)
+
+
+@frozen
+class Readings:
+    """Readings of one accelerometer in one motion, n of them, with noise of one kind."""
+
+    #: Its name, and the motion of every station.
+    accelerometer: str
+    motion: str
+    names: tuple[str, ...]  #: Of the readings.
+    site: Site  #: Where they were taken.
+    stations: tuple[Station, ...]  #: Axes and machine of each.
+    mountings: tuple[str, ...]  #: Name of each reading's mounting; empty where it has none.
+    #: Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero without
+    #: one.
+    head: Array
+    #: Random standard uncertainty of the head's angle at each position, rad, shape (n,).
+    u_head: Array
+    #: Indication in g by the nominal sensitivity, and its standard uncertainty, shape (n,); None:
+    #: one for all, estimated from the residuals.
+    value: Array
+    u: Array | None
+    #: K from the reference temperature, s from the first reading, shape (n,).
+    temperature: Array
+    time: Array
+    #: How many repeats at one setting each value is the mean of, and the sum of their squares about
+    #: it, g^2, shape (n,). Where `u` is None.
+    repeats: Array
+    scatter: Array
+    #: One of the last digit that any of them has, g; 0 where it is not known.
+    resolution: float = 0.0
+    #: Name of the position of each whose setting error is an unknown; empty where none is.
+    position: tuple[str, ...] = ()
+    #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
+    in_si: Array | float = 0.0
+    #: What the dividing head shows, rad, shape (n,).
+    head_angle: Array | float = 0.0
+    direction: Array | float = 0.0  #: In which the temperature went, as of `RunConditions`.
+    #: 1 where the description states the sense of the rotation, 0 where an angle shows it, (n,).
+    stated_sense: Array | float = 1.0
+    #: Rates that the description states, rad/s, shape (n,); None: those of the stations.
+    stated_rates: tuple[float, ...] | None = None
+    #: Random standard uncertainty of each rate, relative, and 1 where it is the default one, else
+    #: 0, shape (n,).
+    u_rate: Array | float = 0.0
+    default_rate: Array | float = 0.0
+    #: Name of the input that is the error of the clock of each rate; empty where nothing turns.
+    clocks: tuple[str, ...] = ()
+
+    def products(self, machine: Mapping[str, float]) -> Array:
+        """Return every term's mean product at each reading, shape (n, number of `TERMS`).
+
+        machine: The machine's terms that move stations, less nominal, by symbol.
+        """
+        return mean_products(self.stations_with(machine), self.site)
+
+    def stations_with(self, machine: Mapping[str, float]) -> list[Station]:
+        """Return where the readings were taken, with the machine's terms as given."""
+        stations = list(self.stations)
+        for symbol, size in machine.items():
+            if size != 0.0:
+                stations = self.moved(stations, symbol, size)
+        return stations
+
+    def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
+        """Return the readings' stations, moved already, with one more of the machine's terms."""
+        return [
+            self.moved_one(station, k, symbol, size) if acting else station
+            for k, (station, acting) in enumerate(zip(stations, self.acting(symbol), strict=True))
+        ]
+
+    def moved_one(self, station: Station, place: int, symbol: str, size: float) -> Station:
+        """Return the station of one of the readings, with one more of the machine's terms."""
+        return moved(station, symbol, size, self.head[place], self._head_angles[place])
+
+    @cached_property
+    def _head_angles(self) -> list[float]:
+        """What the head shows at each reading, rad."""
+        angles: list[float] = np.broadcast_to(self.head_angle, self.size).tolist()
+        return angles
+
+    def turned(self, stations: Sequence[Station], by: Array) -> list[Station]:
+        """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
+        every = enumerate(zip(stations, by.tolist(), strict=True))
+        return [self.moved_one(station, k, "head.zero", size) for k, (station, size) in every]
+
+    def with_rate_errors(self, errors: Array) -> Readings:
+        """Return readings at rates that are larger by relative errors, shape (n,)."""
+        every = enumerate(zip(self.stations, errors.tolist(), strict=True))
+        stations = (self.moved_one(station, k, RATE, size) for k, (station, size) in every)
+        return replace(self, stations=tuple(stations))
+
+    @property
+    def least_noise(self) -> float:
+        """The least noise that one repeat can be said to have, g: rounding to the last digit.
+
+        Its standard deviation: GUM F.2.2.1. Where more digits were written than any readout has,
+        `FINEST` of the largest one. Repeats whose scatter is below the digit are rounded alike.
+        """
+        largest = float(np.max(np.abs(self.value), initial=1e-3))
+        least = max(self.resolution / math.sqrt(12.0), FINEST * largest)
+        again = float(np.sum(self.repeats - 1.0))
+        alike = float(self.scatter.sum()) < again * (self.resolution / 2.0) ** 2
+        return least * math.sqrt(float(self.repeats.max())) if alike else least
+
+    @property
+    def read_again(self) -> tuple[tuple[int, ...], ...]:
+        """Places of the readings of each position that was read more than once."""
+        same: dict[tuple[object, ...], list[int]] = {}
+        shown = np.array(self._head_angles)
+        waves = np.round(np.stack([np.cos(shown), np.sin(shown)], axis=-1), 9) + 0.0
+        for place, (station, mounting) in enumerate(
+            zip(self.stations, self.mountings, strict=True)
+        ):
+            # Where an axis points is known to rounding only.
+            axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
+            # A repeat is set to the same rate and turns at nearly the same.
+            rate = self.stated_rates[place] if self.stated_rates else station.rate
+            key = (axes, rate, mounting, *waves[place].tolist())
+            same.setdefault(key, []).append(place)
+        return tuple(tuple(places) for places in same.values() if len(places) > 1)
+
+    @property
+    def accelerometers(self) -> tuple[str, ...]:
+        """Which were read: the one."""
+        return (self.accelerometer,)
+
+    @property
+    def size(self) -> int:
+        """The number of readings."""
+        return len(self.stations)
+
+    @property
+    def freedom_of_repeats(self) -> float:
+        """Degrees of freedom that repeats at one setting have among themselves."""
+        return float(np.sum(self.repeats - 1.0))
+
+    def linearised(
+        self, model: Unknowns, estimate: Array, variance: Array | None = None
+    ) -> LinearReadings:
+        """Return their rows at an estimate; parameters as of `linearise`."""
+        return linearise(self, model, estimate, variance)
+
+    @property
+    def triad(self) -> tuple[str, ...]:
+        """No triad: attitudes are known."""
+        return ()
+
+    def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:  # noqa: ARG002
+        """Return the point that is given: readings need no other."""
+        return point
+
+    def with_positions_set(self) -> Readings:
+        """Return the readings without errors of setting their positions."""
+        return replace(self, position=())
+
+    def with_noise(self, noise: float) -> Readings:
+        """Return the readings with a stated noise of one repeat, g."""
+        return replace(self, u=noise / np.sqrt(self.repeats))
+
+    def turned_about(self, name: str, turn: Callable[[Mounting], Mounting]) -> Readings:
+        """Return the readings with an accelerometer mounted otherwise."""
+        if self.accelerometer != name:
+            return self
+        stations = (replace(one, mounting=turn(one.mounting)) for one in self.stations)
+        return replace(self, stations=tuple(stations))
+
+    def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:  # noqa: ARG002
+        """Return no parameter: attitudes are known."""
+        return ()
+
+    def undetermined(
+        self,
+        fit: JointFit,  # noqa: ARG002
+        model: Unknowns,  # noqa: ARG002
+        candidates: Sequence[Unknown],  # noqa: ARG002
+    ) -> Sequence[Unknown]:
+        """Return no parameter: attitudes are known."""
+        return ()
+
+    def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:  # noqa: ARG002
+        """Return zeros: a reading is nearly linear in its unknowns."""
+        return np.zeros((self.size, moves.shape[1]))
+
+    def lack_of_noise(
+        self,
+        freedom: float,
+        free: int,  # noqa: ARG002
+        solution: Solution,  # noqa: ARG002
+        model: Unknowns,  # noqa: ARG002
+    ) -> str:
+        """Return the error that the residuals do not determine their noise; empty: they do."""
+        if freedom >= 0.5:
+            return ""
+        return (
+            f"{self.accelerometer}: {self.size} readings ({self.motion}) without a stated "
+            f"uncertainty do not determine their noise in addition to the unknowns; state it, or "
+            "take more readings than there are unknowns"
+        )
+
+    def divergence(self, rounds: int) -> str:  # noqa: ARG002
+        """Return no cause: the fit names the reading that is furthest off."""
+        return ""
+
+    def acting(self, symbol: str) -> Array:
+        """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
+        if not is_term(symbol) or self.motion not in term(symbol).motions:
+            return np.zeros(self.size)
+        name = mounting_of(symbol)
+        if not name:
+            return np.ones(self.size)
+        if accelerometer_of(symbol) not in ("", self.accelerometer):
+            return np.zeros(self.size)
+        names = self.mountings if term(symbol).per_mounting else self.position
+        return np.array([float(own == name) for own in names or ("",) * self.size])
+
+    def lever(self, symbol: str) -> Array:
+        """Return what a slope of a coefficient is multiplied with, shape (n,)."""
+        forces = np.array([one.radius * one.rate**2 for one in self.stations]) / self.site.gravity
+        return CONDITION_TERMS[symbol].effect.levers(
+            self.time, self.temperature, np.broadcast_to(self.direction, self.size), forces
+        )
+
+
+def linearise(
+    group: Readings, model: Unknowns, estimate: Array, variance: Array | None = None
+) -> LinearReadings:
+    """Return the columns at an estimate; considered terms that it lacks are as assumed.
+
+    variance: What is left open of each unknown, as far as it is known; else its prior's.
+    """
+    everything = [*model.unknowns, *model.considered]
+    left_open = np.array([term.prior[1] ** 2 for term in everything])
+    if variance is not None:
+        left_open[: variance.size] = variance
+    at = np.append(estimate, [term.prior_mean for term in everything[len(estimate) :]])
+    own = {
+        index: unknown.symbol
+        for index, unknown in enumerate(everything)
+        if unknown.owner in ("", group.accelerometer)
+    }
+    machine = {
+        symbol: float(at[index])
+        for index, symbol in own.items()
+        if not everything[index].owner and group.acting(symbol).any()
+    }
+    levers = dict(_levers(group, own))
+    here = _Here.at(group, group.stations_with(machine), at, levers)
+    columns = np.zeros((group.size, len(everything)))
+    for index, (place, lever) in levers.items():
+        columns[:, index] = here.products[:, place] * lever
+    rows: dict[str, list[int]] = {}
+    for index, symbol in own.items():
+        if symbol in machine:
+            rows.setdefault(term(symbol).symbol, []).append(index)
+    of_rate = here.u_of_rate()
+    shift, unseen = np.zeros(group.size), here.variance_of_head() + of_rate**2
+    for row, indices in rows.items():
+        # Each of the mountings, or positions, of a row has readings of its own.
+        whose = np.full(group.size, -1)
+        for index in indices:
+            whose[group.acting(own[index]) > 0.0] = index
+        there = np.flatnonzero(whose >= 0)
+        whose, step = whose[there], _STEP * everything[indices[0]].limit
+        more, less = here.both_ways(there, own[indices[0]], step)
+        columns[there, whose] = here.slope(more, less, step, there)
+        if TABLE[row].scope == "position":
+            # A cosine falls whichever way a position is off: a square has a mean and a
+            # variance. It is common to all readings there, whose mean is to have it whole.
+            bend = here.curve(more, less, step, there) * left_open[whose]
+            shift[there] += bend
+            unseen[there] += np.bincount(whose)[whose] * 2.0 * bend**2
+    indicated = np.sum(here.products * here.effective, axis=1)
+    perfect = indicated - columns @ at
+    # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
+    replaced = [s for i, s in own.items() if s in machine and not everything[i].unstated]
+    steps = {**INPUT_STEPS, **dict.fromkeys(group.clocks, _RATE_STEP)}
+    for index, name in enumerate(unknown.name for unknown in everything):
+        if name in steps:
+            step = steps[name]
+            ahead, behind = (with_input(group, name, s, replaced) for s in (step, -step))
+            both = ahead.products(machine), behind.products(machine)
+            columns[:, index] = here.slope(*both, step)
+        if name == "site.gravity":
+            columns[:, index] += group.in_si * indicated / group.site.gravity
+    linear = LinearReadings.whole(
+        group,
+        model,
+        columns,
+        group.value - perfect - shift,
+        group.u,
+        group.repeats,
+        np.sqrt(unseen),
+    )
+    return replace(linear, rate=of_rate, u_rate=group.u_rate, default_rate=group.default_rate)
+
+
+#: Of an unknown of the accelerometer: the place of its product, and what that is times, (n,).
+_Levers = dict[int, tuple[int, Array]]
+
+
+def _levers(group: Readings, own: Mapping[int, str]) -> Iterator[tuple[int, tuple[int, Array]]]:
+    """Yield for each coefficient, or slope of one, its index and as of `_Levers`."""
+    for index, symbol in own.items():
+        if symbol in TERMS:
+            yield index, (_SYMBOLS.index(symbol), np.ones(group.size))
+        elif symbol in CONDITION_TERMS:
+            changing = CONDITION_TERMS[symbol].effect.coefficient
+            yield index, (_SYMBOLS.index(changing), group.lever(symbol))
+
+
+@frozen
+class _Here:
+    """A group of readings at the point where derivatives are taken."""
+
+    group: Readings
+    stations: Sequence[Station]  #: As the machine has moved them.
+    products: Array  #: Of every term, shape (n, number of `TERMS`).
+    effective: Array  #: The coefficients under each reading's conditions, of the same shape.
+
+    @classmethod
+    def at(cls, group: Readings, stations: Sequence[Station], at: Array, levers: _Levers) -> _Here:
+        effective = np.tile([row.nominal for row in TERMS.values()], (group.size, 1))
+        for index, (place, lever) in levers.items():
+            effective[:, place] += at[index] * lever
+        return cls(group, stations, mean_products(stations, group.site), effective)
+
+    def both_ways(self, there: Any, symbol: str, step: float) -> tuple[Array, Array]:
+        """Return the products where some readings are moved by a step of a term, and back."""
+        group = self.group
+        more, less = (
+            mean_products(
+                [group.moved_one(self.stations[k], k, symbol, size) for k in there], group.site
+            )
+            for size in (step, -step)
+        )
+        return more, less
+
+    def slope(self, more: Array, less: Array, step: float, there: Any = slice(None)) -> Array:
+        """Return the derivative of the indications, of products a step ahead and behind."""
+        found: Array = np.sum((more - less) * self.effective[there], axis=1) / (2.0 * step)
+        return found
+
+    def curve(self, more: Array, less: Array, step: float, there: Any) -> Array:
+        """Return half the second derivative of the indications."""
+        return self.slope(more + less, 2.0 * self.products[there], step, there) / step
+
+    def u_of_rate(self) -> Array:
+        """Return what the random errors of the rates add, g, shape (n,)."""
+        group = self.group
+        uncertain = np.broadcast_to(group.u_rate, group.size)
+        there = np.flatnonzero(uncertain)
+        added = np.zeros(group.size)
+        if there.size:
+            more, less = self.both_ways(there, RATE, _RATE_STEP)
+            added[there] = np.abs(self.slope(more, less, _RATE_STEP, there)) * uncertain[there]
+        return added
+
+    def variance_of_head(self) -> Array:
+        """Return what the random error of the head's angle adds, g^2, shape (n,)."""
+        group = self.group
+        if not group.u_head.any():
+            return np.zeros(group.size)
+        turn = np.full(group.size, _HEAD_STEP)
+        both = (group.turned(self.stations, by) for by in (turn, -turn))
+        more, less = (mean_products(each, group.site) for each in both)
+        return np.square(self.slope(more, less, _HEAD_STEP) * group.u_head)
+
+
+def with_input(group: Readings, name: str, by: float, replaced: Collection[str]) -> Readings:
+    """Return readings with an input changed.
+
+    name: Of the input; of a clock with its recorder.
+    replaced: Radii of mountings that are known in place of the centrifuge's.
+    """
+    if name == "site.gravity":
+        return replace(group, site=replace(group.site, gravity=group.site.gravity + by))
+    if name == "site.latitude":
+        return replace(group, site=replace(group.site, latitude=group.site.latitude + by))
+    if name in group.clocks:
+        symbol, timed = symbol_of(name), enumerate(zip(group.stations, group.clocks, strict=True))
+        stations = (group.moved_one(s, k, symbol, by) if c == name else s for k, (s, c) in timed)
+        return replace(group, stations=tuple(stations))
+    if name != "centrifuge.radius":
+        return group
+    kept = np.zeros(group.size)
+    for symbol in replaced:
+        kept += group.acting(symbol) if symbol.startswith(f"{name}.") else 0.0
+    placed = zip(group.stations, kept.tolist(), strict=True)
+    return replace(
+        group,
+        stations=tuple(s if own else replace(s, radius=s.radius + by) for s, own in placed),
+    )

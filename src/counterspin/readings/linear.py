@@ -1,0 +1,325 @@
+"""Readings and poses linearised at an estimate: rows of square-root information, as of records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Final, Protocol
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.unknowns import Observation, Unknown, Unknowns
+from counterspin.inference.least_squares import Block, Solution, reduce_block
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.station import READINGS
+
+#: No readout resolves more of its range: one of 8.5 digits has ten times as much.
+FINEST: Final = 1e-9 / math.sqrt(12.0)
+
+
+class Measured(Protocol):
+    """A group of n readings, or of poses of a triad, with noise of one kind."""
+
+    @property
+    def accelerometer(self) -> str:
+        """Name of the accelerometer; all names of a triad, joined."""
+
+    @property
+    def accelerometers(self) -> tuple[str, ...]:
+        """Names of the accelerometers that were read."""
+
+    @property
+    def triad(self) -> tuple[str, ...]:
+        """Names of the accelerometers of a triad whose attitudes are unknown; empty: no triad."""
+
+    @property
+    def motion(self) -> str:
+        """Motion of every station; ``poses`` of poses."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the readings."""
+
+    @property
+    def size(self) -> int:
+        """Number of readings."""
+
+    @property
+    def value(self) -> Array:
+        """Indications, g, shape (n,) or (n, 3)."""
+
+    @property
+    def u(self) -> Array | None:
+        """Stated standard uncertainties, g; None: one for all, from the residuals."""
+
+    @property
+    def time(self) -> Array:
+        """Times from the beginning of the campaign, s, shape (n,)."""
+
+    @property
+    def repeats(self) -> Array:
+        """Number of repeats at one setting of each, shape (n,)."""
+
+    @property
+    def scatter(self) -> Array:
+        """Sum of squares of the repeats about their mean, g^2, shape (n,)."""
+
+    @property
+    def position(self) -> tuple[str, ...]:
+        """Names of the positions whose setting error is an unknown."""
+
+    @property
+    def least_noise(self) -> float:
+        """The least credible noise of one repeat, g."""
+
+    @property
+    def read_again(self) -> tuple[tuple[int, ...], ...]:
+        """Places of the readings of each position that was read more than once."""
+
+    @property
+    def freedom_of_repeats(self) -> float:
+        """Degrees of freedom of repeats at one setting among themselves."""
+
+    def linearised(
+        self, model: Unknowns, estimate: Array, variance: Array | None = None
+    ) -> LinearReadings:
+        """Return the rows at an estimate; parameters as of `linearise`."""
+
+    def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
+        """Return the point at which to begin, shape (p,)."""
+
+    def with_positions_set(self) -> Measured:
+        """Return the group without errors of setting its positions."""
+
+    def with_noise(self, noise: float) -> Measured:
+        """Return the group with a stated noise of one repeat, g."""
+
+    def turned_about(self, name: str, turn: Callable[[Mounting], Mounting]) -> Measured:
+        """Return the group with an accelerometer mounted otherwise."""
+
+    def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:
+        """Return the requested parameters that the directions of poses may leave undetermined."""
+
+    def undetermined(
+        self, fit: JointFit, model: Unknowns, candidates: Sequence[Unknown]
+    ) -> Sequence[Unknown]:
+        """Return the candidates that the directions of poses do not determine.
+
+        fit: Of the model with the default priors of all candidates.
+        model: Without these priors.
+        """
+
+    def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
+        """Return the second-order change of each row as the unknowns move, shape (n, m).
+
+        moves: Of the unknowns from the estimate, shape (p, m).
+        """
+
+    def lack_of_noise(self, freedom: float, free: int, solution: Solution, model: Unknowns) -> str:
+        """Return the error that the residuals do not determine their noise; empty: they do.
+
+        freedom: Degrees of freedom of the residuals and of repeats.
+        free: Number of unknowns that the group alone determines.
+        """
+
+    def divergence(self, rounds: int) -> str:
+        """Return the error that the fit did not converge in so many rounds; empty: no cause."""
+
+
+def source_of(group: Measured) -> str:
+    """Return what a group is called in a budget: whose, of which motion, with which noise."""
+    estimated = "" if group.u is not None else " (noise estimated)"
+    return f"{group.accelerometer}: {READINGS[group.motion]}{estimated}"
+
+
+@frozen
+class LinearReadings(Observation):
+    """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
+
+    group: Measured
+    target: Array  # (n,), g, less what a perfect system indicates
+    stated: Array | None  # (n,), g, without the head's part
+    repeats: Array  # (n,)
+    head: Array  # (n,), what head, rates and squares of setting errors add, g
+    sigma: Array  # (n,), g, both together
+    rate: Array | float = 0.0  # (n,), the part of the rates in `head`, g
+    u_rate: Array | float = 0.0  # (n,), as of `Readings`
+    default_rate: Array | float = 0.0
+
+    @property
+    def source(self) -> str:
+        """What the readings are called."""
+        return source_of(self.group)
+
+    run = source
+
+    @property
+    def motion(self) -> str:
+        """That of every station; ``poses`` of those."""
+        return self.group.motion
+
+    @classmethod
+    def whole(
+        cls,
+        group: Measured,
+        model: Unknowns,
+        columns: Array,
+        target: Array,
+        stated: Array | None,
+        repeats: Array,
+        head: Array,
+    ) -> LinearReadings:
+        """Return rows with columns of all that is estimated and considered, (n, p + q)."""
+        p, q = len(model.unknowns), len(model.considered)
+        sigma = head if stated is None else np.hypot(stated, head)
+        places = tuple(range(p)), columns[:, :p], tuple(range(q)), columns[:, p:]
+        return cls(*places, group, target, stated, repeats, head, sigma)
+
+    def with_noise(self, noise: float) -> LinearReadings:
+        """Return the same with a noise, of one repeat, for readings that state none."""
+        own = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
+        return replace(self, sigma=np.hypot(own, self.head))
+
+    def block(self, noise: Mapping[str, Noise]) -> Block:
+        """Return their square-root information; a noise counts where none is stated."""
+        own = noise.get(self.source)
+        return (self if own is None else self.with_noise(own.white)).weighed()
+
+    def weighed(self) -> Block:
+        """Return their square-root information by the noise that they have."""
+        weight = 1.0 / self.sigma[:, None]
+        return reduce_block(
+            self.design * weight, self.target / self.sigma, None, self.fixed * weight
+        )
+
+    def gains(self, solution: Solution, weights: Array) -> Array:
+        """Return what 1 g in each reading moves a combination of the unknowns by, shape (n,)."""
+        moved = weights @ solution.least_covariance[:, list(self.unknowns)]
+        gains: Array = (self.design @ moved) / self.sigma**2
+        return gains
+
+    def variances_by_rates(self, solution: Solution, weights: Array) -> tuple[float, float]:
+        """Return the variances of a combination by random errors of rates: stated, and default."""
+        squares = (self.gains(solution, weights) * self.rate) ** 2
+        default = float(np.sum(squares * self.default_rate))
+        return float(np.sum(squares)) - default, default
+
+    @property
+    def u_of_rates(self) -> tuple[Array, Array]:
+        """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
+        default = np.broadcast_to(self.default_rate, self.target.shape)
+        return self.u_rate * (default == 0.0), self.u_rate * default
+
+    def left(self, solution: Solution, model: Unknowns) -> Array:
+        """Return the residuals, the considered terms at their assumed values."""
+        means = np.array([term.prior_mean for term in model.considered])
+        left: Array = self.left_at(solution.estimate) - self.fixed @ means[list(self.considered)]
+        return left
+
+    def left_at(self, estimate: Array) -> Array:
+        """Return the residuals beside held terms of nothing, at an estimate."""
+        left: Array = self.target - self.design @ estimate[list(self.unknowns)]
+        return left
+
+    def squares(self, solution: Solution, model: Unknowns) -> float:
+        """Return chi-square of the residuals, whose covariance the considered terms are part of.
+
+        A considered term that is not what was assumed is no misfit as long as its u allows it: the
+        least sum of squares of what is left and of the considered terms over their u (Searle,
+        Matrix Algebra Useful for Statistics, 1982, section 10.7, has the identity).
+        """
+        left = self.left(solution, model) / self.sigma
+        moved = self.moved_by(solution) / self.sigma[:, None] * model.considered_sizes
+        found = np.linalg.lstsq(
+            np.vstack([moved, np.eye(moved.shape[1])]),
+            np.append(left, np.zeros(moved.shape[1])),
+            rcond=None,
+        )[0]
+        rest = left - moved @ found
+        return float(rest @ rest + found @ found)
+
+    def moved_by(self, solution: Solution) -> Array:
+        """Return what is left of the columns of what is considered, shape (n, q)."""
+        moved: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
+        moved[:, list(self.considered)] += self.fixed
+        return moved
+
+    def _covariance(self, solution: Solution) -> Array:
+        """Return the covariance that the weights minimise, of the own unknowns."""
+        found: Array = solution.least_covariance[np.ix_(self.unknowns, self.unknowns)]
+        return found
+
+    def leverages(self, solution: Solution) -> Array:
+        """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
+        rows = self.design / self.sigma[:, None]
+        followed: Array = np.sum((rows @ self._covariance(solution)) * rows, axis=1)
+        clipped: Array = np.clip(followed, 0.0, 1.0)
+        return clipped
+
+    def freedom(self, solution: Solution) -> float:
+        """Return the readings less what the fit follows of them."""
+        return float(np.sum(1.0 - self.leverages(solution)))
+
+    def moments_of_noise(self, solution: Solution) -> tuple[float, float]:
+        """Return scale and degrees of freedom of the squares that noise alone leaves.
+
+        The residuals are R e, of noise e with unit variance and R = 1 - rows C rows'. Their sum of
+        squares is distributed as scale times chi-square (Satterthwaite, Biometrics Bulletin 2
+        (1946) 110): tr R^4 / tr R^2 and (tr R^2)^2 / tr R^4. Errors of the machine only add to it.
+        """
+        rows = self.design / self.sigma[:, None]
+        followed = self._covariance(solution) @ (rows.T @ rows)
+        square = followed @ followed
+        # tr H^k of H = rows C rows' is that of the smaller matrix C rows' rows.
+        first, second = float(np.trace(followed)), float(np.trace(square))
+        third, fourth = float(np.sum(square * followed.T)), float(np.sum(square * square.T))
+        of_squares = len(rows) - 2.0 * first + second
+        of_fourths = len(rows) - 4.0 * first + 6.0 * second - 4.0 * third + fourth
+        if not (of_squares > 1e-9 and of_fourths > 1e-9):
+            return 1.0, 0.0
+        return of_fourths / of_squares, of_squares**2 / of_fourths
+
+    def freedom_of_noise(self, solution: Solution) -> float:
+        """Return the degrees of freedom of an estimated noise that the residuals give it.
+
+        Twice Fisher's information of the logarithm of its variance in the restricted likelihood
+        (Searle, Casella and McCulloch, Variance Components, 1992, section 6.6): the readings less
+        the unknowns where nothing is known beforehand and the head adds nothing.
+        """
+        rows, share = self.design / self.sigma[:, None], self.noise_share
+        weighed = self._covariance(solution) @ (rows.T @ (share[:, None] * rows))
+        once = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
+        return once + float(np.sum(weighed * weighed.T))
+
+    @property
+    def noise_share(self) -> Array:
+        """The part that noise has in the variance of each reading, the head having the rest."""
+        share: Array = 1.0 - (self.head / self.sigma) ** 2
+        return share
+
+    def left_of(self, column: Array, solution: Solution) -> Array:
+        """Return what the fit leaves of a column over the standard uncertainties, shape (n,)."""
+        rows = self.design / self.sigma[:, None]
+        left: Array = column - rows @ (self._covariance(solution) @ (rows.T @ column))
+        return left
+
+
+def blocks_at(readings: Sequence[Measured], model: Unknowns, estimate: Array) -> list[Block]:
+    """Return the square-root information of readings whose noise is stated.
+
+    estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
+    """
+    return [group.linearised(model, estimate).weighed() for group in readings]
+
+
+def rows_at(
+    readings: Sequence[Measured], model: Unknowns, estimate: Array
+) -> list[tuple[Array, Array]]:
+    """Return the rows of `blocks_at`, reading by reading, with unit variance."""
+    parts = [group.linearised(model, estimate) for group in readings]
+    return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]

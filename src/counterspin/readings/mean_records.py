@@ -1,0 +1,144 @@
+"""Records whose means are readings: at rest, and on an arm, with the rotation that the angle shows.
+
+The mean of R w^2 is R times the mean of w^2, so the reading is that at the root mean square of the
+rate, with drift and ripple included. The variance of w^2, which acts through K_II, is neglected: a
+ripple of 1e-3 adds 2e-6 of the squared force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field, replace
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.observed import fit_rotation, recorded_twice
+from counterspin.campaign.description import Campaign
+from counterspin.campaign.reading import MeasuredRate, Reading
+from counterspin.errors import ConvergenceError, NotIdentifiableError, RecordError
+from counterspin.frozen import frozen
+from counterspin.physics.spindle import SpindleFit
+from counterspin.readings.means import (
+    RecordMean,
+    RowRotation,
+    mean_of_record,
+    read_rows,
+    stated_rotation,
+)
+from counterspin.records.column_file import Piece
+from counterspin.records.record import Record, RecordColumns
+from counterspin.records.reduction import Blocks, Reducer, block_size
+
+
+@frozen(eq=False)
+class AveragedRecord:
+    """A record whose mean is a reading."""
+
+    reading: Reading  #: With the mean as its value, and the rate that was measured.
+    mean: RecordMean  #: Of the record.
+    record: Record  #: All its rows.
+    rotation: SpindleFit | None = None  #: By the recorded angle; None: at rest, or no angle.
+
+
+@frozen(eq=False)
+class MeanRecords:
+    """What was found in the records whose means are readings."""
+
+    #: By accelerometer and reading.
+    means: Mapping[tuple[str, str], RecordMean] = field(default_factory=dict)
+    #: Run on the arm -> its rate by the recorded angle, and the stated rate, rad/s.
+    rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    without_angle: tuple[str, ...] = ()  #: Runs on the arm whose record has no angle.
+
+
+def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
+    """Return a campaign's readings with their values, and what was found in their records."""
+    readings: list[Reading] = []
+    means: dict[tuple[str, str], RecordMean] = {}
+    rates: dict[str, tuple[float, float]] = {}
+    without: list[str] = []
+    first_with: dict[bytes, Reading] = {}
+    for reading in campaign.readings:
+        if reading.record is None:
+            readings.append(reading)
+            continue
+        averaged = average_record(campaign, reading)
+        digest = averaged.mean.digest
+        earlier = first_with.setdefault(digest, reading) if digest else reading
+        if earlier.name != reading.name:
+            raise recorded_twice(campaign, earlier, reading)
+        readings.append(averaged.reading)
+        means[reading.accelerometer, reading.name] = averaged.mean
+        if averaged.reading.measured is not None:
+            rates[reading.name] = averaged.reading.measured.value, reading.rate
+        elif reading.rate:
+            without.append(reading.name)
+    return readings, MeanRecords(means, rates, tuple(dict.fromkeys(without)))
+
+
+def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
+    """Return the mean of a reading's record, and the rotation that its angle shows."""
+    assert reading.record is not None
+    channel = campaign.accelerometers[reading.accelerometer].force
+    assert channel is not None
+    source = campaign.record_at(reading.record)
+    columns = RecordColumns(
+        campaign.time,
+        campaign.angle if reading.by_clock else None,
+        {reading.accelerometer: channel},
+        campaign.dialect,
+        needs_angle=False,
+    )
+    record = read_rows(source, columns, reading.rate)
+    rotation, at_rows = None, stated_rotation(record.time, reading.rate)
+    if record.angle is not None:
+        rotation = _rotation(campaign, reading, record)
+        at_rows = _rotation_at(campaign, reading, rotation, record.time)
+    mean, rows = mean_of_record(record, channel.name, at_rows)
+    measured = None
+    if rotation is not None:
+        measured = MeasuredRate(*rotation.rate_at(record.time[rows]))
+    # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
+    g, in_si = campaign.gravity.value, not channel.in_g
+    reading = replace(
+        reading,
+        value=mean.value / g,
+        u=mean.u / g,
+        in_si=in_si,
+        by_clock=rotation is not None,
+        measured=measured,
+    )
+    return AveragedRecord(reading, mean, record, rotation)
+
+
+def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFit:
+    """Return the rotation that the angle of a record shows, identified from block means."""
+    blocks = _angle_blocks(record, reading.rate)
+    assert blocks.angle is not None
+    try:
+        return fit_rotation(
+            campaign, blocks.time, blocks.angle, reading.rate, blocks.count, blocks.time_sd
+        )
+    except (NotIdentifiableError, ConvergenceError) as error:
+        raise RecordError(f"{record.report.path}: {error}") from None
+
+
+def _angle_blocks(record: Record, rate: float) -> Blocks:
+    """Return the means of times and angles over blocks, as records of the double turntable have."""
+    step = record.report.step
+    reducer = Reducer(block_size(step, rate), step, rate, judges=False)
+    uneven = float(np.abs(np.diff(record.time) / step - 1.0).max(initial=0.0))
+    return reducer.reduce(Piece(record.time, record.angle, []), uneven).blocks
+
+
+def _rotation_at(
+    campaign: Campaign, reading: Reading, rotation: SpindleFit, time: Array
+) -> RowRotation:
+    """Return the rotation of an arm at times, s, with the nominal output that it makes."""
+    spindle = rotation.spindle
+    outward = float(reading.axes.input_axis[0])
+    centripetal = -outward * campaign.radius.value * spindle.angular_rate(time) ** 2
+    # A ripple below the noise of the angle may be far above that of the output.
+    highest = max(rotation.error.harmonics, default=0)
+    return RowRotation(spindle.angle(time), centripetal, highest)

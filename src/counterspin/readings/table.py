@@ -1,0 +1,573 @@
+"""A table of readings, in place of many ``[[runs]]``: each of its rows becomes such a run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator
+
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.columns import (
+    BLANK,
+    SENSE_WORDS,
+    WITH_COMMA,
+    RateColumn,
+    Sense,
+    TableDialect,
+    as_number,
+    is_empty,
+    mounting_of,
+    seconds_of,
+    with_points,
+    words_of,
+)
+from counterspin.campaign.documents import KeyPath, list_of, plain, table_of
+from counterspin.campaign.kinds import SettingsSection, Text, described, exact, file_name
+from counterspin.campaign.quantity import HeadTurn, Quantity
+from counterspin.campaign.runs import ReadingAxes
+from counterspin.campaign.settings import Output
+from counterspin.errors import RecordError
+from counterspin.frozen import frozen
+from counterspin.physics.station import MotionKind
+from counterspin.readings.entries import MOST_READINGS
+from counterspin.records.dialect import Dialect
+from counterspin.records.frames import columns_of
+from counterspin.units import same_unit, unit_factor
+
+if TYPE_CHECKING:
+    from counterspin.records.formats import FiledTable
+
+#: A column's name, or those of the repeats of one reading.
+_Repeats = str | list[str]
+
+#: What messages call a table of readings without a file.
+_IN_MEMORY: Final = "readings in memory"
+
+#: No cell has more characters.
+_MAX_CHARACTERS: Final = 1000
+
+#: Columns that a table may have, beside those of the readings themselves.
+_COLUMNS: Final = (
+    "name",
+    "motion",
+    "rate",
+    "u_rate",
+    "attitude",
+    "head",
+    "input",
+    "pendulous",
+    "temperature",
+    "time",
+    "mounting",
+    "sense",
+)
+
+#: What says where a reading is taken.
+_STATIONS: Final = {"rate", "attitude", "head", "input"}
+
+
+class _TableFile(SettingsSection):
+    file: Annotated[Text, AfterValidator(file_name)] = described(
+        ".csv, .txt or .tsv (commas, semicolons or tabs), .parquet, or .xlsx "
+        "([extra](quickstart.md#extras) `excel`)",
+        "readings.csv",
+    )
+
+
+# The fields of the last base come first.
+class MountingSettings(ReadingAxes):
+    """[readings.mountings.NAME]: how the axes point there, and where its readings are."""
+
+    reading: Text | None = described(
+        "column of its readings, where mountings stand side by side", "inward_mA", None
+    )
+    u: Text | None = described("column of their uncertainties", "u_inward_mA", None)
+
+
+class ReadingsSettings(TableDialect, _TableFile):
+    """[readings]: a table in place of many [[runs]]."""
+
+    columns: dict[str, _Repeats | dict[str, _Repeats]] = described(
+        "`name`, `motion`, `rate`, `u_rate`, `attitude`, `head`, `input`, `pendulous`, `reading`, "
+        "`u`, `temperature`, `time`, `mounting`, `sense` -> column",
+        {"attitude": "angle_deg", "reading": "mA"},
+        min_length=1,
+    )
+    u: Text | None = described(
+        "standard uncertainty of the readings that have none in the column `u`",
+        "2 uA",
+        None,
+        absent="estimated",
+    )
+    motion: MotionKind = described("of every row, where there is no such column", "arm", "static")
+    about: Text = described("the axis of angles in the column `attitude`", "east", "north")
+    attitude_unit: Text = described("of these angles, and of the column `head`", "arcmin", "deg")
+    u_attitude: Text | None = described(
+        'random standard uncertainty of these angles, such as `"2 arcsec"`',
+        "2 arcsec",
+        None,
+        absent="0",
+    )
+    rate_unit: Text = described(
+        "of the column `rate`, `1/min` and `Hz` being revolutions; of the time of a revolution "
+        "(`s`), or of the acceleration (`g`, `m/s^2`) at the radius of `[centrifuge]`",
+        "rpm",
+        "rad/s",
+    )
+    u_rate: Text | None = described(
+        "random standard uncertainty of the rates that have none in the column `u_rate`, which is "
+        "in `rate_unit`",
+        "1e-5 rad/s",
+        None,
+        absent="the default",
+    )
+    sense: Sense = described(
+        "in which the machine turns at a positive rate, seen from above, where there is no such "
+        "column, or nothing in it",
+        "clockwise",
+        "counterclockwise",
+    )
+    axes: ReadingAxes | None = described(
+        "of every row that turns", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
+    )
+    axes_at_rest: ReadingAxes | None = described(
+        "of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
+    )
+    mounting: str = described("of every row", "in", "")
+    merged: bool = described(
+        "whether an empty cell of the column `mounting` has what stands above it, as merged cells "
+        "of a spreadsheet do",
+        True,
+        False,
+    )
+    mountings: dict[str, MountingSettings] = described(
+        "the axes of each mounting, in place of `axes`; and its column `reading`, where each has a "
+        "column of its own",
+        {"in": {"input": "inward", "pendulous": "up"}},
+        {},
+    )
+    attitude: Literal["unknown"] | None = described(
+        "`unknown`: every row is a pose of a [triad](triads.md)", "unknown", None, absent="known"
+    )
+
+
+def read_table(
+    document: Mapping[str, Any],
+    folder: Path,
+    accelerometers: Mapping[str, Output | None],
+    problems: Problems,
+    checksums: dict[Path, str],
+) -> Iterator[tuple[dict[str, Any], KeyPath]]:
+    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands.
+
+    Numbers are quantities and turns; only what is text in the table is text.
+    """
+    settings = problems.check(ReadingsSettings, document["readings"], ("readings",))
+    if settings is None:
+        return
+    loaded = problems.attempt(
+        ("readings", "file"), load_table, folder / settings.file, settings.dialect
+    )
+    if loaded is None:
+        return
+    table, places, checksums[folder / settings.file] = loaded
+    frame = table.frame
+    if frame.is_empty():
+        problems.add(("readings", "file"), f"{settings.file} has no rows below the names")
+        return
+    if settings.decimal is None and table.decimal == ",":
+        problems.add(
+            ("readings", "decimal"),
+            f'is missing: {settings.file} has decimal commas; write decimal = ","',
+        )
+        return
+    rows = ReadingsTable(settings, accelerometers, problems, document)
+    if table.units:
+        rows.check_units(table.units)
+    yield from rows.runs(frame.columns, frame.iter_rows(named=True), places)
+
+
+def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
+    """Return a table, the places of its rows, and its checksum; ValueError if it is not a table.
+
+    With a stated decimal comma, its numbers are returned with points.
+    """
+    from counterspin.records.formats import is_workbook, read_small_table
+
+    if path.suffix.lower() not in (".csv", ".txt", ".tsv", ".parquet", ".xlsx"):
+        raise ValueError(f"{path.name}: a table of readings is .csv, .parquet or .xlsx")
+    if dialect.sheet is not None and not is_workbook(path):
+        raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
+    try:
+        table, places, checksum = read_small_table(path, dialect)
+    except RecordError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+    if (rows := table.frame.height) > MOST_READINGS:
+        raise ValueError(
+            f"{path.name} has {rows} rows; a table of readings has at most {MOST_READINGS}"
+        )
+    if dialect.decimal == ",":
+        table = replace(table, frame=with_points(table.frame))
+    return table, places, checksum
+
+
+def take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
+    """Put the rows of a frame among a document's runs, by what its section of readings says."""
+    raw = document.pop("readings", None)
+    if not isinstance(raw, Mapping) or "file" in raw:
+        said = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
+        problems.add(
+            ("readings",),
+            f"{said}: the table is given as a frame, and `columns` say which column is what",
+        )
+        return
+    settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
+    columns = {
+        name: values.to_list() if hasattr(values, "to_list") else list(values)
+        for name, values in columns_of(_IN_MEMORY, frame)
+    }
+    if settings is None:
+        return
+    if len({len(values) for values in columns.values()}) != 1:
+        problems.add(("readings",), "the columns of the frame differ in length, or there are none")
+        return
+    tables = table_of(document, "accelerometers")
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    outputs = {name: _output(table) for name, table in tables.items()}
+    table = ReadingsTable(settings, outputs, problems, document)
+    made = [run for run, _ in table.runs(list(columns), rows)]
+    document["runs"] = [*list_of(document, "runs"), *plain(made, ("readings",), problems.add)]
+
+
+def _output(table: Any) -> Output | None:
+    """Return the unit of an accelerometer's readings, if it is known."""
+    output = table.get("output") if isinstance(table, Mapping) else None
+    unit = output.get("unit") if isinstance(output, Mapping) else None
+    return Output.model_construct(unit=unit) if isinstance(unit, str) else None
+
+
+@frozen
+class ReadingsTable:
+    """The conversion of a table's columns to runs."""
+
+    settings: ReadingsSettings  #: The section.
+    accelerometers: Mapping[str, Output | None]  #: Names, and what their readings are in.
+    problems: Problems  #: Where mistakes are noted.
+    document: Mapping[str, Any]  #: In which it stands.
+
+    def runs(
+        self,
+        names: Sequence[str],
+        rows: Iterable[Mapping[str, Any]],
+        places: Sequence[str] | None = None,
+    ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
+        """Yield the rows of a table as runs, with their places.
+
+        names: Of the table's columns.
+        places: Of the rows; None: they are counted.
+        """
+        problems = self.problems
+        before = len(problems.lines)
+        if any(own.reading for own in self.settings.mountings.values()):
+            self._check_beside(names)
+        else:
+            self.check(names)
+        if len(problems.lines) > before:
+            return
+        mounting = self.columns.get("mounting") if self.settings.merged else None
+        above = None
+        for index, row in enumerate(rows):
+            if not self.has(row):
+                continue
+            place = f"row {index + 1}" if places is None else places[index]
+            path: KeyPath = ("readings", f"{self.settings.file} {place}")
+            before = len(problems.lines)
+            if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
+                problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
+                continue
+            if mounting is not None and not is_empty(row[mounting]):
+                above = row[mounting]
+            cells = row if mounting is None else {**row, mounting: above}
+            made = []
+            for view in self.views(row):
+                made.append(view.run(cells, index, path))
+                if view is not self:
+                    made[-1]["name"] += f", {view.settings.mounting}"
+            if len(problems.lines) == before:
+                yield from ((run, path) for run in made)
+
+    def has(self, row: Mapping[str, Any]) -> bool:
+        """Return whether a row has a reading, or requests one.
+
+        Many tables end with empty rows or remarks.
+        """
+        stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
+        readings = {
+            c for view in self.views(row) for own in view.of("reading").values() for c in own
+        }
+        wanted = stations | readings if stations else row.keys()
+        return not all(is_empty(row[column]) for column in wanted)
+
+    def views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
+        """Return the table as each mounting reads a row, where each has a column of its own."""
+        settings = self.settings
+        beside = {word: own for word, own in settings.mountings.items() if own.reading}
+        # Not all mountings need have been read at each rate; those to come are all blank.
+        read = [word for word, own in beside.items() if not is_empty(row.get(own.reading or ""))]
+        return [
+            replace(
+                self,
+                settings=settings.model_copy(
+                    update={
+                        "columns": {**settings.columns, **_columns_of(own)},
+                        "mounting": word,
+                        "mountings": {word: own.model_copy(update={"reading": None})},
+                    }
+                ),
+            )
+            for word, own in beside.items()
+            if word in read or not read
+        ] or [self]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Key -> column, of what a row says once."""
+        given = self.settings.columns
+        return {k: v for k, v in given.items() if isinstance(v, str) and k in _COLUMNS}
+
+    def of(self, key: str) -> dict[str, list[str]]:
+        """Return accelerometer -> columns, of ``reading`` or of ``u``."""
+        given = self.settings.columns.get(key)
+        if given is None:
+            return {}
+        if not isinstance(given, dict):
+            # Where no accelerometer is described, that is the mistake.
+            owners = islice(self.accelerometers, 1) if key == "reading" else self.of("reading")
+            given = dict.fromkeys(owners, given)
+        return {name: [c] if isinstance(c, str) else c for name, c in given.items()}
+
+    def check(self, names: Sequence[str]) -> None:
+        """Note errors of the columns that are requested."""
+        path: KeyPath = ("readings", "columns")
+        given, problems = self.settings.columns, self.problems
+        for key, value in given.items():
+            if key not in (*_COLUMNS, "reading", "u"):
+                known = (*_COLUMNS, "reading", "u")
+                problems.add((*path, key), "unknown key" + did_you_mean(key, known))
+            elif key in _COLUMNS and not isinstance(value, str):
+                problems.add((*path, key), "must be the name of one column")
+        if not given.get("reading"):
+            problems.add(path, "reading is missing: the column that holds the values")
+            return
+        self._check_quantities()
+        if self.settings.mountings and not (self.settings.mounting or "mounting" in given):
+            problems.add(path, "mounting is missing: the column with the mounting of each reading")
+        static = self.settings.motion == "static" and "motion" not in given
+        turns = self.settings.motion != "static" and "motion" not in given
+        if turns and "rate" not in given:
+            problems.add(path, "rate is missing: the column with the rate of each reading")
+        stated = self.settings.axes is not None or self.settings.attitude is not None
+        if static and not {"attitude", "input"} & set(given) and not stated:
+            problems.add(path, "attitude is missing: the column with the position of each reading")
+        wanted = [*self.columns.values()]
+        for key in ("reading", "u"):
+            for owner, columns in self.of(key).items():
+                wanted += columns
+                if owner not in self.accelerometers:
+                    said = did_you_mean(owner, self.accelerometers)
+                    problems.add((*path, key), f'there is no accelerometer "{owner}"' + said)
+        self._check_there(wanted, names)
+
+    def _check_beside(self, names: Sequence[str]) -> None:
+        """Note errors of tables with a column for each mounting."""
+        columns = [own.reading for own in self.settings.mountings.values()]
+        if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
+            said = (
+                "`reading` is a column of each mounting, of one accelerometer, or of none; "
+                "readings.columns names no reading then"
+            )
+            self.problems.add(("readings", "mountings"), said)
+            return
+        before = len(self.problems.lines)
+        self.views({})[0].check(names)
+        if len(self.problems.lines) > before:
+            return
+        self._check_there(
+            [c for own in self.settings.mountings.values() for c in _columns_of(own).values()],
+            names,
+        )
+
+    def _check_there(self, wanted: Iterable[str], names: Sequence[str]) -> None:
+        """Note columns that the table does not have."""
+        for column in dict.fromkeys(wanted):
+            if column not in names:
+                said = f'{self.settings.file} has no column "{column}"'
+                self.problems.add(("readings", "columns"), said + did_you_mean(column, names))
+
+    def _check_quantities(self) -> None:
+        """Note what is wrong with quantities and units of the section."""
+        settings, problems = self.settings, self.problems
+        if settings.u_attitude is not None:
+            problems.attempt(("readings", "u_attitude"), exact, settings.u_attitude, "rad")
+        problems.attempt(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
+        if settings.u is not None:
+            for output in self.accelerometers.values():
+                unit = output.unit if output else "g"
+                problems.attempt(("readings", "u"), exact, settings.u, unit)
+        if "rate" in settings.columns:
+            problems.attempt(("readings", "rate_unit"), self._rate, 1.0, settings.sense)
+        if settings.u_rate is not None:
+            problems.attempt(("readings", "u_rate"), exact, settings.u_rate, "rad/s")
+
+    def check_units(self, units: Mapping[str, str]) -> None:
+        """Note columns that are in other units by the table's row of units."""
+        stated = {
+            self.columns.get("attitude"): self.settings.attitude_unit,
+            self.columns.get("head"): self.settings.attitude_unit,
+            self.columns.get("rate"): self.settings.rate_unit,
+            self.columns.get("u_rate"): self.settings.rate_unit,
+        }
+        for key in ("reading", "u"):
+            for view in self.views({}):
+                for name, columns in view.of(key).items():
+                    output = self.accelerometers.get(name)
+                    stated |= dict.fromkeys(columns, output.unit if output else "g")
+        for column, unit in stated.items():
+            own = units.get(column or "")
+            if own and not same_unit(own, unit):
+                self.problems.add(
+                    ("readings", "columns"),
+                    f'{self.settings.file}: column "{column}" is in {own} by the row of units, but '
+                    f"in {unit} by the description",
+                )
+
+    def run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
+        """Return a row in the form of a run; note its mistakes."""
+        settings, columns = self.settings, self.columns
+
+        def cell(key: str) -> Any:
+            value = row[columns[key]] if key in columns else None
+            return None if is_empty(value) else value
+
+        run: dict[str, Any] = {"name": words_of(cell("name")) or f"reading {index + 1}"}
+        motion, rate = self._moved(cell, (*path, "rate"))
+        run["motion"] = motion
+        if rate is not None:
+            run["rate"] = rate
+        shown = self._number(cell("head"), (*path, "head"))
+        if shown is not None:
+            run["head"] = Quantity(shown, 0.0, settings.attitude_unit)
+        mounting = run["mounting"] = mounting_of(cell("mounting")) or settings.mounting
+        axes = {key: words_of(cell(key)) for key in ("input", "pendulous") if cell(key)}
+        stated = self._axes(motion, mounting)
+        if axes:
+            run["axes"] = axes
+        elif stated is not None and (motion != "static" or "attitude" not in columns):
+            run["axes"] = stated.model_dump(include={"input", "pendulous"})
+        elif settings.mountings and motion != "static":
+            hint = did_you_mean(mounting, settings.mountings)
+            self.problems.add(path, f'readings.mountings has no "{mounting}"{hint}')
+        attitude = settings.attitude if cell("attitude") is None else cell("attitude")
+        if "axes" in run or attitude is None:
+            pass
+        elif (angle := as_number(attitude)) is not None:
+            run["attitude"] = self._turn(angle)
+        else:
+            run["attitude"] = words_of(attitude)
+        for key, unit in (("temperature", "degC"), ("time", "s")):
+            if (value := cell(key)) is not None:
+                if key == "time":
+                    value = seconds_of(value)
+                number = as_number(value)
+                run[key] = words_of(value) if number is None else Quantity(number, 0.0, unit)
+        readings = self.of("reading")
+        run["reading"] = {name: self._reading(row, name, path) for name in readings}
+        return run
+
+    def _moved(self, cell: Callable[[str], Any], path: KeyPath) -> tuple[str, Quantity | None]:
+        """Return the motion of a row, and its rate; None for a row at rest."""
+        stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
+        if rate := self._number(stated, path):
+            sense = words_of(cell("sense")).lower() or self.settings.sense
+            if sense not in SENSE_WORDS:
+                said = f"'{sense}' is none of {', '.join(SENSE_WORDS)}"
+                self.problems.add((*path[:-1], "sense"), said)
+                return motion, None
+            u = self._number(cell("u_rate"), (*path[:-1], "u_rate"))
+            return motion, self.problems.attempt(path, self._rate, rate, SENSE_WORDS[sense], u)
+        if motion != "arm" or "motion" in self.columns:
+            return motion, None
+        if stated is None:
+            said = "is missing: a run with motion arm turns; write 0 where the arm rests"
+            self.problems.add(path, said)
+        return "static", None
+
+    def _axes(self, motion: str, mounting: str) -> ReadingAxes | None:
+        """Return the axes that the section states of a row."""
+        settings = self.settings
+        at_rest = settings.axes_at_rest if motion == "static" else None
+        return settings.mountings.get(mounting) or at_rest or settings.axes
+
+    def _rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
+        """Return a rate from its cell and that of its uncertainty; ValueError if it is not one."""
+        size, spread, unit = RateColumn(self.settings, self.document).read(number, u)
+        return Quantity(-size if sense == "clockwise" else size, spread, unit)
+
+    def _turn(self, angle: float) -> HeadTurn:
+        """Return the turn that an angle of the head is."""
+        unit, stated = self.settings.attitude_unit, self.settings.u_attitude
+        u = 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
+        return HeadTurn(Quantity(angle, u, unit), self.settings.about)
+
+    def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
+        """Return the readings of an accelerometer: quantities, and text where there is text."""
+        columns = self.of("reading")[name]
+        unit = output.unit if (output := self.accelerometers[name]) else "g"
+        u = self.u(row, name, path)
+        written: list[Quantity | str] = []
+        for column in columns:
+            value = row[column]
+            if is_empty(value):
+                # Not all readings need have been repeated as often.
+                continue
+            number = as_number(value)
+            if number is None:
+                self._refuse_comma(value, (*path, column))
+            read = words_of(value) if number is None else Quantity(number, u or 0.0, unit)
+            written.append(read)
+        spread = f" ± {u!r}" if u is not None else ""
+        written = written or [f"{BLANK}{spread} {unit}"] * len(columns)
+        return written[0] if len(columns) == 1 and written else written
+
+    def u(self, row: Mapping[str, Any], name: str, path: KeyPath) -> float | None:
+        """Return the stated uncertainty of an accelerometer's reading, in its output's unit."""
+        beside = self.of("u").get(name, [])
+        if beside and not is_empty(row[beside[0]]):
+            return self._number(row[beside[0]], (*path, beside[0]))
+        output = self.accelerometers[name]
+        return exact(self.settings.u, output.unit if output else "g") if self.settings.u else None
+
+    def _number(self, value: Any, path: KeyPath) -> float | None:
+        number = None if value is None else as_number(value)
+        if value is not None and number is None and not self._refuse_comma(value, path):
+            self.problems.add(path, f"{value!r} is not a number")
+        return number
+
+    def _refuse_comma(self, value: Any, path: KeyPath) -> bool:
+        """Note a number with a decimal comma that is not stated."""
+        comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
+        if comma:
+            said = 'has a decimal comma; write decimal = "," in [readings]'
+            self.problems.add(path, f"{value!r} {said}")
+        return comma
+
+
+def _columns_of(mounting: MountingSettings) -> dict[str, str]:
+    """Return the columns of a mounting by what they hold."""
+    own = {"reading": mounting.reading, "u": mounting.u}
+    return {key: column for key, column in own.items() if column}

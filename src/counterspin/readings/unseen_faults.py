@@ -1,0 +1,149 @@
+"""Which single faults of typical size readings and poses would not show, and what these would do.
+
+With few degrees of freedom a fit takes up a step of the bias or another range of the meter, and
+leaves hardly anything of it in the residuals. Each such fault is one column beside the fit. A fault
+is unseen if what the fit leaves of it is below what the tests of `reading_findings` notice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.checks.shifts import most_moved, shown_size
+from counterspin.calibration.view import AccelerometerView
+from counterspin.campaign.description import Campaign
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.distributions import student_quantile
+from counterspin.inference.joint.alternatives import Alternative, effects_of
+from counterspin.inference.joint.fit import JointFit, relax
+from counterspin.physics.terms import ARCSEC
+from counterspin.readings.checks import columns_beside, group_of
+from counterspin.readings.fitted import FittedReadings
+from counterspin.readings.parts import parts_of
+from counterspin.readings.patterns import DRIFT, RANGE, REVERSED, STEP, TURN
+
+#: A fault that moves a coefficient by so many of its u is stated.
+_WORTH_STATING: Final = 2.0
+
+#: Typical difference between the gains of two ranges of a meter: order of magnitude, as two ranges
+#: of a voltmeter of 6.5 digits that are each within 40 ppm after a year.
+_RANGE: Final = 5e-5
+
+#: Typical error of a head that gains or loses angle, rad in a turn: order of magnitude, no source.
+_HEAD: Final = 36.0 * ARCSEC
+
+#: Fewest readings that a fault can begin among.
+_FEWEST: Final = 4
+
+#: Kelvin by which a temperature that nobody states changes during a series.
+_WARMING: Final = 1.0
+
+
+def unseen_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
+    """Return for each accelerometer the faults that it would not show, the worst one first.
+
+    Of each kind of fault the one that moves a coefficient most.
+    """
+    fit = relax(views[0].fit)
+    parts = {id(part.readings): part for view in views for part in parts_of(view)}
+    found: dict[str, dict[str, tuple[float, str]]] = {view.name: {} for view in views}
+    for part in parts.values():
+        place = part.place_in(fit)
+        if place is None or part.readings.size < _FEWEST:
+            continue
+        every = columns_beside(fit, group_of(part, place))
+        faults = {
+            other: size
+            for other in every
+            if (size := _typical(views[0].campaign, part, other)) is not None
+        }
+        if not faults:
+            continue
+        noticed = _noticed_from(part, len(every))
+        left, moved = effects_of(fit, tuple(faults))
+        for k, (other, typical) in enumerate(faults.items()):
+            size = min(typical, noticed / max(float(left[k]), 1e-300))
+            if other.kind == REVERSED and size < typical:
+                continue  # There is no part of it: the tests would notice the whole.
+            for view in views:
+                symbol, shift, times = most_moved(view, (), size * moved[:, k])
+                times *= _shrunk(view, fit, symbol, part, size * float(left[k]))
+                before = found[view.name].get(other.kind, (_WORTH_STATING, ""))
+                if times > before[0]:
+                    clause = f"{_words(other, size)} moves {symbol} by "
+                    clause += f"{shown_size(symbol, abs(shift), 3)} ({times:.2g} times its u)"
+                    found[view.name][other.kind] = times, clause
+    return {
+        name: [clause for _, clause in sorted(faults.values(), reverse=True)]
+        for name, faults in found.items()
+    }
+
+
+def remarks_of(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield a remark for each accelerometer whose data would not show some faults."""
+    for name, clauses in faults.items():
+        if clauses:
+            yield (
+                f"{name}: the residuals would not show these single faults: {'; '.join(clauses)}. "
+                "Exclude them by other means, such as a second series in another order, or one "
+                "range of the meter."
+            )
+
+
+def _noticed_from(part: FittedReadings, tests: int) -> float:
+    """Return how many standard deviations of a column the tests notice, all tests counted.
+
+    An estimated noise is compared with what the other residuals tell of it.
+    """
+    level = 0.5 * SIGNIFICANCE / max(tests, 1)
+    others = part.dof - 1.0
+    return -student_quantile(others, 0.5 * level) if others >= 1.0 else math.inf
+
+
+def _shrunk(
+    view: AccelerometerView, fit: JointFit, symbol: str, part: FittedReadings, left: float
+) -> float:
+    """Return u over what it becomes where an estimated noise takes up what is left of a fault.
+
+    left: Of the fault in the residuals, in standard deviations.
+    """
+    if not symbol or part.weighed or not left:
+        return 1.0
+    place = view.places[symbol]
+    variance = float(view.fit.solution.covariance[place, place])
+    by_noise = float(fit.solution.covariance_noise[place, place]) / variance
+    return 1.0 / math.sqrt(1.0 + min(by_noise, 1.0) * left**2 / max(part.dof, 1.0))
+
+
+def _typical(campaign: Campaign, part: FittedReadings, fault: Alternative) -> float | None:
+    """Return the typical size of a fault in the unit of its column; None where it is none."""
+    name = fault.owner
+    if fault.kind == STEP:
+        return campaign.typical_of("K_F.hysteresis", name)
+    if fault.kind == RANGE:
+        return _RANGE
+    if fault.kind == REVERSED:
+        return 1.0
+    if fault.kind == TURN and fault.symbol == "angle":
+        return _HEAD / (2.0 * math.pi)
+    if fault.kind == DRIFT:
+        lasts = float(np.ptp(part.readings.time))
+        by_time = lasts * campaign.typical_of("K_F.trend", name)
+        return max(by_time, _WARMING * campaign.typical_of("K_F.temperature", name))
+    return None
+
+
+def _words(fault: Alternative, size: float) -> str:
+    if fault.kind == REVERSED:
+        return "a rotation in the other sense than stated"
+    if fault.kind == STEP:
+        return f'a bias step of {shown_size("K_F", size, 3)} from "{fault.symbol}" on'
+    if fault.kind == RANGE:
+        return f"a change of the meter's gain by {1e6 * size:.2g} ppm above {fault.symbol}"
+    if fault.kind == TURN:
+        return f"a head that gains {2.0 * math.pi * size / ARCSEC:.2g} arcsec a turn"
+    return f"a drift of the bias by {shown_size('K_F', size, 3)} during the series"

@@ -1,0 +1,136 @@
+"""The course of a temperature in a record.
+
+A thermometer is slow, noisy to its last digit, and often read more seldom than the accelerometers.
+Its course is the broken line between even times that fits its values best. Where a few values are
+missing, the line continues straight.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import RecordError
+from counterspin.records.column_file import ColumnFile, in_pieces, piece_rows
+from counterspin.records.isolation import in_reader_process
+from counterspin.records.memory import MemoryTable
+from counterspin.records.reading import opened
+from counterspin.records.record import RecordColumns
+from counterspin.records.run_file import RunFile
+from counterspin.units import WORKING_TEMPERATURES, ZERO_CELSIUS
+
+#: Most values of a course.
+MOST_KNOTS: Final = 64
+
+#: Parts of a piece of a record whose means are kept, and of the record whose means are fitted.
+_PARTS_OF_PIECE: Final = 256
+_PARTS: Final = 1024
+
+#: Longest stretch without a value, as part of the record.
+_LONGEST_GAP: Final = 0.25
+
+#: Weight of a bend of the course beside the values', which decides only where there are none.
+_STIFFNESS: Final = 1e-4
+
+
+def read_course(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
+    """Return the temperature in a record, K, at even times from its first row to its last.
+
+    columns: Time, and the temperature as their only signal.
+    Returns: One value of a temperature that did not change, else 2 to `MOST_KNOTS`.
+    """
+    return in_reader_process(_read, path, columns)
+
+
+def _read(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
+    with opened(path, columns, 0.0) as (file, resolved, _):
+        try:
+            return _course(file, resolved)
+        except RecordError:
+            if not file.look_closely():
+                raise
+            return _course(file, resolved)
+
+
+def _course(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
+    (spec,) = columns.signals.values()
+    where = f"{file.path}: column '{spec.name}'"
+    span, last, gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
+    parts: list[Array] = []
+    for piece in in_pieces(file.batches(columns.names), lambda _: piece_rows(1)):
+        time, warm = piece[columns.time.name] * columns.time.factor, piece[spec.name] + spec.offset
+        infinite = np.flatnonzero(np.isinf(time))
+        if len(infinite):
+            place = file.locate(rows + int(infinite[0]))
+            raise RecordError(f"{file.path}, {place}: the time is infinite.")
+        coldest, warmest = WORKING_TEMPERATURES
+        impossible = np.flatnonzero((warm < coldest) | (warm > warmest))
+        if len(impossible):
+            odd, place = float(warm[impossible[0]]), file.locate(rows + int(impossible[0]))
+            raise RecordError(
+                f"{file.path}, {place}: column '{spec.name}' holds {odd:.6g} K "
+                f"({odd - ZERO_CELSIUS:.6g} degC), at which no accelerometer works. Check the unit "
+                "of the column."
+            )
+        rows += len(time)
+        used = (time >= columns.part[0]) & (time <= columns.part[1])
+        if not used.any():
+            continue
+        span = min(span[0], float(time[used].min())), max(span[1], float(time[used].max()))
+        used &= np.isfinite(warm)
+        t, x = time[used], warm[used]
+        if not len(t):
+            continue
+        before = np.append(span[0] if math.isnan(last) else last, t)
+        steps = np.diff(before)
+        widest = int(np.argmax(steps))
+        gap = max(gap, (float(steps[widest]), float(before[widest]), float(t[widest])))
+        last = float(t[-1])
+        parts.append(_means(np.stack([t, x, np.ones(len(t))]), _PARTS_OF_PIECE))
+    if not parts:
+        raise RecordError(f"{where} has no number in the part that is used.")
+    gap = max(gap, (span[1] - last, last, span[1]))
+    if gap[0] > _LONGEST_GAP * (span[1] - span[0]):
+        raise RecordError(
+            f"{where} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than a quarter of "
+            "the record. State the temperature of the run instead (`temperature`), and no column."
+        )
+    values = np.concatenate(parts, axis=1)
+    low, high = float(values[1].min()), float(values[1].max())
+    return _fitted(values, span) if high > low else (low,)
+
+
+def _means(values: Array, parts: int) -> Array:
+    """Return means of time and value over consecutive parts, and their weights, shape (3, m).
+
+    values: Times, values and weights, shape (3, n).
+    """
+    n = values.shape[1]
+    if n <= parts:
+        return values
+    starts = np.arange(parts) * n // parts
+    weight = np.add.reduceat(values[2], starts)
+    means = np.add.reduceat(values[:2] * values[2], starts, axis=1) / weight
+    return np.concatenate([means, weight[None]])
+
+
+def _fitted(values: Array, span: tuple[float, float]) -> tuple[float, ...]:
+    """Return the values at even times of the broken line that fits best.
+
+    values: Times (s), values and weights, shape (3, n).
+    """
+    time, value, weight = _means(values, _PARTS)
+    count = min(MOST_KNOTS, max(2, time.size // 2))
+    place = (time - span[0]) / (span[1] - span[0]) * (count - 1)
+    knots = np.arange(count)
+    hats = np.maximum(1.0 - np.abs(place[:, None] - knots), 0.0)
+    root = np.sqrt(weight / weight.max())
+    bends = _STIFFNESS * np.diff(np.eye(count), 2, axis=0)
+    rows = np.concatenate([root[:, None] * hats, bends])
+    mean = float(value.mean())
+    target = np.append(root * (value - mean), np.zeros(len(bends)))
+    return tuple((mean + np.linalg.lstsq(rows, target, rcond=None)[0]).tolist())

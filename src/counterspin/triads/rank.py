@@ -1,0 +1,96 @@
+"""Parameters of a triad that the directions of its poses do not determine.
+
+Far from the truth, poses in few directions seem to determine what they do not: the misalignments
+that a fit has found turn every direction, and the turned directions then carry information. So the
+rank is taken at an estimate with default priors, and a parameter counts as determined only if the
+poses are linear in it over its own uncertainty (Bates and Watts, Nonlinear Regression Analysis and
+Its Applications, 1988, section 7.1: curvature).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.joint.fit import JointFit, solve_blocks
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.least_squares import Solution
+from counterspin.readings.linear import LinearReadings
+
+#: Standard uncertainties by which a parameter is moved to test whether the poses are linear in it.
+_STEP: Final = 2.0
+
+#: A parameter follows default priors of others if they contribute more than this part of its own.
+_PART: Final = 0.5
+
+
+def candidates_of(model: Unknowns, accelerometers: Collection[str]) -> tuple[Unknown, ...]:
+    """Return the requested parameters of a triad that have a default prior and no other."""
+    return tuple(
+        unknown
+        for unknown in model.asked
+        if unknown.owner in accelerometers
+        and math.isinf(unknown.prior[1])
+        and math.isfinite(unknown.default)
+    )
+
+
+def undetermined_parameters(
+    fit: JointFit, model: Unknowns, candidates: Sequence[Unknown]
+) -> list[Unknown]:
+    """Return the parameters that poses do not determine, the least determined first.
+
+    Each gets its default prior before the others are judged, because an undetermined parameter
+    makes those that it correlates with look undetermined too.
+
+    fit: Of the model with the default priors of all candidates.
+    model: Without these priors.
+    """
+    undetermined: list[Unknown] = []
+    while len(undetermined) < len(candidates):
+        current = model.with_default_priors(undetermined)
+        solution = solve_blocks(fit.blocks, current)
+        left = [unknown for unknown in candidates if unknown not in undetermined]
+        places = [model.unknowns.index(unknown) for unknown in left]
+        limits = np.array([unknown.limit for unknown in left])
+        failing = solution.u[places] >= limits
+        default = np.array([unknown.default for unknown in left])
+        if not failing.any():
+            bent = _curvature(fit, solution, places)
+            # A bend that moves a parameter by little of its default prior leaves it determined.
+            matters = solution.u[places] * np.sqrt(bent) / _STEP > _PART * default
+            failing = (bent > _STEP**2) & matters
+        if not failing.any() and undetermined:
+            failing = _parts_of_priors(solution, current, places) > _PART * default
+        if not failing.any():
+            break
+        size = solution.u[places] / default
+        undetermined.append(left[int(np.argmax(np.where(failing, size, -1.0)))])
+    return undetermined
+
+
+def _parts_of_priors(solution: Solution, model: Unknowns, places: Sequence[int]) -> Array:
+    """Return the parts of the uncertainties that default priors of other parameters contribute."""
+    defaulted = [unknown.defaulted for unknown in model.unknowns]
+    weights = np.eye(len(model.unknowns))[places]
+    return np.array([np.linalg.norm(solution.combine(row).prior[defaulted]) for row in weights])
+
+
+def _curvature(fit: JointFit, solution: Solution, places: Sequence[int]) -> Array:
+    """Return the chi-square of the second-order changes over each parameter's own uncertainty.
+
+    The linear change has the chi-square `_STEP` squared. The steps are those of the noise alone.
+    """
+    noise = solution.covariance_noise
+    u = np.sqrt(np.diag(noise)[places])
+    moves = _STEP * np.divide(noise[:, places], u, out=np.zeros((len(noise), len(u))), where=u > 0)
+    total = np.zeros(len(places))
+    for part in fit.observations:
+        if isinstance(part, LinearReadings) and part.group.triad:
+            changes = part.group.curvature(fit.model, fit.solution.estimate, moves)
+            total += np.sum((changes / part.sigma[:, None]) ** 2, axis=0)
+    return total

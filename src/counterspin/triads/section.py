@@ -1,0 +1,182 @@
+"""[triad]: three accelerometers in one frame, and their poses of unknown attitude."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import Field
+
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.documents import KeyPath
+from counterspin.campaign.kinds import SettingsSection, Text, described
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.reading import PoseRecord, Reading, Triad
+from counterspin.campaign.runs import PosesSettings, Run
+from counterspin.physics.accelerometer import Mounting
+
+#: Smallest volume that three input axes may span: below it they do not feel all directions.
+_LEAST_VOLUME: Final = 0.1
+
+#: Input and pendulous axes of the three where they state none: X, Y and Z of one body frame.
+USUAL_AXES: Final = (("east", "north"), ("north", "up"), ("up", "east"))
+
+#: Keys of an accelerometer's axes.
+_AXES_KEYS: Final = {"input_axis", "pendulous_axis", "output_axis"}
+
+#: A unit vector is along another, or at right angles to it, within this.
+_ALONG: Final = 1e-6
+
+
+class TriadSettings(SettingsSection):
+    """[triad]: three accelerometers of one sensor."""
+
+    accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = described(
+        "their names: the frame's first axis is the input axis of the first, and that of the "
+        "second lies in the plane of the first two; where none of them states an axis, they are "
+        "at right angles",
+        ["X", "Y", "Z"],
+    )
+
+
+def with_usual_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, Any]:
+    """Return the tables of accelerometers, with the axes of a triad if none are stated.
+
+    triad: The section; its errors are reported elsewhere.
+    """
+    named = triad.get("accelerometers") if isinstance(triad, Mapping) else None
+    names = [n for n in named if isinstance(n, str)] if isinstance(named, list) else []
+    own = [tables.get(name) for name in names]
+    if len(names) != len(USUAL_AXES) or any(
+        not isinstance(table, Mapping) or _AXES_KEYS & table.keys() for table in own
+    ):
+        return tables
+    axes = [{"input_axis": one, "pendulous_axis": other} for one, other in USUAL_AXES]
+    return {**tables, **{n: {**a, **tables[n]} for n, a in zip(names, axes, strict=True)}}
+
+
+def resolve_triad(
+    raw: Any,
+    mountings: Mapping[str, Mounting | None],
+    runs: Sequence[tuple[Any, KeyPath]],
+    folder: Path,
+    read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
+    *,
+    given: Mapping[str, Mapping[str, Quantity]] | None,
+    problems: Problems,
+) -> Triad | None:
+    """Return the triad of [triad] and the runs at unknown attitudes.
+
+    raw: The section, None if there is none.
+    mountings: Accelerometer -> its axes in the triad's frame; None where they are a mistake.
+    runs: Those at unknown attitudes, with where each stands.
+    folder: Of records.
+    read: Resolves runs with values, as if at known attitudes.
+    given: Accelerometer -> symbol -> prior of its own table, where no reading or record says how
+        the triad stands; else None.
+    """
+    if raw is None:
+        for _, path in runs:
+            problems.add(
+                (*path, "attitude"),
+                'is "unknown", which needs three accelerometers; write [triad] accelerometers = '
+                '["X", "Y", "Z"]',
+            )
+        return None
+    settings = problems.check(TriadSettings, raw, ("triad",))
+    names = () if settings is None else tuple(settings.accelerometers)
+    axes = _axes_of(names, mountings, problems)
+    of_frame = () if given is None or not axes else _of_frame(names, axes, problems)
+    for name, symbol in of_frame:
+        if symbol in (given or {}).get(name, {}):
+            problems.add(
+                ("accelerometers", name, symbol),
+                "is zero by definition of the triad's frame if all "
+                "attitudes are unknown; leave it out",
+            )
+    poses: list[tuple[Reading, ...]] = []
+    records: list[PoseRecord] = []
+    for run, path in runs:
+        for one in _resolve_pose(run, path, names if axes else (), read, folder, problems):
+            (records if isinstance(one, PoseRecord) else poses).append(one)  # type: ignore[arg-type]
+    return Triad(names, tuple(poses), tuple(records), of_frame) if axes else None
+
+
+def _axes_of(
+    names: Sequence[str], mountings: Mapping[str, Mounting | None], problems: Problems
+) -> list[Mounting]:
+    """Return the axes of the three, none where they are no triad."""
+    before = len(problems.lines)
+    for place, name in enumerate(names if mountings else ()):
+        if name not in mountings:
+            said = did_you_mean(name, mountings)
+            problems.add(("triad", "accelerometers", place), f'no accelerometer is "{name}"{said}')
+        elif name in names[:place]:
+            problems.add(("triad", "accelerometers", place), f'"{name}" is listed twice')
+    axes = [own for own in map(mountings.get, names) if own is not None]
+    if len(problems.lines) > before or len(axes) < len(names):
+        return []
+    if names and abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
+        problems.add(("triad", "accelerometers"), "their input axes lie (nearly) in one plane")
+        return []
+    return axes
+
+
+def _of_frame(
+    names: Sequence[str], axes: Sequence[Mounting], problems: Problems
+) -> tuple[tuple[str, str], ...]:
+    """Return the misalignments that the frame makes nothing: two of the first, one of the second.
+
+    The second one's is that towards the normal of the plane of both.
+    """
+    first, second = axes[0].matrix, axes[1].matrix
+    normal = np.cross(first[0], second[0])
+    normal /= np.linalg.norm(normal)
+    upright = [abs(abs(float(axis @ normal)) - 1.0) < _ALONG for axis in second[1:]]
+    if not any(upright):
+        problems.add(
+            ("accelerometers", names[1], "pendulous_axis"),
+            f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
+            "angles to it, so that one misalignment is perpendicular to it",
+        )
+        return ()
+    return (
+        (names[0], "delta_O"),
+        (names[0], "delta_P"),
+        (names[1], "delta_O" if upright[0] else "delta_P"),
+    )
+
+
+def _resolve_pose(
+    raw: Mapping[str, Any],
+    path: KeyPath,
+    names: Sequence[str],
+    read: Callable[[Sequence[tuple[Any, KeyPath]]], tuple[Reading, ...]],
+    folder: Path,
+    problems: Problems,
+) -> Iterator[tuple[Reading, ...] | PoseRecord]:
+    """Yield the pose of a run with values, or what a record with poses is.
+
+    names: Of the triad's accelerometers; none where they are a mistake.
+    """
+    before = len(problems.lines)
+    if "record" in raw:
+        run = problems.check(Run, raw, path, folder=folder)
+        if run is not None:
+            poses = run.poses or PosesSettings()
+            more = (poses.rest, poses.threshold, run.temperature, run.time, poses.u)
+            yield PoseRecord(run.name, run.record, *more)
+        return
+    readings = {one.accelerometer: one for one in read([(raw, path)])}
+    if names and readings and set(readings) != set(names):
+        every = ", ".join(names)
+        said = f"at an unknown attitude all of {every} must be read, and no other"
+        problems.add((*path, "reading"), said)
+    stated = [one.u is not None for one in readings.values()]
+    if any(stated) and not all(stated):
+        said = "state the uncertainty of all three readings of a pose, or of none"
+        problems.add((*path, "reading"), said)
+    if readings.keys() >= set(names) > set() and len(problems.lines) == before:
+        yield tuple(readings[name] for name in names)

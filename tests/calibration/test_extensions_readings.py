@@ -1,0 +1,92 @@
+"""Readings without triads, and records without readings."""
+
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from campaigns import write
+from reading_descriptions import ACCELEROMETER, at_rest, place
+
+import counterspin
+from counterspin.calibration.calibrate import calibrate
+
+PACKAGE = Path(counterspin.__file__).parent
+TESTS = Path(__file__).parents[1]
+
+#: Extension -> its packages.
+EXTENSIONS = {"triads": ("triads",), "readings": ("readings", "triads")}
+
+#: Tests of records that simulate nothing.
+OF_RECORDS = (
+    "calibration/test_result.py",
+    "campaign/test_checking.py",
+    "inference/joint/test_used_rows_outliers.py",
+    "records/test_temperature_course.py",
+)
+
+#: A tumble in steps of 30 deg, in mA: 1.25 mA/g times the cosine of the angle.
+TUMBLE = (
+    place()
+    + ACCELEROMETER
+    + "".join(
+        at_rest(
+            f"p{angle}", f"{angle} deg about north", f"{1.25 * math.cos(math.radians(angle))} mA"
+        )
+        for angle in range(0, 360, 30)
+    )
+)
+
+CALIBRATE = """
+import sys
+from counterspin.calibration.calibrate import calibrate
+print(calibrate(sys.argv[1]).to_json(), end="")
+"""
+
+
+@pytest.fixture(scope="module")
+def run_without(tmp_path_factory):
+    """Return a function that runs Python with a package that lacks an extension."""
+    roots = {}
+
+    def run(extension, *arguments):
+        if extension not in roots:
+            roots[extension] = root = tmp_path_factory.mktemp(extension)
+            ignored = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(PACKAGE, root / "counterspin", ignore=ignored)
+            for name in EXTENSIONS[extension]:
+                shutil.rmtree(root / "counterspin" / name)
+        return subprocess.run(
+            [sys.executable, *map(str, arguments)],
+            env={**os.environ, "PYTHONPATH": str(roots[extension])},
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            check=False,
+        )
+
+    return run
+
+
+def test_readings_have_the_same_result_without_triads(tmp_path, run_without):
+    write(tmp_path, TUMBLE)
+    done = run_without("triads", "-c", CALIBRATE, tmp_path)
+    assert done.stdout == calibrate(tmp_path).to_json(), done.stderr
+
+
+def test_readings_are_refused_in_words_where_they_are_not_installed(tmp_path, run_without):
+    write(tmp_path, TUMBLE)
+    done = run_without("readings", "-m", "counterspin", "calibrate", tmp_path)
+    assert done.returncode == 2
+    assert "this installation does not read readings" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_tests_of_records_pass_without_readings(run_without):
+    options = ("-q", "-p", "no:cacheprovider", "-p", "no:xdist", f"--rootdir={TESTS.parent}")
+    files = (TESTS / name for name in OF_RECORDS)
+    done = run_without("readings", "-m", "pytest", *options, *files)
+    assert done.returncode == 0, done.stdout

@@ -1,0 +1,102 @@
+"""Agreement of kinds of data: closed forms of two and three means."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.unknowns import Considered, Observation, Unknown, Unknowns
+from counterspin.inference.least_squares import reduce_block
+from counterspin.readings.agreement import agreements
+
+FREE = (0.0, math.inf)
+MEAN = Unknown("A", "K_F", FREE, 0.1)
+
+
+@frozen
+class Values(Observation):
+    """Plain values of one standard uncertainty."""
+
+    values: np.ndarray
+    u: float
+    kind: str
+
+    @property
+    def source(self):
+        return self.kind
+
+    run = motion = source
+
+    def block(self, noise):
+        return reduce_block(self.design / self.u, self.values / self.u, None, self.fixed / self.u)
+
+
+def values_of(kind, values, u, columns=None, considered=None):
+    values = np.atleast_1d(values)
+    design = np.ones((values.size, 1)) if columns is None else np.asarray(columns, float)
+    fixed = np.zeros((values.size, 0)) if considered is None else np.asarray(considered, float)
+    places = tuple(range(design.shape[1])), design, tuple(range(fixed.shape[1])), fixed
+    return Values(*places, values, u, kind)
+
+
+def test_two_means_differ_by_their_difference():
+    kinds = [values_of("first", [1e-3, 3e-3], 1e-3), values_of("second", 5e-3, 2e-3)]
+    model = Unknowns((MEAN,))
+    whole = solve_joint(kinds, model, {})
+    u = math.hypot(1e-3 / math.sqrt(2.0), 2e-3)
+    for kind, other in (("first", 5e-3), ("second", 2e-3)):
+        found = agreements(whole)[kind]
+        assert found.without.estimate[0] == pytest.approx(other)
+        assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(3e-3 / u)
+        # Its own scatter, 1e-3 to 3e-3, is no part of it.
+        assert (found.chi2, found.dof) == (pytest.approx((3e-3 / u) ** 2, rel=1e-6), 1)
+
+
+def test_what_both_share_is_counted_once():
+    """A considered term that moves both alike takes no part in their difference."""
+    both = Considered("A", "K_PP", (0.0, 1e-2), 1.0)
+    kinds = [
+        values_of("first", 2e-3, 1e-3, considered=[[1.0]]),
+        values_of("second", 5e-3, 2e-3, considered=[[1.0]]),
+    ]
+    model = Unknowns((MEAN,), (both,))
+    whole = solve_joint(kinds, model, {})
+    found = agreements(whole)["first"]
+    z = 3e-3 / math.hypot(1e-3, 2e-3)
+    assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(z)
+    assert found.chi2 == pytest.approx(z**2, rel=1e-6)
+
+
+def test_one_that_only_one_kind_feels_explains_a_difference():
+    own = Considered("A", "K_PP", (0.0, 3e-3), 1.0)
+    kinds = [
+        values_of("first", 2e-3, 1e-3, considered=[[1.0]]),
+        values_of("second", 5e-3, 2e-3, considered=[[0.0]]),
+    ]
+    model = Unknowns((MEAN,), (own,))
+    whole = solve_joint(kinds, model, {})
+    found = agreements(whole)["second"]
+    z = 3e-3 / math.hypot(1e-3, 2e-3, 3e-3)
+    assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(z)
+    assert found.chi2 == pytest.approx(z**2, rel=1e-6)
+
+
+def test_what_the_others_know_nothing_of_is_no_test():
+    """The first kind determines both unknowns, the second their sum alone: one comparison."""
+    other = Unknown("A", "K_PP", FREE, 1e-4)
+    kinds = [
+        values_of("first", [1e-3, 2e-3, 2.5e-3], 1e-6, [[1, 0], [0, 1], [1, 1]]),
+        values_of("second", [4e-3], 1e-6, [[1, 1]]),
+    ]
+    model = Unknowns((MEAN, other))
+    whole = solve_joint(kinds, model, {})
+    found = agreements(whole)
+    assert [found[kind].dof for kind in ("first", "second")] == [1, 1]
+    design = np.array([[1, 0], [0, 1], [1, 1]])
+    estimate = np.linalg.lstsq(design, np.array([1e-3, 2e-3, 2.5e-3]), rcond=None)[0]
+    u_sum = 1e-6 * math.sqrt(np.ones(2) @ np.linalg.inv(design.T @ design) @ np.ones(2))
+    z = (4e-3 - estimate.sum()) / math.hypot(u_sum, 1e-6)
+    for kind in ("first", "second"):
+        assert found[kind].chi2 == pytest.approx(z**2, rel=1e-5)

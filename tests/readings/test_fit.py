@@ -1,0 +1,412 @@
+"""Readings: closed forms, and Monte-Carlo with machines drawn from their priors."""
+
+import math
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reading_campaigns import (
+    TRUTH,
+    arm,
+    considered,
+    model,
+    readings,
+    simulated,
+    tumble,
+    unknown,
+)
+from scipy import stats
+from scipy.special import stdtrit
+
+from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.inference.identifiability import assess
+from counterspin.inference.noise.likelihood import RecordData
+from counterspin.inference.noise.model import WANTED, Noise
+from counterspin.inference.noise.search import find_noise
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.station import Station
+from counterspin.physics.terms import TERMS
+from counterspin.readings.fit import solve_readings
+
+FULL = 2000 if os.environ.get("COUNTERSPIN_FULL") else None
+SIGMA = 2e-6
+
+
+def test_readings_without_noise_give_back_the_truth():
+    rng = np.random.default_rng(1)
+    tests = [tumble(), arm()]
+    groups = [readings(test, simulated(test, rng, 0.0), SIGMA) for test in tests]
+    fit = solve_readings(groups, model())
+    nominal = np.array([TERMS[s].nominal for s in TRUTH])
+    np.testing.assert_allclose(
+        fit.solution.estimate + nominal, list(TRUTH.values()), rtol=1e-9, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_term_that_readings_hardly_feel_settles(seed):
+    """A mean keeps the square of the spindle's tilt only, whose derivative is mostly rounding."""
+    tilt = [unknown(f"centrifuge.axis_tilt.{axis}", (0.0, 5e-5), "") for axis in ("east", "north")]
+    tests = [tumble(), arm()]
+    rng = np.random.default_rng(seed)
+    groups = [readings(test, simulated(test, rng, 2e-8), 2e-8) for test in tests]
+    fit = solve_readings(groups, model(others=tilt))
+    assert np.all(fit.solution.u[-2:] <= 5e-5 * (1.0 + 1e-12))
+    assert np.all(np.abs(fit.solution.estimate[-2:]) < 2e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_unknown_that_the_considered_terms_carry_far_off_settles(seed):
+    """Turns of the fixtures look like each other's; what is considered is 100 times the noise."""
+    turns = ("inward.up", "outward.up", "inward.forward")
+    first, *rest = (f"fixture.misalignment.{turn}" for turn in turns)
+    held = {"K_IP": 9e-7, "K_PO": 2.9e-6, "K_4": 5.5e-10, first: 5e-5}
+    beside = {"delta_O": 3.3e-5, "delta_P": 3.3e-5} | dict.fromkeys(rest, 5e-5)
+    tilts = {"centrifuge.axis_tilt.north": 5e-5, "centrifuge.axis_tilt.east": 5e-5}
+
+    def owner(symbol):
+        return "A" if symbol in TERMS else ""
+
+    asked = model(
+        others=[unknown(s, (0.0, u), owner(s)) for s, u in held.items()],
+        considered=[considered(s, u, owner(s)) for s, u in (beside | tilts).items()],
+    )
+    rng = np.random.default_rng(seed)
+    drawn = {s: rng.normal(0.0, u) for s, u in (held | beside | tilts).items()}
+    truth = TRUTH | {s: size for s, size in drawn.items() if s in TERMS}
+    machine = {s: size for s, size in drawn.items() if s not in TERMS}
+    groups = [
+        readings(test, simulated(test, rng, 5e-7, machine, truth=truth), 5e-7)
+        for test in (tumble(), arm())
+    ]
+    solution = solve_readings(groups, asked).solution
+    wanted = [(truth | machine)[u.symbol] - u.nominal for u in asked.unknowns]
+    assert np.all(np.abs(solution.estimate - wanted) < 3.3 * solution.u)
+
+
+def test_u_of_a_tumble_is_the_textbook_s():
+    terms = ("K_F", "K_I", "delta_O", "K_II", "K_IP")
+    fit = solve_readings([readings(tumble(), np.zeros(12), SIGMA)], model(terms))
+    expected = [0.5, 0.408248, 0.408248, 0.816497, 0.816497]
+    np.testing.assert_allclose(fit.solution.u / SIGMA, expected, rtol=0, atol=6e-7)
+
+
+def test_the_head_errs_on_a_double_turntable_as_at_rest():
+    """With the input axis level the mean changes by g times the angle."""
+    level = Mounting.from_axes([1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    station = Station("counter-rotating", level, rate=3.0, radius=1.0)
+    test = [station] * 4, [""] * 4, np.tile([0.0, 1.0, 0.0], (4, 1))
+    truth = {"K_F": 0.0}
+    values = simulated(test, np.random.default_rng(5), 0.0, u_head=1e-4, truth=truth)
+    errors = np.random.default_rng(5).normal(0.0, 1e-4, 4)
+    np.testing.assert_allclose(np.abs(values), np.abs(errors), rtol=1e-6)
+    fit = solve_readings([readings(test, values, SIGMA, u_head=1e-4)], model(("K_F",)))
+    np.testing.assert_allclose(fit.groups[0].sigma, math.hypot(SIGMA, 1e-4), rtol=1e-7)
+
+
+def test_what_one_g_cannot_tell_is_named():
+    """a_I^2 + a_P^2 + a_O^2 = 1 at rest, in whatever attitude."""
+    terms = ("K_F", "K_I", "K_II", "K_PP", "K_OO")
+    asked = model(terms)
+    fit = solve_readings([readings(tumble(24), np.zeros(24), SIGMA)], asked)
+    assessment = assess(fit.solution, [u.symbol for u in asked.unknowns])
+    assert not any(assessment.determined[s] for s in ("K_F", "K_II", "K_PP", "K_OO"))
+    assert assessment.determined["K_I"]
+
+
+def test_an_unseen_mistake_in_one_position_stands_out():
+    rng = np.random.default_rng(3)
+    values = simulated(tumble(), rng, SIGMA)
+    values[5] += 160e-6
+    fit = solve_readings([readings(tumble(), values, SIGMA)], model(("K_F", "K_I", "delta_O")))
+    sizes = [abs(each.standardised) for each in fit.groups[0].single]
+    assert np.argmax(sizes) == 5
+    assert sizes[5] > 50.0
+
+
+def test_the_noise_is_what_the_search_of_records_finds():
+    """Of the same rows, repeats and priors: the one is stepped to, the other searched for."""
+    rng = np.random.default_rng(31)
+    values = [simulated(tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
+    # The head's error is that of a position, which its repeats share.
+    mean = np.mean(values, axis=0) + simulated(tumble(), rng, 0.0, u_head=5e-7)
+    mean -= simulated(tumble(), rng, 0.0)
+    group = replace(
+        readings(tumble(), mean, None, u_head=5e-7),
+        repeats=np.full(12, 4.0),
+        scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
+    )
+    prior = unknown("K_I", (TRUTH["K_I"], 1e-6))
+    asked = model(("K_F", "K_II", "delta_O"), [prior])
+    fit = solve_readings([group], asked)
+    part = fit.groups[0].linear
+    assert 0.0 < part.noise_share.min() < 0.95
+    time, nothing = np.arange(12.0), np.empty((36, 0))
+    added = 4.0 * part.head**2
+    rows = RecordData(
+        time, 0, part.design, part.target, group.repeats, 1e-9, part.unknowns, added=added
+    )
+    scatter = np.full(36, math.sqrt(group.scatter.sum() / 36.0))
+    repeats = RecordData(np.arange(36.0), 0, nothing, scatter, places=())
+    known = np.zeros((1, 4))
+    known[0, 3] = 1.0 / prior.prior[1]
+    found = find_noise([rows, repeats], Noise(WANTED), known, [prior.prior_mean / prior.prior[1]])
+    assert fit.groups[0].noise == pytest.approx(found.noise.white, rel=1e-5)
+
+
+def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():
+    """By the mean and scatter of repeats the fit finds what it finds from all of them, one by one.
+
+    The head's random error is shared by the repeats of a setting, and so has no part here.
+    """
+    rng = np.random.default_rng(11)
+    stations, mountings, head = tumble()
+    asked = model(("K_F", "K_I", "delta_O"))
+    values = [simulated(tumble(), rng, SIGMA) for _ in range(5)]
+    every = (stations * 5, mountings * 5, np.tile(head, (5, 1)))
+    apart = solve_readings([readings(every, np.concatenate(values), None)], asked)
+    together = replace(
+        readings(tumble(), np.mean(values, axis=0), None),
+        repeats=np.full(12, 5.0),
+        scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
+    )
+    fit = solve_readings([together], asked)
+    np.testing.assert_allclose(fit.solution.estimate, apart.solution.estimate, atol=1e-15)
+    np.testing.assert_allclose(fit.solution.u, apart.solution.u, rtol=1e-5)
+    assert fit.groups[0].dof == pytest.approx(apart.groups[0].dof, abs=1e-6)
+    assert fit.groups[0].dof == pytest.approx(57.0, abs=1e-6)
+
+
+def test_readings_of_one_position_are_judged_together():
+    """The sum of the residuals of a position over its deviation, as the definition has it."""
+    rng = np.random.default_rng(12)
+    stations, mountings, head = tumble()
+    every = (stations * 2, mountings * 2, np.tile(head, (2, 1)))
+    values = simulated(every, rng, SIGMA)
+    asked = model(("K_F", "K_I", "delta_O"))
+    fit = solve_readings([readings(every, values, SIGMA)], asked)
+    assert [p.places for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
+    x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(24) * np.pi / 6])
+    left_over = np.eye(24) - x @ np.linalg.solve(x.T @ x, x.T)
+    for p in fit.groups[0].positions:
+        v = np.zeros(24)
+        v[list(p.places)] = 1.0
+        z = v @ fit.groups[0].residuals / (SIGMA * np.sqrt(v @ left_over @ v))
+        assert p.standardised == pytest.approx(z, rel=1e-6)
+        assert p.residual == pytest.approx(
+            fit.groups[0].residuals[list(p.places)].mean(), abs=1e-18
+        )
+
+
+def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
+    """Its distance from that prediction, over u of prediction and reading by the others' noise."""
+    values = simulated(tumble(), np.random.default_rng(13), SIGMA)
+    asked = model(("K_F", "K_I", "delta_O"))
+    every = solve_readings([readings(tumble(), values, None)], asked).groups[0].single
+    x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
+    for k, one in enumerate(every):
+        others = np.delete(x, k, axis=0)
+        found, (squares,), *_ = np.linalg.lstsq(others, np.delete(values, k), rcond=None)
+        variance = squares / 8.0 * (1.0 + x[k] @ np.linalg.solve(others.T @ others, x[k]))
+        t = (values[k] - x[k] @ found) / math.sqrt(variance)
+        assert one.beside_others == pytest.approx(t, rel=1e-4)
+        assert one.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
+
+
+def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():
+    """A head of ten times the noise: what positions scatter by tells nothing of that."""
+    rng, repeats = np.random.default_rng(14), 3
+    stations, mountings, head = tumble()
+    exact = simulated(tumble(), rng, 0.0, u_head=10.0 * SIGMA)
+    read = exact[:, None] + rng.normal(0.0, SIGMA, (12, repeats))
+    group = replace(
+        readings((stations, mountings, head), read.mean(axis=1), None, u_head=10.0 * SIGMA),
+        repeats=np.full(12, float(repeats)),
+        scatter=np.sum((read - read.mean(axis=1, keepdims=True)) ** 2, axis=1),
+    )
+    fit = solve_readings([group], model(("K_F", "K_I", "delta_O")))
+    # As the definition has it: the trace of (P V)^2 of the restricted likelihood.
+    x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
+    of_noise = np.eye(12) * fit.groups[0].noise ** 2 / repeats
+    weight = np.linalg.inv(np.diag(fit.groups[0].sigma ** 2))
+    left = weight - weight @ x @ np.linalg.solve(x.T @ weight @ x, x.T @ weight)
+    exactly = np.trace(left @ of_noise @ left @ of_noise) + 12 * (repeats - 1)
+    assert fit.groups[0].dof == pytest.approx(exactly, rel=1e-4)
+    assert 24.0 < fit.groups[0].dof < 28.0
+    # Four standard deviations of a noise of as many degrees of freedom.
+    assert abs(fit.groups[0].noise / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.groups[0].dof)
+
+
+def test_fewer_readings_than_unknowns_cannot_tell_their_noise():
+    values = simulated(tumble(3), np.random.default_rng(2), SIGMA)
+    with pytest.raises(NotIdentifiableError, match="without a stated uncertainty"):
+        solve_readings([readings(tumble(3), values, None)], model(("K_F", "K_I", "delta_O")))
+
+
+# What varies: the readings' noise, the head, and the machine, which is drawn from its priors.
+
+U_STRETCH, U_DROOP, U_RADIUS, U_HEAD, U_ZERO, U_TURN = 5e-9, 2e-8, 2e-6, 5e-6, 2e-5, 5e-5
+STRETCH = considered("centrifuge.stretch", U_STRETCH)
+DROOP = considered("centrifuge.droop", U_DROOP)
+TILT = [considered(f"centrifuge.axis_tilt.{axis}", U_TURN) for axis in ("east", "north")]
+#: Slopes with the prior's u of each; temperatures rise and fall by kelvins, minutes pass.
+SLOPES = {
+    "K_F.temperature": 5e-6,
+    "K_I.temperature": 1e-5,
+    "K_F.temperature.2": 1e-6,
+    "K_I.temperature.3": 1e-6,
+    "K_II.temperature": 1e-8,
+    "K_F.trend": 2e-9,
+}
+WARM = {"temperature": 2.0 * np.sin(np.arange(24.0))}
+
+
+def radius(side):
+    return unknown(f"centrifuge.radius.{side}", (0.0, U_RADIUS), "")
+
+
+def turned(side, kind=unknown):
+    return [
+        kind(f"fixture.misalignment.{side}.{axis}", (0.0, U_TURN), "")
+        for axis in ("outward", "forward", "up")
+    ]
+
+
+def of_machine(symbol, u):
+    """An estimated term of the machine, the same for all accelerometers."""
+    return unknown(symbol, (0.0, u), "")
+
+
+SIDES = ("inward", "outward")
+CASES = {
+    "tumble": ([tumble()], model(("K_F", "K_I", "delta_O")), {"u_head": U_HEAD}),
+    "tumble, head considered": (
+        [tumble()],
+        model(("K_F", "K_I", "K_III"), considered=(considered("head.zero", U_ZERO),)),
+        {"u_head": U_HEAD},
+    ),
+    "arm": ([arm()], model(others=tuple(map(radius, SIDES))), {}),
+    "arm, machine considered": (
+        [arm()],
+        model(
+            considered=(
+                STRETCH,
+                DROOP,
+                *TILT,
+                *(considered(f"centrifuge.radius.{side}", U_RADIUS) for side in SIDES),
+                *(
+                    considered(f"fixture.misalignment.{side}.{axis}", U_TURN)
+                    for side in SIDES
+                    for axis in ("outward", "forward", "up")
+                ),
+            )
+        ),
+        {},
+    ),
+    "arm, machine estimated": (
+        [arm()],
+        model(
+            others=(
+                of_machine("centrifuge.stretch", U_STRETCH),
+                of_machine("centrifuge.droop", U_DROOP),
+                *(term for side in SIDES for term in turned(side)),
+            )
+        ),
+        {},
+    ),
+    "arm, stretch estimated": (
+        [arm()],
+        model(others=(of_machine("centrifuge.stretch", U_STRETCH),)),
+        {},
+    ),
+    "arm, slopes estimated": (
+        [arm()],
+        model(others=tuple(unknown(s, (0.0, u)) for s, u in SLOPES.items())),
+        WARM,
+    ),
+    "arm, slopes considered": (
+        [arm()],
+        model(considered=tuple(considered(s, u, "A") for s, u in SLOPES.items())),
+        WARM,
+    ),
+    "mixed": (
+        [tumble(), arm()],
+        model(
+            (*TRUTH, "delta_O"),
+            others=(of_machine("head.zero", U_ZERO), *map(radius, SIDES)),
+            considered=(STRETCH, DROOP),
+        ),
+        {"u_head": U_HEAD},
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
+@pytest.mark.parametrize("case", CASES)
+def test_unbiased_and_covers(case, stated):
+    tests, asked, more = CASES[case]
+    everything = [*asked.unknowns, *asked.considered]
+    trials = FULL or 12
+    rng = np.random.default_rng(sum(map(ord, case)))
+    own = {u.symbol: TRUTH.get(u.symbol, 0.0) for u in asked.unknowns if u.symbol in TERMS}
+    z, t, square = [], [], 0.0
+    for _ in range(trials):
+        drawn = {u.symbol: rng.normal(0.0, u.prior[1]) for u in everything if u.symbol not in TERMS}
+        machine = {s: size for s, size in drawn.items() if s not in SLOPES}
+        truth = own | {s: size for s, size in drawn.items() if s in SLOPES}
+        groups = [
+            readings(
+                test,
+                simulated(test, rng, SIGMA, machine, truth=truth, **more),
+                SIGMA if stated else None,
+                **more,
+            )
+            for test in tests
+        ]
+        fit = solve_readings(groups, asked)
+        wanted = np.array([own.get(u.symbol, drawn.get(u.symbol)) for u in asked.unknowns])
+        nominal = np.array([u.nominal for u in asked.unknowns])
+        off = fit.solution.estimate + nominal - wanted
+        z.append(off / fit.solution.u)
+        t.append(stdtrit(effective_dof(fit), 0.975))
+        square += off @ np.linalg.solve(fit.solution.covariance, off)
+    z = np.array(z)
+    # Four standard errors of a mean, and of a share of 95 %, of so many trials.
+    assert np.abs(z.mean(axis=0)).max() < 4.0 * 1.1 / math.sqrt(trials)
+    slack = 4.0 * math.sqrt(0.05 * 0.95 / trials)
+    share = np.mean(np.abs(z) < (1.96 if stated else np.array(t)), axis=0)
+    if stated:
+        assert np.abs(share - 0.95).max() < slack
+        # Together they are chi-square: one in 10,000 is outside.
+        low, high = stats.chi2.ppf([5e-5, 1.0 - 5e-5], z.size)
+        assert low < square < high
+    else:
+        # Welch and Satterthwaite's intervals cover at least that.
+        assert share.min() > 0.95 - slack
+
+
+def effective_dof(fit):
+    """Satterthwaite's degrees of freedom of each unknown, from the definition."""
+    total = np.diag(fit.solution.covariance)
+    dof = []
+    ends = np.cumsum([block.factor.shape[0] for block in fit.fit.blocks])
+    for k, direction in enumerate(np.eye(total.size)):
+        rows = fit.solution.combine(direction).noise_rows
+        parts = [float(part @ part) for part in np.split(rows, ends[:-1])]
+        short = sum(
+            part**2 / own for part, own in zip(parts, (g.dof for g in fit.groups), strict=True)
+        )
+        dof.append(total[k] ** 2 / short if short > 0.0 else np.inf)
+    return dof
+
+
+def test_a_reading_of_the_wrong_sign_that_keeps_a_fit_from_settling_is_named():
+    """It drives turns that are known to arcseconds so far that nothing is linear: NaN, before."""
+    machine = (*(term for side in SIDES for term in turned(side)), *map(radius, SIDES))
+    test = arm()
+    values = simulated(test, np.random.default_rng(3), SIGMA)
+    values[7] = -values[7]
+    with pytest.raises(ConvergenceError, match='check "position 7", which is furthest off'):
+        solve_readings([readings(test, values, SIGMA)], model(others=machine))

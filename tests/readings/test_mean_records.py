@@ -1,0 +1,199 @@
+"""Arm runs whose recorded angle identifies the rotation, against records from first principles."""
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+from arm_records import GRAVITY, HEAD, RADIUS, TRUTH, arm_record, arm_run
+
+import counterspin as cs
+from counterspin.errors import RecordError
+from counterspin.readings.mean_records import average_record
+
+LEVELS = (1.0, 4.0, 6.0, 9.0, 15.0)
+STEADY = {"ripple": 0.0, "drift": 0.0}
+
+
+def campaign(seed, off, *, head=HEAD, sense=1, ripple=1e-4, drift=2e-5, noise=1e-4, encoder=1e-5):
+    """Return a campaign whose spindle turns `off` faster than stated, relative to the rate."""
+    rng = np.random.default_rng(seed)
+    text, records = head, {}
+    for side in (1, -1):
+        for level in LEVELS:
+            stated = math.sqrt(level * GRAVITY / RADIUS)
+            name = f"{'in' if side > 0 else 'out'} {level:.0f}"
+            text += arm_run(name, side, sense * stated)
+            records[name] = arm_record(
+                rng,
+                side,
+                sense * stated * (1.0 + off),
+                drift=rng.choice([-1.0, 1.0]) * drift,
+                ripple=ripple,
+                harmonic=int(rng.integers(1, 4)),
+                noise=noise,
+                encoder=encoder,
+            )
+    return cs.make_campaign(tomllib.loads(text), records)
+
+
+def errors(result):
+    found = {symbol: result.coefficient(f"A.{symbol}") for symbol in TRUTH}
+    return {symbol: (c.value - TRUTH[symbol], c.u) for symbol, c in found.items()}
+
+
+@pytest.mark.parametrize("off", [1e-2, -1e-3])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_coefficients_follow_from_the_recorded_angle(off, sense):
+    """Without noise: what remains is the second moment of w^2, 2 ripple^2 of K_II a^2."""
+    result = cs.calibrate(campaign(1, off, sense=sense, noise=1e-9, encoder=0.0))
+    assert abs(errors(result)["K_I"][0]) < 1e-9
+    assert abs(errors(result)["K_II"][0]) < 1e-11
+    assert abs(errors(result)["K_III"][0]) < 1e-11
+
+
+def test_errors_are_within_u_with_noise_ripple_and_drift():
+    """In 20 campaigns; u of means allows for a wander of the level: up to 1.5 times too large."""
+    trials = 20
+    results = [cs.calibrate(campaign(seed, 1e-2)) for seed in range(trials)]
+    z = np.array([[error / u for error, u in errors(one).values()] for one in results])
+    assert np.abs(z[:, 1]).max() < 3.0
+    rms = np.sqrt(np.mean(z**2, axis=0))
+    assert (rms < 1.0 + 3.0 / math.sqrt(2.0 * trials)).all()
+    assert (rms > 1.0 / 1.9 - 3.0 / math.sqrt(2.0 * trials) / 1.9).all()
+    assert all(one.state == "reservations" for one in results)
+    assert {finding.code for one in results for finding in one.findings} == {"time-base"}
+
+
+def test_measured_rates_and_means_scatter_as_their_noise():
+    """In 20 campaigns with the u of white noise in place of that which allows for a wander."""
+    trials, z = 20, []
+    head = HEAD.replace('specific_force = { column = "f", unit = "g" }\n', "")
+    records = head.index("[records]"), head.index("[accelerometers")
+    for seed in range(trials):
+        one, text = campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
+        for reading in one.readings:
+            averaged = average_record(one, reading)
+            value, u = averaged.reading.value, 1e-4 / math.sqrt(averaged.mean.samples)
+            side = 1 if reading.name.startswith("in") else -1
+            run = arm_run(reading.name, side, averaged.reading.measured.value)
+            of_record = f'record = "{reading.name}.csv"'
+            text += run.replace(of_record, f'reading = "{value!r} ± {u!r} g"')
+        result = cs.calibrate(cs.make_campaign(tomllib.loads(text)))
+        z.append([error / u for error, u in errors(result).values()])
+    squares = np.mean(np.square(z), axis=0)
+    assert (np.abs(squares - 1.0) < 3.5 * math.sqrt(2.0 / trials)).all()
+
+
+def test_runs_at_another_rate_are_named_as_those_of_the_double_turntable():
+    one = campaign(2, 0.0)
+    result = cs.calibrate(at_rate(one, "9.3 rad/s"))
+    (finding,) = result.findings
+    rate = math.sqrt(9.0 * GRAVITY / RADIUS)
+    assert finding.code == "other-rate"
+    assert finding.text == (
+        f"in 9: the spindle turned at {next(r.rate for r in read(result) if r.name == 'in 9'):.6f} "
+        "rad/s, not at the nominal 9.300000 rad/s; the recorded angle is used."
+    )
+    assert next(r.rate for r in read(result) if r.name == "in 9") == pytest.approx(rate, rel=1e-3)
+    assert cs.calibrate(one).state == "good"
+
+
+def at_rate(one, rate):
+    """Return the campaign with another stated rate of the run "in 9"."""
+    return one.change(
+        runs={r.name: {"rate": rate} if r.name == "in 9" else {} for r in one.readings}
+    )
+
+
+def read(result):
+    return result.accelerometers["A"].readings
+
+
+def test_the_opposite_sense_is_refused():
+    one = at_rate(campaign(3, 0.0), "-9.39 rad/s")
+    with pytest.raises(RecordError, match="The angle runs in the opposite sense"):
+        cs.calibrate(one)
+
+
+def test_the_rate_is_the_root_mean_square_over_whole_revolutions():
+    """Closed form of w(t)^2 at the rows, with a drift of 0.3 % and a ripple of 1 %."""
+    record = arm_record(np.random.default_rng(4), 1, 6.0, ripple=1e-2, drift=1e-4, noise=1e-6)
+    text = HEAD.replace(', "K_II", "K_III"', "").replace('"K_F", ', "") + arm_run("r", 1, 6.03)
+    (reading,) = read(cs.calibrate(cs.make_campaign(tomllib.loads(text), {"r": record})))
+    angle = np.unwrap(np.radians(-record["angle"]))
+    turned = angle - angle[0]
+    whole = turned < 2.0 * math.pi * math.floor(turned[-1] / (2.0 * math.pi))
+    # w by central differences: exact to the square of the step, 2e-4 of the ripple.
+    w = np.gradient(angle, record["t"])[whole]
+    assert reading.rate == pytest.approx(math.sqrt(np.mean(w[1:] ** 2)), rel=2e-6)
+    assert reading.rate > np.mean(w[1:]) * (1.0 + 2e-5)
+
+
+def test_the_clock_of_the_recorder_acts_on_rates_from_the_angle():
+    """A clock that runs fast by 20 ppm: K_I is 40 ppm high, which u of the clock covers.
+
+    The Coriolis part, which is linear in the rate, tells 1 % of that from K_I.
+    """
+    fast = 1.0 + 20e-6
+
+    def run(head):
+        one = campaign(5, 0.0, head=head, noise=1e-6, **STEADY)
+        frames = {name: {**f, "t": f["t"] * fast} for name, f in frames_of(one).items()}
+        return cs.calibrate(one.change(records=frames))
+
+    for clock, missing, u_clock in (("0 ± 20 ppm", 20e-6, 20e-6), ("20 ± 1 ppm", 0.0, 1e-6)):
+        stated = HEAD.replace("[records]", f'[records]\nclock = "{clock}"')
+        error, u = errors(run(stated))["K_I"]
+        assert error == pytest.approx(2.0 * missing, abs=1e-6)
+        assert u == pytest.approx(2.0 * u_clock, rel=1e-2)
+    result = run(HEAD.replace('assume = "all"\n', ""))
+    assert {row.name: row.u for row in result.rests_on}["records.clock"] == 2e-5
+    assert abs(errors(result)["K_I"][0]) < 3.0 * errors(result)["K_I"][1]
+
+
+def frames_of(one):
+    return {r.name: one.record_at(r.record).columns for r in one.readings}
+
+
+def test_without_the_column_of_the_angle_the_stated_rate_counts():
+    one = campaign(6, 0.0, **STEADY)
+    frames = {name: {c: f[c] for c in ("t", "f")} for name, f in frames_of(one).items()}
+    result = cs.calibrate(one.change(records=frames))
+    (warning,) = [text for text in result.warnings if "no angle" in text]
+    assert warning.startswith("The records of in 1, in 4, in 6, in 9, in 15, out 1")
+    assert read(result)[0].rate == math.sqrt(GRAVITY / RADIUS)
+    assert abs(errors(result)["K_I"][0]) < 3.0 * errors(result)["K_I"][1]
+
+
+SIMULATED = """[simulation]
+sampling_rate = "50 Hz"
+revolutions = 30
+[truth.A]
+K_F = "2e-3 g"
+K_I = "1.0006 g/g"
+K_II = "1.5e-5 g/g^2"
+K_III = "1e-6 g/g^3"
+[truth.spindle]
+rate_error = 0.01
+drift = "1e-5 1/s"
+ripple = [{ ratio = 1e-4 }]
+[truth.records]
+clock = "20 ppm"
+[truth.noise]
+specific_force = "1e-5 m/s^2"
+angle = "1e-5 rad"
+"""
+
+
+def test_simulated_records_are_calibrated_to_their_truth():
+    """At another rate than the stated one, with a clock that is known to be fast."""
+    text = HEAD.replace("[records]", '[records]\nclock = "20 ± 1e-3 ppm"') + SIMULATED
+    for side in (1, -1):
+        for level in LEVELS:
+            rate = math.sqrt(level * GRAVITY / RADIUS)
+            text += arm_run(f"{'in' if side > 0 else 'out'} {level:.0f}", side, rate)
+    result = cs.calibrate(cs.simulate(cs.make_campaign(tomllib.loads(text))))
+    assert all(abs(error) < 4.0 * u for error, u in errors(result).values())
+    assert errors(result)["K_I"][1] < 1e-6
+    assert {finding.code for finding in result.findings} == {"time-base"}

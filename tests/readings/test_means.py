@@ -1,0 +1,233 @@
+"""The mean of a record: whole revolutions only, waves beside it, an uncertainty that covers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.readings.means import mean_of_record, read_rows, stated_rotation, u_of_mean
+from counterspin.records.frames import memory_table
+from counterspin.records.record import ColumnSpec, RecordColumns
+
+TIME, SIGNAL = ColumnSpec("t"), ColumnSpec("f", 2.0)
+
+
+def write(folder, t, f, name="r.csv"):
+    rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), f.tolist(), strict=True))
+    (folder / name).write_text("t,f\n" + rows.replace("nan", ""), encoding="utf-8")
+    return folder / name
+
+
+def table(t, f):
+    return memory_table("r", {"t": t, "f": f})
+
+
+def mean(source, rate):
+    record = read_rows(source, RecordColumns(TIME, None, {"A": SIGNAL}), rate)
+    return mean_of_record(record, SIGNAL.name, stated_rotation(record.time, rate))[0]
+
+
+def test_waves_of_the_revolution_do_not_reach_the_mean(tmp_path):
+    rate, t = 3.0, np.arange(0.0, 7.3, 0.013)
+    wave = 0.7 * np.cos(rate * t + 1.0) + 0.1 * np.sin(2 * rate * t)
+    found = mean(write(tmp_path, t, 5.0 + wave), rate)
+    assert found.value == pytest.approx(10.0, abs=1e-12)
+    assert found.revolutions == 3
+    assert found.samples == math.ceil(3 * 2 * math.pi / rate / 0.013)
+
+
+def test_u_covers_the_scatter_of_means(tmp_path):
+    """Of 200 records of white noise and of noise alike over five samples; 95 % at 2 u at least."""
+    rng = np.random.default_rng(1)
+    t, trials = np.arange(0.0, 32.0, 0.02), 100
+    for width in (1, 5):
+        covered = 0
+        for _ in range(trials):
+            noise = np.convolve(rng.normal(0.0, 1.0, t.size), np.ones(width) / width, "same")
+            found = mean(table(t, noise), 2.0 * math.pi)
+            covered += abs(found.value) < 2.0 * found.u
+        assert covered > trials * 0.95 - 4.0 * math.sqrt(trials * 0.95 * 0.05)
+
+
+@pytest.mark.parametrize("rate", [0.0, 9.0], ids=["at rest", "on the arm"])
+@pytest.mark.parametrize("size", [10.0, 1e3, 1e6, 1e30])
+def test_a_row_in_a_thousand_that_is_far_off_does_not_move_the_mean(rate, size):
+    """Beside a level that wanders and the waves of a revolution; less than a tenth of u."""
+    rng = np.random.default_rng(2)
+    t = np.arange(20_000) * 0.01
+    f = 9.0 + rng.normal(0.0, 1e-3, t.size) + np.cumsum(rng.normal(0.0, 1e-5, t.size))
+    f += 0.01 * np.cos(rate * t) if rate else 0.0
+    clean = mean(table(t, f), rate)
+    f[500::1000] += size * 1e-3
+    found = mean(table(t, f), rate)
+    assert abs(found.value - clean.value) < 0.1 * clean.u
+    assert found.u == pytest.approx(clean.u, rel=0.1)
+    left_out = found.report.outliers["f"]
+    assert left_out - clean.report.outliers["f"] == 20
+    assert f"{left_out} outliers in column 'f' were left out." in found.report.notes()
+
+
+def test_a_cell_of_900_among_a_thousand_is_left_out(tmp_path):
+    rng = np.random.default_rng(3)
+    t, f = np.arange(1000) * 0.01, 4.5 + rng.normal(0.0, 5e-5, 1000)
+    f[400] = 450.0
+    for source in (write(tmp_path, t, f), table(t, f)):
+        found = mean(source, 0.0)
+        assert found.value == pytest.approx(9.0, abs=1e-5)
+        assert found.u < 1e-5
+        assert found.report.outliers == {"f": 1}
+
+
+def test_a_dead_stretch_is_left_out():
+    rng = np.random.default_rng(4)
+    t, f = np.arange(20_000) * 0.01, 4.5 + rng.normal(0.0, 1e-3, 20_000)
+    f[7000:7200] = 0.0
+    for rate in (0.0, 6.0):
+        found = mean(table(t, f), rate)
+        assert found.value == pytest.approx(9.0, abs=5.0 * found.u)
+        assert found.u < 1e-4
+        assert 200 <= found.report.outliers["f"] <= 400
+
+
+def test_repeated_rows_gaps_and_empty_cells_are_counted(tmp_path):
+    rng = np.random.default_rng(5)
+    t, f = np.arange(1000) * 0.01, 4.5 + rng.normal(0.0, 1e-3, 1000)
+    t[600:] += 5.0
+    f[[10, 20]] = np.nan
+    t, f = np.insert(t, 300, t[299]), np.insert(f, 300, f[299])
+    for source in (write(tmp_path, t, f), table(t, f)):
+        found = mean(source, 0.0)
+        report = found.report
+        assert (report.rows, report.repeated, report.differing, report.gap_count) == (1001, 1, 0, 1)
+        assert report.empty["f"] == 2
+        assert report.gaps[0].length == pytest.approx(5.01)
+        assert found.samples == 998
+        assert found.value == pytest.approx(9.0, abs=5.0 * found.u)
+
+
+def test_time_stamps_may_be_uneven():
+    rng = np.random.default_rng(6)
+    t = np.cumsum(rng.uniform(0.005, 0.015, 4000))
+    wave = 0.3 * np.cos(3.0 * t) + 0.05 * np.sin(6.0 * t)
+    noise = rng.normal(0.0, 1e-3, t.size)
+    for rate, f in ((0.0, 5.0 + noise), (3.0, 5.0 + wave + noise)):
+        found = mean(table(t, f), rate)
+        assert found.value == pytest.approx(10.0, abs=4.0 * found.u)
+        assert found.u == pytest.approx(2e-3 / math.sqrt(found.samples), rel=1.0)
+        assert not found.report.outliers["f"]
+
+
+def test_records_of_the_same_samples_have_one_digest(tmp_path):
+    rng = np.random.default_rng(7)
+    t, f = np.arange(100) * 0.1, rng.normal(0.0, 1.0, 100)
+    first, again, other = (
+        mean(source, 0.0).digest
+        for source in (write(tmp_path, t, f), table(t, f), table(t, f[::-1]))
+    )
+    assert first is not None
+    assert first == again
+    assert first != other
+    assert mean(table(t, np.ones(100)), 0.0).digest is None
+
+
+@pytest.mark.parametrize(
+    ("t", "f", "rate", "message"),
+    [
+        ([0.0, 1.0, 0.5], [1.0, 1.0, 1.0], 0.0, "line 4: time runs backwards"),
+        (
+            np.arange(50) * 0.01,
+            np.ones(50),
+            1.0,
+            "0.078 revolutions at the run's rate; at least 1 is needed",
+        ),
+        (np.arange(5) * 1.0, np.ones(5), 0.0, "5 samples are too few"),
+        (
+            np.arange(50.0),
+            np.where(np.arange(50) % 5, 1.0, np.nan),
+            0.0,
+            "'f' has 10 empty cells in 50 rows",
+        ),
+    ],
+)
+def test_what_cannot_be_averaged_is_told(tmp_path, t, f, rate, message):
+    path = write(tmp_path, np.asarray(t), np.asarray(f))
+    with pytest.raises(RecordError, match=message):
+        mean(path, rate)
+
+
+def test_the_line_of_a_fault_counts_empty_cells(tmp_path):
+    t = np.arange(100) * 0.1
+    t[60] = 0.0
+    f = np.ones(100)
+    f[[10, 20]] = np.nan
+    with pytest.raises(RecordError, match="line 62: time runs backwards"):
+        mean(write(tmp_path, t, f), 0.0)
+
+
+def test_a_record_without_rows_and_one_with_comments(tmp_path):
+    path = write(tmp_path, np.arange(100) * 0.1, np.ones(100))
+    path.write_text("# before\n" + path.read_text("utf-8").replace("5.0,", "# here\n5.0,"), "utf-8")
+    assert mean(path, 0.0).samples == 100
+    with pytest.raises(RecordError, match="no rows"):
+        mean(write(tmp_path, np.empty(0), np.empty(0)), 0.0)
+
+
+# u of a mean: what the next record differs by, whatever the noise
+
+TRIALS, STRETCHES, EACH = 400, 64, 16
+
+
+def white(rng):
+    return rng.normal(size=2 * STRETCHES * EACH)
+
+
+def flicker(rng):
+    """1/f noise by fractional integration of white noise (Kasdin 1995)."""
+    steps = np.arange(1.0, 2 * STRETCHES * EACH)
+    response = np.append(1.0, np.cumprod((steps - 0.5) / steps))
+    size = 2 * response.size
+    return np.fft.irfft(np.fft.rfft(white(rng), size) * np.fft.rfft(response, size))[: size // 2]
+
+
+def walk(rng):
+    return np.cumsum(white(rng))
+
+
+@pytest.mark.parametrize(
+    ("noise", "least"),
+    [
+        (white, 0.95),
+        (flicker, 0.95),
+        (walk, 0.88),
+        (lambda rng: 3.0 * white(rng) + flicker(rng), 0.93),
+        (lambda rng: white(rng) + 0.005 * walk(rng), 0.77),
+    ],
+    ids=["white", "flicker", "walk", "white and flicker", "a walk that hardly shows"],
+)
+def test_it_covers_the_mean_of_the_next_record(noise, least):
+    """Differences within 2 u sqrt 2 at least as often as stated, less 3 standard errors of 400."""
+    rng = np.random.default_rng(1)
+    covered, sizes, differences = 0, [], []
+    for _ in range(TRIALS):
+        first, then = noise(rng).reshape(2, STRETCHES, EACH).mean(axis=2)
+        u, difference = u_of_mean(first), first.mean() - then.mean()
+        covered += abs(difference) < 2.0 * math.sqrt(2.0) * u
+        sizes.append(u)
+        differences.append(difference)
+    assert covered > TRIALS * least - 3.0 * math.sqrt(TRIALS * least * (1.0 - least))
+    # And it is of the size of what it covers, not as large as would cover anything.
+    true = math.sqrt(np.mean(np.square(differences)) / 2.0)
+    assert 0.5 < np.median(sizes) / true < 1.9
+
+
+def test_white_noise_costs_half_as_much_again_at_most():
+    rng = np.random.default_rng(2)
+    found = [u_of_mean(rng.normal(size=STRETCHES)) for _ in range(TRIALS)]
+    assert 1.0 < np.median(found) * math.sqrt(STRETCHES) < 1.6
+
+
+def test_it_goes_with_the_scale_and_not_with_the_level():
+    means = np.random.default_rng(3).normal(size=20)
+    assert u_of_mean(5.0 + 1e-6 * means) == pytest.approx(1e-6 * u_of_mean(means), rel=1e-6)
+    assert u_of_mean(np.full(20, 9.8)) == 0.0

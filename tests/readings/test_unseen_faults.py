@@ -1,0 +1,168 @@
+"""Faults that few readings do not show are stated with what they do; larger ones are found."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from campaigns import write
+from reading_descriptions import at_rest, on_arm
+
+import triads
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.pages.verdict import verdict_sentence
+
+SIGMA = 2e-6
+PART = 0.7  #: Of a fault's stated size, which noise does not show.
+HEAD = """
+schema = 1
+site = { gravity = "9.80665 m/s^2", latitude = "45 deg" }
+centrifuge = { radius = "1.0 ± 1e-6 m" }
+
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+
+[model]
+"""
+TUMBLE = f"""{HEAD}
+terms = ["K_F", "K_I", "K_II", "delta_O"]
+priors = {{ "K_PP" = "0 ± 2e-6 g/g^2", "K_OO" = "0 ± 2e-6 g/g^2" }}
+"""
+ARM = f"""{HEAD}
+terms = ["K_F", "K_I", "K_II"]
+assume = "all"
+"""
+
+
+def tumble(folder, fault=lambda values, angles: values, seed=4):
+    """Calibrate a tumble of 12 positions with a fault of its readings, both in g and rad."""
+    rng, angles = np.random.default_rng(seed), np.arange(12) * math.pi / 6.0
+    noise = SIGMA * rng.standard_normal(12)
+    values = fault(2e-3 + np.cos(angles), angles) + noise
+    runs = (
+        at_rest(f"p{k}", f"{30 * k} deg about north", f"{value:.9f} ± {SIGMA} g")
+        for k, value in enumerate(values.tolist())
+    )
+    return calibrate(write(folder, "".join([TUMBLE, *runs])).parent)
+
+
+def ranging(size, where):
+    level = float(where.removesuffix(" g"))
+    return lambda values, angles: values * (1.0 + 1e-6 * size * (np.abs(values) > level))
+
+
+def stepping(size, where):
+    return lambda values, angles: values + 1e-6 * size * (np.arange(12) >= int(where[1:]))
+
+
+def gaining(size, where):
+    turn = math.radians(size / 3600.0) / (2.0 * math.pi)
+    return lambda values, angles: values + np.cos(angles * (1.0 + turn)) - np.cos(angles)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "fault"),
+    [
+        (r"a change of the meter's gain by ([\d.]+) ppm above ([\d.]+ g)", ranging),
+        (r'a bias step of ([\d.]+) ug from "(p\d+)" on', stepping),
+        (r"a head that gains ([\d.]+) arcsec a (turn)", gaining),
+    ],
+)
+def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
+    tmp_path, pattern, fault
+):
+    usual = tumble(tmp_path / "usual")
+    stated = usual.accelerometers["A"].unseen_faults
+    (said,) = (
+        found
+        for clause in stated
+        if (found := re.search(rf"{pattern} moves (\w+) by ([\d.e-]+) (\S+) \(([\d.]+) ", clause))
+    )
+    size, where, symbol, shift, unit, times = said.groups()
+    # At the size that is stated noise decides whether it is seen.
+    other = tumble(tmp_path / "other", fault(PART * float(size), where))
+    assert (other.state, other.findings) == ("good", [])
+    before, after = (one.accelerometers["A"].coefficients[symbol] for one in (usual, other))
+    factor = 1e-6 if unit.startswith("ug") else math.radians(1 / 3600) if "arc" in unit else 1.0
+    # Sizes of a change of gain and of a turn are stated to two digits.
+    moved = abs(after.value - before.value) / PART
+    assert moved == pytest.approx(float(shift) * factor, rel=0.05)
+    assert moved / before.u == pytest.approx(float(times), rel=0.05)
+    assert float(times) >= 2.0
+
+
+def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
+    result = tumble(tmp_path)
+    a = result.accelerometers["A"]
+    assert (result.state, result.findings) == ("good", [])
+    assert verdict_sentence("A", a).startswith("A is good as far as its readings can show")
+    assert "gain" in a.unseen_faults[0]
+    (remark,) = (text for text in result.warnings if "would not show these single faults" in text)
+    assert all(clause in remark for clause in a.unseen_faults)
+
+
+def on_an_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
+    """Calibrate two mountings, each at eight sizes up to 15 g; above 6 g the gain changes.
+
+    sense: Of the stated rates; the true ones are positive.
+    """
+    rng, runs = np.random.default_rng(3), []
+    earth = 2.0 * 7.292115e-5 * math.sin(math.radians(45.0))
+    for side, sign in (("inward", 1.0), ("outward", -1.0)):
+        for size in range(1, 16, 2):
+            rate = math.sqrt(size * 9.80665)
+            force = sign * (rate**2 + rate * earth) / 9.80665
+            value = 2e-3 + force * (1.0 + change * (size > 6)) + 15e-6 * force**2
+            value = f"{value + sigma * float(rng.standard_normal())!r} ± {sigma} g"
+            name = f"{side} {size}"
+            stated = f"{sense * rate!r} rad/s"
+            runs.append(on_arm(name, stated, value, side=side, mounting=side))
+    return calibrate(write(folder, "".join([head, *runs])).parent)
+
+
+def test_a_change_of_the_gain_between_two_ranges_is_named(tmp_path):
+    """10 ppm above 6 g: K_I takes up most of it, and the rest is ten times the noise."""
+    assert on_an_arm(tmp_path / "usual", 0.0).state == "good"
+    (found,) = (f for f in on_an_arm(tmp_path / "other", 1e-5).findings if f.code == "lack-of-fit")
+    assert "gain that changes above 6 g" in found.text
+
+
+CUBIC = ARM.replace('"K_II"]', '"K_II", "K_III"]')
+
+
+def test_the_sense_of_rotation_is_an_unseen_fault_where_readings_do_not_show_it(tmp_path):
+    """It changes the Coriolis force only, most of which K_I and K_III take up; 60 ug of noise."""
+    right = on_an_arm(tmp_path / "right", 0.0, head=CUBIC, sigma=30.0 * SIGMA)
+    wrong = on_an_arm(tmp_path / "wrong", 0.0, head=CUBIC, sigma=30.0 * SIGMA, sense=-1.0)
+    a, b = (one.accelerometers["A"] for one in (right, wrong))
+    for own, other in ((a, b), (b, a)):
+        (clause,) = (text for text in own.unseen_faults if "in the other sense than stated" in text)
+        found = re.search(r"moves K_I by ([\d.e-]+) g/g \(([\d.]+) ", clause)
+        shift, times = map(float, found.groups())
+        moved = abs(own.coefficients["K_I"].value - other.coefficients["K_I"].value)
+        assert moved == pytest.approx(shift, rel=0.05)
+        assert moved / own.coefficients["K_I"].u == pytest.approx(times, rel=0.05)
+
+
+def test_a_wrong_sense_of_rotation_that_readings_show_is_named(tmp_path):
+    """With a tenth of the noise."""
+    right = on_an_arm(tmp_path / "right", 0.0, sigma=0.1 * SIGMA, head=CUBIC)
+    assert right.state == "good"
+    assert not any("sense" in text for text in right.accelerometers["A"].unseen_faults)
+    wrong = on_an_arm(tmp_path / "wrong", 0.0, sigma=0.1 * SIGMA, head=CUBIC, sense=-1.0)
+    assert wrong.state == "contradicted"
+    assert "look like a rotation in the other sense than stated" in wrong.findings[0].text
+
+
+def test_a_step_of_one_accelerometer_during_poses(tmp_path):
+    rng = np.random.default_rng(5)
+    values = triads.indications(triads.directions(30, rng))
+    values += 3e-4 * rng.standard_normal(values.shape)
+    usual = calibrate(triads.table(tmp_path / "usual", values, u=3e-4)).accelerometers["X"]
+    clause = r'step of ([\d.]+) ug from "reading (\d+)" on moves K_F by ([\d.]+) ug'
+    size, first, shift = re.search(clause, usual.unseen_faults[0]).groups()
+    values[int(first) - 1 :, 0] += PART * 1e-6 * float(size)
+    other = calibrate(triads.table(tmp_path / "other", values, u=3e-4)).accelerometers["X"]
+    moved = abs(other.coefficients["K_F"].value - usual.coefficients["K_F"].value) / PART
+    assert moved == pytest.approx(1e-6 * float(shift), rel=0.05)

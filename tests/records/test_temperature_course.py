@@ -1,0 +1,104 @@
+"""Temperatures in records: the broken line through them, and columns that cannot be used."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.records.frames import memory_table
+from counterspin.records.record import ColumnSpec, RecordColumns
+from counterspin.records.temperature_course import MOST_KNOTS, read_course
+
+CELSIUS = ColumnSpec("T", unit="degC", wanted="K", kind="temperature")
+TIME = ColumnSpec("t", unit="s", wanted="s")
+T = np.arange(0.0, 400.0, 0.05)
+
+
+def course(values, *, time=T, spec=CELSIUS, **columns):
+    table = memory_table("record", pl.DataFrame({"t": time, "T": values}))
+    return read_course(table, RecordColumns(TIME, None, {"T": spec}, **columns))
+
+
+def test_a_ramp_is_a_ramp():
+    found = course(20.0 + 0.01 * T)
+    assert len(found) == MOST_KNOTS
+    expected = 293.15 + np.linspace(0.0, 0.01 * T[-1], MOST_KNOTS)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_a_slow_wave_read_to_a_sixteenth_of_a_kelvin_every_two_seconds():
+    """A straight piece of 6.3 s leaves h^2/12 |T''| = 7 mK, and rounding 63 mK/sqrt(12)/sqrt(3)."""
+    true = 25.0 + 5.0 * np.sin(2.0 * np.pi * T / 300.0)
+    read = np.where(np.arange(T.size) % 40 == 0, np.round(true * 16.0) / 16.0, np.nan)
+    found = np.array(course(read)) - 273.15
+    at = np.linspace(0.0, T[-1], MOST_KNOTS)
+    assert np.abs(found - 25.0 - 5.0 * np.sin(2.0 * np.pi * at / 300.0)).max() < 0.07
+
+
+def test_a_few_values_make_a_line_of_a_few():
+    values = np.full(T.size, np.nan)
+    values[::1000] = 20.0 + T[::1000] / 100.0
+    found = course(values)
+    assert len(found) == 4
+    np.testing.assert_allclose(found, 293.15 + np.linspace(0.0, T[-1] / 100.0, 4), atol=1e-6)
+
+
+def test_one_temperature_throughout_is_one():
+    assert course(np.full(T.size, 21.0)) == pytest.approx((294.15,))
+
+
+def test_kelvin_are_not_shifted_and_the_part_is_the_one_that_is_used():
+    kelvin = ColumnSpec("T", unit="K", wanted="K", kind="temperature")
+    found = course(280.0 + 0.1 * T, spec=kelvin, part=(100.0, 200.0))
+    assert (found[0], found[-1]) == pytest.approx((290.0, 300.0))
+
+
+def test_the_files_unit_is_taken_where_none_is_stated(tmp_path):
+    file = tmp_path / "r.csv"
+    rows = "".join(f"{t},{20 + t}\n" for t in range(40))
+    file.write_text(f"t (s),T (°C)\n{rows}", encoding="utf-8")
+    time = ColumnSpec("t (s)", wanted="s")
+    spec = ColumnSpec("T (°C)", wanted="K", kind="temperature")
+    found = read_course(file, RecordColumns(time, None, {"T": spec}))
+    assert (found[0], found[-1]) == pytest.approx((293.15, 332.15))
+    file.write_text(f"t (s),T (V)\n{rows}", encoding="utf-8")
+    spec = ColumnSpec("T (V)", wanted="K", kind="temperature")
+    with pytest.raises(RecordError, match=r"column 'T \(V\)' is in 'V' by the file"):
+        read_course(file, RecordColumns(time, None, {"T": spec}))
+
+
+def _hole(first, last):
+    return np.where((first < T) & (last > T), np.nan, 20.0 + 0.01 * T)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.full(T.size, np.nan), "column 'T' has no number in the part that is used"),
+        (_hole(100.0, 210.0), "no number from 100 s to 210 s, more than a quarter"),
+        (_hole(-1.0, 110.0), "no number from 0 s to 110 s"),
+        (_hole(200.0, 500.0), "no number from 200 s to 399.95 s"),
+        (np.where(T[70] == T, np.inf, 20.0), "row 71: column 'T' holds inf K"),
+        (
+            np.where(T[9] == T, 20020.0, 20.0),
+            r"row 10: column 'T' holds 20293.2 K \(20020 degC\)",
+        ),
+        (-200.0 + 0.01 * T, r"holds 73.15 K \(-200 degC\).*Check the unit"),
+    ],
+)
+def test_columns_that_cannot_be_used(values, words):
+    with pytest.raises(RecordError, match=words):
+        course(values)
+
+
+@pytest.mark.parametrize("infinity", [np.inf, -np.inf])
+@pytest.mark.parametrize("row", [0, 1, T.size // 2, T.size - 1])
+def test_an_infinite_time_is_refused_with_its_row(row, infinity):
+    time = np.where(np.arange(T.size) == row, infinity, T)
+    with pytest.raises(RecordError, match=f"row {row + 1}: the time is infinite"):
+        course(20.0 + 0.01 * T, time=time)
+
+
+def test_what_goes_straight_on_over_a_gap():
+    found = course(_hole(100.0, 190.0))
+    np.testing.assert_allclose(found, 293.15 + np.linspace(0, 0.01 * T[-1], MOST_KNOTS), atol=1e-6)

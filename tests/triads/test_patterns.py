@@ -1,0 +1,56 @@
+"""Columns that residuals of poses may follow."""
+
+from dataclasses import replace
+
+import numpy as np
+
+import triads
+from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.readings.fit import solve_readings
+from counterspin.triads.patterns import pose_candidates
+
+
+def residuals(poses, fit):
+    """Return what is left of the one row of each pose, its angles found anew, g."""
+    rows = poses.linearised(fit.model, fit.solution.estimate)
+    return rows.target - rows.design @ fit.solution.estimate
+
+
+def test_a_column_is_what_one_unit_adds_to_the_one_row_of_each_pose():
+    # Indications without the term, and with a little of it, after both fits have turned each pose
+    # so that its three indications fit best: what is left along the force differs by the column.
+    generator = np.random.default_rng(4)
+    along = triads.directions(20, generator)
+    poses = replace(
+        triads.group(triads.indications(along), u=1e-4),
+        time=np.linspace(0.0, 500.0, 20),
+        temperature=generator.uniform(-10.0, 10.0, 20),
+    )
+    fit = solve_readings([poses], triads.unknowns()).fit
+    unknown = set(triads.PARAMETERS)
+    every = {(o.owner, o.kind, o.symbol): o for o in pose_candidates(poses, 0, fit, unknown, ())}
+    assert not {(owner, "term", symbol) for owner, symbol in unknown} & set(every)
+    assert {(name, "drift", "time") for name in triads.NAMES} <= set(every)
+    size = 1e-6
+    left = residuals(poses, fit)
+    cubes = along[:, 1] ** 3
+    temperatures = poses.temperature * along[:, 2]
+    for key, added in (
+        (("Y", "term", "K_III"), np.outer(cubes, [0.0, 1.0, 0.0])),
+        (("Z", "term", "K_I.temperature"), np.outer(temperatures, [0.0, 0.0, 1.0])),
+        (("X", "drift", "time"), np.outer(np.linspace(-0.5, 0.5, 20), [1.0, 0.0, 0.0])),
+    ):
+        other = replace(poses, value=poses.value + size * added)
+        moved = residuals(other, fit) - left
+        np.testing.assert_allclose(every[key].columns[0], moved / size, rtol=0, atol=1e-4)
+
+
+def test_only_what_has_changed_is_tried():
+    along = triads.directions(20, np.random.default_rng(4))
+    poses = triads.group(triads.indications(along), u=1e-4)
+    fit = solve_readings([poses], triads.unknowns()).fit
+    tried = {(o.kind, o.symbol) for o in pose_candidates(poses, 0, fit, triads.PARAMETERS, ())}
+    # Without times there is the order, and without temperatures no slope with them.
+    assert ("drift", "order") in tried
+    assert {symbol for kind, symbol in tried if kind == "term"} <= set(TERMS)
+    assert not {symbol for _, symbol in tried} & set(CONDITION_TERMS)
