@@ -651,6 +651,34 @@ def test_a_stretch_of_the_centrifuge_is_known_asked_for_or_not(tmp_path):
     assert problem.startswith('model.priors."centrifuge.stretch": is given in [centrifuge] too')
 
 
+@pytest.mark.parametrize(
+    ("key", "symbol", "strapped", "message"),
+    [
+        ("terms", "table.harmonic.1", False, "is an error of the counter-rotating table; if"),
+        ("hold", "table.harmonic.2", False, "is an error of the counter-rotating table; if"),
+        ("priors", "table.harmonic.1.cos", False, "is an error of the counter-rotating table; if"),
+        ("terms", "platform.drift.north", True, "is an error of the platform's gyros; acc"),
+        ("terms", "table.harmonic.1", True, ""),
+        ("terms", "platform.tilt.north", True, ""),
+    ],
+)
+def test_terms_that_cannot_act_are_named(tmp_path, key, symbol, strapped, message):
+    changes = [('radius = "2.5 ± 1e-5 m"', 'radius = "2.5 ± 1e-5 m"\nstrapped = true')] * strapped
+    if key == "terms":
+        changes.append(('"K_III"]', f'"K_III", "{symbol}"]'))
+    else:
+        prior = f'"{symbol}" = "0 ± 1 arcsec"'
+        changes.append(("[model.priors]", f"[model.priors]\n{prior}"))
+    if key == "hold":
+        changes.append(("hold = []", f'hold = ["{symbol}"]'))
+    if not message:
+        assert read_campaign(write(tmp_path, edited(*changes))).model.terms[4].startswith(symbol)
+        return
+    first = problems_of(tmp_path, edited(*changes))[0]
+    assert first.startswith(f'model.{key}: "{symbol}')
+    assert message in first
+
+
 def test_errors_of_an_encoder_need_a_recorded_angle(tmp_path):
     asked = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
     unrecorded = ('angle = { column = "angle", unit = "deg" }', "")

@@ -22,7 +22,9 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
-from counterspin.physics.terms import CONDITION_TERMS
+from counterspin.campaign.terms import symbols_shown
+from counterspin.physics.effects import PathError, Turn
+from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, shown_by_readings
 
 #: Where mistakes are, and what they are.
 Mistakes = Iterator[tuple[KeyPath, str]]
@@ -222,6 +224,46 @@ def _encoder_without_angle(model: ErrorModel, records: RecordsSettings | None) -
     for key, symbols in (("terms", model.terms), ("hold", model.considered)):
         if records and not records.angle and any(s.startswith("encoder.") for s in symbols):
             yield ("model", key), "contains errors of the encoder, but no angle is recorded"
+
+
+@check
+def _terms_that_cannot_act(
+    model: ErrorModel,
+    listed: Listed,
+    right_readings: Sequence[Reading],
+    centrifuge: CentrifugeSettings | None,
+) -> Mistakes:
+    """Yield named terms that neither a record nor a reading of the campaign can show."""
+    recorded = any(not is_reading(entry) for _, entry in listed)
+    strapped = centrifuge is not None and centrifuge.strapped
+    named = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
+    for key, symbols in named.items():
+        for symbol in symbols:
+            row = SHARED_TERMS.get(symbol)
+            if row is None or symbol in symbols_shown(right_readings):
+                continue
+            if why := _without_effect(row.effect, strapped):
+                yield ("model", key), f'"{symbol}" {why}'
+            elif not (recorded or key == "priors" or shown_by_readings(symbol)):
+                why = "acts on records of the double turntable, and no run has one; leave it out"
+                yield ("model", key), f'"{symbol}" {why}'
+
+
+def _without_effect(effect: Turn | PathError, strapped: bool) -> str:
+    """Return why a term acts on no record of the double turntable; empty if it may act."""
+    if not isinstance(effect, Turn):
+        return ""
+    if effect.kind == "table" and not strapped:
+        return (
+            "is an error of the counter-rotating table; if the accelerometers are strapped to the "
+            "table, add strapped = true to [centrifuge], otherwise leave the term out"
+        )
+    if strapped and effect.kind not in ("table", "tilt", "compliance"):
+        return (
+            "is an error of the platform's gyros; accelerometers that are strapped to the table "
+            "(strapped = true in [centrifuge]) have no gyros; leave it out"
+        )
+    return ""
 
 
 @check
