@@ -52,3 +52,28 @@ def test_a_clock_moves_the_scale_factor_of_a_force_by_twice_its_error():
     # But for the Earth's rate, which is what it is: 1e-5 of the spindle's.
     assert column == pytest.approx(2.0 * scale, abs=3e-5 * np.abs(scale).max())
     assert SITE.gravity == series.trajectory.site.gravity
+
+
+@pytest.mark.parametrize("size", [7, 64])
+def test_blocks_in_which_the_force_changes_sign_have_the_mean_of_their_samples(size):
+    """Of signs and magnitudes, sample by sample."""
+    # No sample is at the zero of a_I itself.
+    spindle, observable = Spindle(2.0, start_angle=0.35), "specific_force"
+    samples = simulated(
+        "run",
+        2.0,
+        {},
+        observable=observable,
+        revolutions=3,
+        per_revolution=64 * size,
+        spindle=spindle,
+    )
+    symbols = ["K_0_asym", "K_I_asym", "K_OQ", "K_I"]
+    rows = samples.time.size // size * size
+    time = samples.time[:rows].reshape(-1, size)
+    exact = samples.columns(symbols, 1.0)[:rows].reshape(-1, size, len(symbols)).mean(axis=1)
+    count = np.full(len(time), float(size))
+    blocks = replace(samples, time=time.mean(axis=1), spread=time.std(axis=1), count=count)
+    found = blocks.columns(symbols, 1.0)
+    assert np.any(np.abs(exact[:, 0]) < 0.49 * SITE.gravity)  # in mid-sign
+    np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())

@@ -19,6 +19,7 @@ from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.angle_error import AngleError
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.terms import TERMS
 
 #: Step of the reference's slope, rad.
 _STEP_OF_TURN: Final = 1e-4
@@ -128,10 +129,14 @@ class Series:
     def columns(
         self, symbols: Sequence[str], scale_factor: float, trajectory: Trajectory | None = None
     ) -> Array:
-        """Return observation columns averaged over the blocks, shape (n, m)."""
+        """Return observation columns averaged over the blocks, shape (n, m).
+
+        Columns of specific force that jump or bend where a_I changes sign are averaged over the
+        samples of the block in which it does.
+        """
         motion = trajectory or self.trajectory
 
-        def shown(t: Array) -> Array:
+        def shown(t: Array, symbols: Sequence[str] = symbols) -> Array:
             # A time more, at the run's end: integrals are then those along all of it.
             times = np.append(t, self.until) if self.until else t
             return observation.columns(
@@ -144,7 +149,30 @@ class Series:
                 scale_factor=scale_factor,
             )[: t.size]
 
-        return observation.over_blocks(shown, self.time, self.spread)
+        columns = observation.over_blocks(shown, self.time, self.spread)
+        kinked = [k for k, s in enumerate(symbols) if s in TERMS and TERMS[s].effect.has_kink]
+        if kinked and self.order == 0 and np.any(self.spread):
+            rows, times = self._samples_at_sign_changes(motion)
+            if rows.size:
+                counts = self.count[rows].astype(int)
+                values = shown(times, [symbols[k] for k in kinked])
+                starts = np.cumsum(counts) - counts
+                means = np.add.reduceat(values, starts) / counts[:, None]
+                columns[rows[:, None], kinked] = means
+        return columns
+
+    def _samples_at_sign_changes(self, motion: Trajectory) -> tuple[npt.NDArray[np.intp], Array]:
+        """Return the blocks in which a_I changes sign, and the times of all their samples, s."""
+        axis = self.mounting.turned(self.attitude).input_axis
+        half = math.sqrt(3.0) * self.spread
+        early, late = (motion.specific_force(self.time + s * half) @ axis for s in (-1.0, 1.0))
+        rows = np.flatnonzero((early * late <= 0.0) & (self.spread > 0.0))
+        spacing = self.block_spacing
+        times = [
+            self.time[k] + spacing[k] * (np.arange(count) - 0.5 * (count - 1.0))
+            for k, count in zip(rows.tolist(), self.count[rows].astype(int).tolist(), strict=True)
+        ]
+        return rows, np.concatenate(times) if times else np.empty(0)
 
     def reference(self, trajectory: Trajectory | None = None, later: float = 0.0) -> Array:
         """Return the reference averaged over the blocks, shape (n,), at times later by `later`."""
