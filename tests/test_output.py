@@ -6,9 +6,11 @@ import stat
 import threading
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from counterspin import output
 from counterspin.errors import CounterspinError
 from counterspin.output import begin, make_folder, mark, marked, write_text, write_whole
 
@@ -208,6 +210,34 @@ def test_a_file_that_a_scanner_has_open_is_waited_for_on_windows(windows, tmp_pa
     write_text(target, "new", overwrite=True)
     assert (target.read_text(), len(refused)) == ("new", 3)
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_new_file_that_a_scanner_has_open_gets_its_name_on_windows(
+    windows, tmp_path, monkeypatch
+):
+    part, place, refused = tmp_path / "part", tmp_path / "result.json", []
+    part.write_text("new")
+    rename = Path.rename
+
+    def locked(file, target):
+        if len(refused) < 3:
+            refused.append(file)
+            raise PermissionError(13, "Access is denied")
+        return rename(file, target)
+
+    monkeypatch.setattr(Path, "rename", locked)
+    monkeypatch.setattr("counterspin.output.os", SimpleNamespace(name="nt"))
+    output._take(part, place)
+    assert (place.read_text(), len(refused)) == ("new", 3)
+
+
+def test_a_hidden_file_that_cannot_be_removed_hides_no_other_error(tmp_path, monkeypatch):
+    def locked(*_, **__):
+        raise PermissionError(13, "Access is denied")
+
+    monkeypatch.setattr(Path, "unlink", locked)
+    with pytest.raises(ZeroDivisionError):
+        write_whole(tmp_path / "result.json", lambda _: 1 / 0)
 
 
 def test_a_file_that_another_program_has_open_is_told_on_windows(windows, tmp_path, monkeypatch):

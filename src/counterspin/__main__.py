@@ -42,8 +42,11 @@ def run() -> int:
     sys.setswitchinterval(1e-4)
     try:
         with _head_start():
+            from counterspin.characters import write_substitutes
             from counterspin.cli import main
 
+            for stream in (sys.stdout, sys.stderr):
+                write_substitutes(stream)
             return main()
     except KeyboardInterrupt:
         return 130  # as `main` has it, which is not loaded yet

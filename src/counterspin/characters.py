@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import re
-from typing import Final
+from functools import partial
+from io import TextIOWrapper
+from typing import Final, TextIO
 
 #: What a terminal obeys and does not show, what XML cannot represent, and what turns the direction
 #: of the text after it: C0 and C1 controls, marks of direction (Unicode Standard Annex 9),
@@ -57,6 +60,24 @@ def encodable(text: str, encoding: str) -> str:
         text,
     )
     return "".join(c if _can_write(c, encoding) else _ASCII.get(c, "?") for c in text)
+
+
+def write_substitutes(stream: TextIO | None) -> None:
+    """Let a stream write substitutes for the characters that its encoding lacks, as `encodable`."""
+    if isinstance(stream, TextIOWrapper):
+        handler = f"counterspin-{stream.encoding}"
+        codecs.register_error(handler, partial(_substituted, stream.encoding))
+        stream.reconfigure(errors=handler)
+
+
+def _substituted(encoding: str, error: UnicodeError) -> tuple[str, int]:
+    """Return substitutes for what could not be encoded, and where to go on (`codecs`)."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    # Some codecs ask for one character at a time; raised digits are replaced together.
+    digits = _RAISED_DIGITS.match(error.object, error.start)
+    end = error.end if digits is None else max(error.end, digits.end())
+    return encodable(error.object[error.start : end], encoding), end
 
 
 def _can_write(text: str, encoding: str) -> bool:

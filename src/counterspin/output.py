@@ -7,6 +7,7 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -27,8 +28,8 @@ _DEVICE: Final = re.compile(
 #: Characters that no name of a file has on Windows; what follows a colon names a hidden stream.
 _FORBIDDEN: Final = re.compile(r'[<>:"|?*\x00-\x1f]')
 #: How often, and after which time in s, a file that another program has open is tried again.
-_REPLACE_ATTEMPTS: Final = 10
-_REPLACE_PAUSE: Final = 0.1
+_RENAME_ATTEMPTS: Final = 10
+_RENAME_PAUSE: Final = 0.1
 
 
 @frozen
@@ -169,7 +170,8 @@ def write_whole(
     except OSError as error:
         raise CounterspinError(_refusal(path, error)) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # on Windows another program may have it open
+            part.unlink(missing_ok=True)
 
 
 def write_open(path: Path, write: Callable[[BinaryIO], object]) -> None:
@@ -217,20 +219,20 @@ def finish(
             reserve(path, kind, overwrite=overwrite)
             if not overwrite:
                 continue  # what was in the way is gone
-            _replace(part, place)
+            _retry(lambda: part.replace(place))
         return
 
 
-def _replace(part: Path, place: Path) -> None:
-    """Replace a file; on Windows, wait for a virus scanner or indexer that has it open."""
-    attempts = _REPLACE_ATTEMPTS if sys.platform == "win32" else 1
+def _retry(rename: Callable[[], object]) -> None:
+    """Rename a file; on Windows, wait for a virus scanner or indexer that has it open."""
+    attempts = _RENAME_ATTEMPTS if sys.platform == "win32" else 1
     for attempt in range(attempts):
         try:
-            part.replace(place)
+            rename()
         except PermissionError:
             if attempt == attempts - 1:
                 raise
-            time.sleep(_REPLACE_PAUSE)
+            time.sleep(_RENAME_PAUSE)
         else:
             return
 
@@ -238,7 +240,7 @@ def _replace(part: Path, place: Path) -> None:
 def _take(part: Path, place: Path) -> None:
     """Give a file a name that nobody has; FileExistsError if somebody does."""
     if os.name == "nt":
-        part.rename(place)  # which replaces nothing there
+        _retry(lambda: part.rename(place))  # which replaces nothing there
         return
     try:
         os.link(part, place)
@@ -259,11 +261,11 @@ def _take(part: Path, place: Path) -> None:
 
 def _pour(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file elsewhere, and what is in it into a device or a pipe."""
-    import tempfile
+    from counterspin.temporary_folders import temporary_folder
 
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            part = Path(folder) / f"whole{path.suffix}"
+        with temporary_folder("counterspin-output-") as folder:
+            part = folder / f"whole{path.suffix}"
             write(part)
             path.write_bytes(part.read_bytes())
     except OSError as error:

@@ -60,8 +60,8 @@ def schema_of(name: SchemaName) -> Json:
 
 
 def schema_text(name: SchemaName) -> str:
-    """Return a schema as it is printed and published."""
-    return json.dumps(schema_of(name), indent=1, ensure_ascii=False) + "\n"
+    """Return a schema as it is printed and published, in ASCII: JSON in UTF-8 on any console."""
+    return json.dumps(schema_of(name), indent=1) + "\n"
 
 
 def _document(model: type[BaseModel]) -> Json:

@@ -142,7 +142,7 @@ def test_a_packed_file_is_refused_before_it_is_brought(desk):
 def test_folders_that_were_made_for_it_go_too(desk, folder):
     first, second = place_for(desk, "far/away/a.csv"), place_for(desk, "far/b.csv")
     first.end()
-    assert [path.name for path in (folder / "far").iterdir()] == [second.part.name]
+    assert [path.name for path in (folder / "far").iterdir()] == [second.part.parent.name]
     second.end()
     assert (folder / "far").is_dir()  # it was there when the second one came
     third = place_for(desk, "three/a.csv")
@@ -157,6 +157,7 @@ def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
     assert complete_upload(desk, first) == {"name": "new/a.csv", "bytes": 5}
     with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
         complete_upload(desk, second)
+    first.end()
     second.end()
     assert [(path.name, path.read_text()) for path in (folder / "new").iterdir()] == [
         ("a.csv", "first")
@@ -166,7 +167,9 @@ def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
 def test_an_upload_has_the_rights_of_the_process(desk, folder):
     before = os.umask(0o077)
     try:
-        complete_upload(desk, place_for(desk, "new/a.csv"))
+        arrival = place_for(desk, "new/a.csv")
+        complete_upload(desk, arrival)
+        arrival.end()
     finally:
         os.umask(before)
     assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600

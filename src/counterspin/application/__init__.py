@@ -3,7 +3,6 @@
 Other rooms make its contents: a report's blocks, a plan's forecast. Every action of the page is
 also a command, which the page shows.
 
-- `temporary_folders`: temporary folders, also those that a killed server left
 - `server`: `serve` a folder as a page in the browser; limits of connections in number and time
 - `guard`: access control, limits of requests, and the browser's permissions
 - `folder`: the files of the folder, and no others; versions, so that no edit is lost

@@ -28,7 +28,7 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
 from counterspin.campaign.questions import questions
-from counterspin.certificates.lab import example_keys, read_lab, write_example
+from counterspin.certificates.lab import example_keys, example_text, read_lab
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.planning.plan_file import is_plan
@@ -272,7 +272,7 @@ def plan_text(desk: Desk, name: str) -> dict[str, Any]:
 def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
     """Return the laboratory's data in a file, or the example if the file does not exist yet."""
     seen = desk.folder.read(file)
-    text = seen.text or _example()
+    text = seen.text or example_text()
     told = checked_lab(text, desk.result(result)).shown()
     return told | {
         "file": file,
@@ -280,14 +280,6 @@ def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
         "form": lab_form(),
         "signer": "" if desk.signer is None else desk.signer.name,
     }
-
-
-def _example() -> str:
-    """Return the example of the laboratory's data."""
-    from tempfile import TemporaryDirectory
-
-    with TemporaryDirectory() as folder:
-        return write_example(Path(folder) / "LAB.toml").read_text(encoding="utf-8")
 
 
 def check_text(desk: Desk, file: str, text: str, result: str | None = None) -> dict[str, Any]:

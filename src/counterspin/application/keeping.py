@@ -5,7 +5,7 @@ from __future__ import annotations
 import filecmp
 import shutil
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,6 @@ import numpy as np
 from counterspin.application.desk import Desk, FileCache, export_command
 from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import OutsideError, ServedFolder
-from counterspin.application.temporary_folders import remove_abandoned_folders, temporary_folder
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
@@ -24,10 +23,14 @@ from counterspin.ingest.description import AnyDraft, further_runs, guessed_test,
 from counterspin.ingest.description import drafted as described_as
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
-from counterspin.output import begin, finish, make_folder
+from counterspin.output import finish, make_folder
 from counterspin.records.formats import wrong_ending
+from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
 _LOOKS: Final = FileCache(2)
+#: Prefixes of the temporary folders in which a campaign is copied, and a file arrives.
+_COPY_PREFIX: Final = ".counterspin-copy-"
+_UPLOAD_PREFIX: Final = ".counterspin-upload-"
 #: Rows, and parts of a column, that are shown before a campaign is written.
 _PREVIEW_ROWS: Final = 4
 _PREVIEW_PARTS: Final = 90
@@ -38,12 +41,13 @@ class Arrival:
     """A file that is being uploaded."""
 
     path: Path  #: Where it goes.
-    part: Path  #: A new file beside it that takes its bytes.
+    part: Path  #: A new file that takes its bytes, in a temporary folder beside it.
+    temporary: ExitStack  #: Removes that folder.
     folders: tuple[Path, ...]  #: Those that were made for it, the innermost first.
 
     def end(self) -> None:
         """Remove the remains of an incomplete upload."""
-        self.part.unlink(missing_ok=True)
+        self.temporary.close()
         for folder in self.folders:
             with suppress(OSError):  # something is in it
                 folder.rmdir()
@@ -56,7 +60,14 @@ def place_for(desk: Desk, name: str) -> Arrival:
         raise OutsideError(f"{name}: {wrong}")
     folders = tuple(folder for folder in path.parents if not folder.exists())
     make_folder(path.parent)
-    return Arrival(path, begin(path), folders)
+    temporary = ExitStack()
+    try:
+        part = temporary.enter_context(temporary_folder(_UPLOAD_PREFIX, path.parent)) / "part"
+        part.touch()
+    except OSError as error:
+        temporary.close()
+        raise CounterspinError(f"{name}: cannot be written ({error.strerror})") from error
+    return Arrival(path, part, temporary, folders)
 
 
 def complete_upload(desk: Desk, arrival: Arrival) -> dict[str, Any]:
@@ -138,14 +149,12 @@ def begin_drafted(
 #: Where campaigns go that are put away; as a hidden folder it is no part of the page.
 TRASH: Final = ".counterspin-trash"
 
-#: Prefix of the temporary folder in which a copy is made.
-_COPY_PREFIX: Final = ".counterspin-copy-"
 
-
-def remove_abandoned_copies(served: ServedFolder) -> None:
-    """Remove the incomplete copies of campaigns that killed servers left."""
+def remove_abandoned_parts(served: ServedFolder) -> None:
+    """Remove the incomplete uploads and copies of campaigns that killed servers left."""
     for folder, _ in served.folders():
-        remove_abandoned_folders(_COPY_PREFIX, folder)
+        for prefix in (_COPY_PREFIX, _UPLOAD_PREFIX):
+            remove_abandoned_folders(prefix, folder)
 
 
 def copy_campaign(desk: Desk, name: str, to: str) -> dict[str, Any]:

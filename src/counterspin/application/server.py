@@ -41,9 +41,9 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import FILES, SESSION, TICKETS, Door, Guard
 from counterspin.application.interface import Answer, answer, answer_of, ticket_answer
-from counterspin.application.temporary_folders import remove_abandoned_folders, temporary_folder
 from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
+from counterspin.temporary_folders import temporary_folder
 
 #: How long the head of a request may take to arrive, s.
 HEAD_SECONDS: Final = 5.0
@@ -245,8 +245,7 @@ def serve(
         options = {"signer": command, "cert": str(cert)}
         desk = Desk(ServedFolder(folder), command_signer(command, cert), options)
     private = _private_place()
-    remove_abandoned_folders(_PREFIX, private)
-    keeping.remove_abandoned_copies(desk.folder)
+    keeping.remove_abandoned_parts(desk.folder)
     with listening(port) as listener, temporary_folder(_PREFIX, private) as own:
 
         def tell(link: str) -> None:

@@ -402,7 +402,7 @@ def write_example(path: Path | str) -> Path:
     path = Path(path)
     if path.exists():
         raise CounterspinError(f"{path} exists; edit it, or choose another name")
-    write_text(path, _example_text())
+    write_text(path, example_text())
     return path
 
 
@@ -411,12 +411,13 @@ def example_keys(lab: Lab) -> list[str]:
     example = lab.model_dump(exclude={"conditions"})
     return [
         key_path(path)
-        for path, words in _leaves(parse_toml(_example_text()), ())
+        for path, words in _leaves(parse_toml(example_text()), ())
         if "xample" in words.lower() and _value_at(example, path) == words
     ]
 
 
-def _example_text() -> str:
+def example_text() -> str:
+    """Return the commented example of a laboratory's data."""
     return (files("counterspin.certificates") / "starter.toml").read_text("utf-8")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -23,6 +22,7 @@ from counterspin.comparisons.result import Change, RepeatedCalibration, Repeated
 from counterspin.errors import RecordError
 from counterspin.physics.terms import symbol_of
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
+from counterspin.temporary_folders import temporary_folder
 
 #: Number of characters shown of a checksum.
 _CHECKSUM_DIGITS: Final = 12
@@ -174,7 +174,7 @@ def rerun(
     with ExitStack() as stack:
         paths, moved = _locate_inputs(before.provenance.inputs, campaign_folder, result_name)
         if moved:
-            staged = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            staged = stack.enter_context(temporary_folder("counterspin-rerun-"))
             for name, file in paths.items():
                 (staged / name).parent.mkdir(parents=True, exist_ok=True)
                 _link_or_copy(file, staged / name)

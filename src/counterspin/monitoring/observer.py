@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from io import FileIO
@@ -39,6 +38,7 @@ from counterspin.records.dialect import HEAD_LINES, TO_BE_FOUND, Dialect
 from counterspin.records.formats import RECORD_FORMATS, open_columns
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import Record, RecordColumns
+from counterspin.temporary_folders import temporary_folder
 from counterspin.triads.found_poses import FoundPose, columns_of_poses, found_in
 
 #: Endings of files to which rows are appended.
@@ -129,8 +129,8 @@ class GrowingTable:
     def _take(self, lines: bytes) -> bool:
         """Read whole lines that follow those read so far; return whether there are rows in them."""
         text = self._head + lines
-        with tempfile.TemporaryDirectory(prefix="counterspin-") as folder:
-            part = Path(folder) / f"rows{self.path.suffix.lower()}"
+        with temporary_folder("counterspin-rows-") as folder:
+            part = folder / f"rows{self.path.suffix.lower()}"
             part.write_bytes(text)
             try:
                 new, first = self._read(part)

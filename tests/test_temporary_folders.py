@@ -9,14 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from counterspin import temporary_folders
 from counterspin.application import keeping, server
-from counterspin.application.temporary_folders import remove_abandoned_folders, temporary_folder
+from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
 #: Makes a folder with a file and waits.
 WAIT = """
 import sys, time
 from pathlib import Path
-from counterspin.application.temporary_folders import temporary_folder
+from counterspin.temporary_folders import temporary_folder
 with temporary_folder(sys.argv[1], Path(sys.argv[2])) as folder:
     (folder / "part").mkdir()
     (folder / "part" / "record.csv").write_text("1")
@@ -69,6 +70,21 @@ def test_only_the_folder_of_a_killed_process_is_removed(killed, tmp_path):
     assert sorted(tmp_path.iterdir()) == sorted([*others, link])
 
 
+def test_the_next_folder_replaces_those_of_killed_processes(killed, tmp_path):
+    left = killed("counterspin-rerun-")
+    with temporary_folder("counterspin-rows-", tmp_path):
+        assert left.exists()  # another command may have made it
+    with temporary_folder("counterspin-rerun-", tmp_path):
+        assert not left.exists()
+
+
+def test_temporary_folders_have_one_maker():
+    """What another one makes is not removed after a kill."""
+    source = Path(temporary_folders.__file__).parent
+    makers = [p.name for p in source.rglob("*.py") if "TemporaryDirectory" in p.read_text("utf-8")]
+    assert makers == ["temporary_folders.py"]
+
+
 def test_a_folder_that_was_just_made_may_not_be_locked_yet(tmp_path):
     folder = tmp_path / "ours-abcdefgh"
     folder.mkdir()
@@ -84,7 +100,11 @@ def test_a_server_removes_at_its_start_what_killed_servers_left(killed, tmp_path
     private, served = tmp_path / "private", tmp_path / "served"
     private.mkdir()
     (served / "below").mkdir(parents=True)
-    left = [killed(server._PREFIX, private), killed(keeping._COPY_PREFIX, served / "below")]
+    left = [
+        killed(server._PREFIX, private),
+        killed(keeping._COPY_PREFIX, served / "below"),
+        killed(keeping._UPLOAD_PREFIX, served),
+    ]
     monkeypatch.setattr(server, "_private_place", lambda: private)
     monkeypatch.setattr(server, "_load", lambda *_: None)
     seen = []
@@ -95,6 +115,6 @@ def test_a_server_removes_at_its_start_what_killed_servers_left(killed, tmp_path
 
     monkeypatch.setattr(server, "server_of", lambda *_: Stopped())
     server.serve(served, browser=False, say=lambda _: None)
-    assert seen == [False, False]
+    assert seen == [False, False, False]
     assert list(private.iterdir()) == []
     assert list(served.iterdir()) == [served / "below"]

@@ -1,4 +1,4 @@
-"""Temporary folders of the server, and the removal of those that a killed server left."""
+"""Temporary folders, and the removal of those that killed processes left."""
 
 from __future__ import annotations
 
@@ -25,8 +25,15 @@ _RANDOM: Final = "[a-z0-9_]{8}"
 
 
 @contextmanager
-def temporary_folder(prefix: str, parent: Path) -> Iterator[Path]:
-    """Make a temporary folder and remove it at the end."""
+def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
+    """Make a temporary folder and remove it at the end.
+
+    Folders with the same prefix that killed processes left are removed first.
+
+    parent: Its folder; None: that of the system.
+    """
+    parent = parent or Path(tempfile.gettempdir())
+    remove_abandoned_folders(prefix, parent)
     with tempfile.TemporaryDirectory(prefix=prefix, dir=parent) as name:
         folder = Path(name)
         with (folder / _LOCK_NAME).open("wb") as file:

@@ -1,0 +1,49 @@
+"""Streams whose encoding lacks characters, as consoles and pipes on Windows."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from counterspin.characters import write_substitutes
+from counterspin.schemas import schema_of
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [
+        ("utf-8", "1 ± 2 µg, 10⁻⁵ − × ≤ 測"),
+        ("cp1252", "1 ± 2 µg, 10^-5 - × ? ?"),
+        ("cp437", "1 ± 2 µg, 10^-5 - x ≤ ?"),
+        ("cp932", "1 ± 2 ug, 10^-5 \uff0d × ? 測"),
+        ("ascii", "1 +/- 2 ug, 10^-5 - x ? ?"),
+    ],
+)
+def test_a_stream_writes_substitutes_for_what_its_encoding_lacks(encoding, shown):
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding=encoding, newline="\n")
+    write_substitutes(stream)
+    print("1 ± 2 µg, 10⁻⁵ − × ≤ 測", end="", file=stream, flush=True)
+    assert raw.getvalue().decode(encoding) == shown
+
+
+def test_a_closed_stream_and_one_without_an_encoding_are_left_alone():
+    write_substitutes(None)
+    write_substitutes(io.StringIO())
+
+
+@pytest.mark.parametrize("words", [("schema", "campaign"), ("apply", "--help")])
+def test_commands_write_to_any_encoding(words):
+    for encoding in ("cp1252", "ascii"):
+        done = subprocess.run(
+            [sys.executable, "-m", "counterspin", *words],
+            env=os.environ | {"PYTHONIOENCODING": f"{encoding}:strict"},
+            capture_output=True,
+            check=True,
+        )
+        assert done.stderr == b""
+        if words[0] == "schema":
+            assert json.loads(done.stdout.decode("utf-8")) == schema_of("campaign")
