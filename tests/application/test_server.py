@@ -22,6 +22,8 @@ from counterspin import cli
 from counterspin.application import server
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
+#: Longest wait for anything, s; only a failure takes so long.
+BOUND = 300.0
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -34,14 +36,14 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
         assert "this machine only" in server.stdout.readline()
         link = re.search(r"http://127\.0\.0\.1:(\d+)/#token=(\S{32})", server.stdout.readline())
         port = int(link[1])
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=30) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=BOUND) as answer:
             assert b"counterspin" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="401"):
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=30)
+            urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=BOUND)
         # What is no HTTP is refused, before an answer or after it, and says nothing here.
         chunked = b"Host: 127.0.0.1:%d\r\nTransfer-Encoding: chunked\r\n\r\n" % port
         for asked, told in ((b"\0", b"400"), (b"GET / HTTP/1.1\r\n" + chunked, b"200")):
-            with socket.create_connection(("127.0.0.1", port), timeout=30) as other:
+            with socket.create_connection(("127.0.0.1", port), timeout=BOUND) as other:
                 other.sendall(asked)
                 assert other.recv(1 << 16).startswith(b"HTTP/1.1 " + told)
                 other.sendall(b"no length\r\n")
@@ -54,13 +56,13 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp
             json.dumps({"token": link[2]}).encode(),
             {"Origin": f"http://127.0.0.1:{port}"},
         )
-        with urllib.request.urlopen(asked, timeout=30) as answer:
+        with urllib.request.urlopen(asked, timeout=BOUND) as answer:
             assert len(json.load(answer)["key"]) == 32
         assert "another browser or window" in server.stdout.readline()
         assert f"http://127.0.0.1:{port}/#token=" in (later := server.stdout.readline())
         assert link[2] not in later
         server.send_signal(how)
-        out, err = server.communicate(timeout=30)
+        out, err = server.communicate(timeout=BOUND)
     assert (server.returncode, out, err) == (0, "Ended.\n", "")
     assert list(beside.iterdir()) == []
 
@@ -70,7 +72,7 @@ def test_what_is_being_loaded_is_waited_for_at_the_end(tmp_path, monkeypatch):
     done = []
 
     def load(desk, ended):
-        assert ended.wait(30.0)
+        assert ended.wait(BOUND)
         time.sleep(0.2)
         done.append(desk)
 
@@ -93,7 +95,7 @@ def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, mo
 
     monkeypatch.setattr("webbrowser.open", browse)
     monkeypatch.setattr(server, "_load", lambda *_: None)
-    waiting = SimpleNamespace(run=lambda **_: opened.wait(60.0))
+    waiting = SimpleNamespace(run=lambda **_: opened.wait(BOUND))
     monkeypatch.setattr(server, "server_of", lambda *_: waiting)
     server.serve(tmp_path, say=said.append)
     address, file, modes, text = seen

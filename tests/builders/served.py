@@ -77,7 +77,7 @@ def token_of(door):
 
 def wait(page, number):
     """Return a job that is over."""
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline:
         (job,) = (job for job in page.get("/api/jobs").json() if job["number"] == number)
         if job["state"] not in ("waiting", "running"):

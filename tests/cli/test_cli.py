@@ -228,7 +228,7 @@ def test_a_number_of_threads_is_checked_before_anything_is_read(tmp_path):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(
