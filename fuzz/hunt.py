@@ -41,7 +41,7 @@ SECONDS = 10.0
 BYTES = 1_000_000_000
 #: More than this the process does not get.
 _MOST_BYTES = 3_000_000_000
-#: A case that takes longer, waiting or not, hangs; s.
+#: A worker that has used no processor time for so long hangs; s. `SECONDS` ends one that is busy.
 _HANGS = 180.0
 #: The longest message.
 _CHARACTERS = 20_000
@@ -247,7 +247,7 @@ def _watched(
 ) -> str | None:
     """Follow a worker until it ends; return why, unless it was done."""
     _LAST.clear()
-    place, at, since = 0, b"", time.monotonic()
+    place, at, since = 0, (b"", 0.0), time.monotonic()
     while True:
         status = worker.poll()
         with (folder / "lines").open(encoding="utf-8") as lines:
@@ -266,14 +266,23 @@ def _watched(
                 _save(bag, output, seed)
         if status is not None:
             return None if status == 0 else f"the process ended with status {status}"
-        now = (folder / "at").read_bytes()
+        now = (folder / "at").read_bytes(), _processor_time(worker.pid)
         if now != at:
             at, since = now, time.monotonic()
-        elif time.monotonic() > since + _HANGS and int.from_bytes(now, "little"):
+        elif time.monotonic() > since + _HANGS and int.from_bytes(now[0], "little"):
             worker.kill()
             worker.wait()
             return f"hung for {_HANGS:g} s"
         time.sleep(0.5)
+
+
+def _processor_time(process: int) -> float:
+    """Return the processor time of a process and of its children that have ended, s."""
+    try:
+        words = Path(f"/proc/{process}/stat").read_text("ascii").rpartition(")")[2].split()
+    except OSError:  # it has ended, or the system is not Linux
+        return 0.0
+    return sum(map(int, words[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 def _keep(bag: Bag, output: Path, seed: int, names: Sequence[str], number: int, words: str) -> None:
