@@ -16,7 +16,7 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import Outcome
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Comparison, Trace
-from counterspin.calibration.view import AccelerometerView, OtherData
+from counterspin.calibration.view import AccelerometerView, ReadingData
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import Estimate
@@ -73,11 +73,11 @@ def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     return {} if traces is None else cast("dict[str, Trace]", traces(view))
 
 
-def join_readings(problem: JointProblem) -> tuple[Estimate, OtherData]:
+def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     """Return the estimate from records, readings and poses, and the last two in it."""
     if (join := _find(READINGS)) is None:
         raise CampaignError("calibrate", ["this installation does not read readings"])
-    return cast("tuple[Estimate, OtherData]", join(problem))
+    return cast("tuple[Estimate, ReadingData]", join(problem))
 
 
 def apply_specifications(result: Result, specifications: Specifications) -> Result:

@@ -46,7 +46,7 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     Finding,
 )
-from counterspin.calibration.view import AccelerometerView, Contribution, OtherData
+from counterspin.calibration.view import AccelerometerView, Contribution, ReadingData
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.budget import budget, what_if
@@ -137,16 +137,16 @@ def joint(problem: JointProblem) -> Outcome:
             *other_noise(views),
         ),
         residuals=residual_frame(estimated.fit, units),
-        **data.fields(problem, estimated),
+        **data.fields(estimated),
     )
 
 
-def estimate_campaign(problem: JointProblem) -> tuple[Estimate, OtherData]:
-    """Return the estimate from all data of a campaign, and those other than records."""
+def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingData]:
+    """Return the estimate from all data of a campaign, and the readings and poses in it."""
     campaign = problem.campaign
     if campaign.readings or campaign.triad:
         return join_readings(problem)
-    return estimate(problem.series, problem.model, problem.noise), OtherData()
+    return estimate(problem.series, problem.model, problem.noise), ReadingData()
 
 
 def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:

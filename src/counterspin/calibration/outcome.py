@@ -27,7 +27,7 @@ from counterspin.calibration.result_parts import (
     RunResult,
     TriadResult,
 )
-from counterspin.calibration.view import AccelerometerView, Part
+from counterspin.calibration.view import AccelerometerView, FittedGroup
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.quantity import Quantity
@@ -172,7 +172,7 @@ def residual(view: AccelerometerView) -> Residual:
     )
 
 
-def residual_of(parts: Sequence[Part]) -> Residual:
+def residual_of(parts: Sequence[FittedGroup]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
     left = np.concatenate([part.residuals for part in parts])
     stated = [part for part in parts if math.isinf(part.dof)]
@@ -188,7 +188,7 @@ def residual_of(parts: Sequence[Part]) -> Residual:
     )
 
 
-def readings_noise(parts: Sequence[Part]) -> dict[str, NoiseLine]:
+def readings_noise(parts: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
     """Return the noise of readings, motion by motion."""
     return {
         part.words: NoiseLine(

@@ -1,6 +1,6 @@
-"""A joint fit as each accelerometer sees it, and data other than records in it.
+"""A joint fit as each accelerometer sees it, and the readings and poses in it.
 
-Data other than records of a double turntable are readings and poses. An extension adds them
+Records of a double turntable need no more than this. An extension adds readings and poses
 (`counterspin.calibration.extensions`).
 """
 
@@ -33,7 +33,7 @@ from counterspin.physics.accelerometer import Mounting
 _FEWEST_DOF: Final = 0.5
 
 
-class Part(Protocol):
+class FittedGroup(Protocol):
     """Readings or poses with noise of one kind, and their fit."""
 
     @property
@@ -70,18 +70,18 @@ class Part(Protocol):
 
     @property
     def weighed(self) -> bool:
-        """Whether the residuals are compared with a noise that they did not tell."""
+        """True if the residuals are compared with a noise from another source."""
 
     def under(self, fit: JointFit) -> Self:
-        """Return the same group under another fit that has it."""
+        """Return the group under another fit of the same observations."""
 
 
-class OtherData:
-    """Data of a campaign other than records of a double turntable; this class: none."""
+class ReadingData:
+    """Readings and poses of a campaign in a joint fit; this class: none."""
 
-    parts: tuple[Part, ...] = ()  #: Groups with noise of one kind.
+    parts: tuple[FittedGroup, ...] = ()  #: Groups with noise of one kind.
 
-    def fields(self, problem: JointProblem, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
+    def fields(self, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
         """Return fields of `Outcome` that these data determine."""
         return {}
 
@@ -98,16 +98,16 @@ class OtherData:
         yield from ()
 
     def advice(self, view: AccelerometerView, symbol: str) -> tuple[str, str]:  # noqa: ARG002
-        """Return the data that do not determine a term, in a word, and advice; empty: no advice."""
+        """Return the kind of data that leaves a term undetermined, and advice; empty: none."""
         return "records", ""
 
-    def turned(
+    def fit_turned(
         self,
         estimate: Estimate,
-        parts: Sequence[Part],  # noqa: ARG002
+        parts: Sequence[FittedGroup],  # noqa: ARG002
         name: str,  # noqa: ARG002
         turn: Callable[[Mounting], Mounting],  # noqa: ARG002
-    ) -> tuple[JointFit, tuple[Part, ...]]:
+    ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
         """Return the fit of groups with an accelerometer mounted otherwise, beside records.
 
         estimate: Of the records with the accelerometer mounted otherwise.
@@ -125,8 +125,8 @@ class AccelerometerView:
     assessment: Assessment  #: Which unknowns the records determine.
     name: str  #: The accelerometer's.
     #: Of all accelerometers together.
-    data: OtherData = field(default_factory=OtherData)
-    parts: tuple[Part, ...] = ()  #: Its groups of readings or poses.
+    data: ReadingData = field(default_factory=ReadingData)
+    parts: tuple[FittedGroup, ...] = ()  #: Its groups of readings or poses.
 
     @property
     def campaign(self) -> Campaign:
@@ -161,7 +161,7 @@ class AccelerometerView:
         """Return what becomes of its K_II without each run."""
         return [] if self.k_ii is None else leave_out(self.estimate, self.k_ii)
 
-    def with_parts(self, parts: Sequence[Part]) -> AccelerometerView:
+    def with_parts(self, parts: Sequence[FittedGroup]) -> AccelerometerView:
         """Return the view with those of some groups that are the accelerometer's."""
         own = [part for part in parts if self.name in part.accelerometers]
         return replace(self, parts=tuple(own))
@@ -206,7 +206,7 @@ class AccelerometerView:
 
 @frozen(eq=False)
 class Contribution:
-    """Contribution of data other than records to the result of an accelerometer."""
+    """Contribution of readings and poses to the result of an accelerometer."""
 
     #: The view whose residuals are tested. If test methods disagree, each method has a fit alone,
     #: because the disagreement is a finding already.

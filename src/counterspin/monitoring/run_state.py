@@ -18,7 +18,7 @@ from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.outcome import OUTLIER_SHARE, coefficient
-from counterspin.calibration.view import AccelerometerView, OtherData
+from counterspin.calibration.view import AccelerometerView, ReadingData
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import said_noise
@@ -158,7 +158,7 @@ class FitSoFar:
 
     campaign: Campaign  #: With these runs alone.
     estimate: Estimate  #: Of its unknowns.
-    data: OtherData = field(default_factory=OtherData)  #: Readings and poses in it.
+    data: ReadingData = field(default_factory=ReadingData)  #: Readings and poses in it.
 
     @property
     def posed(self) -> tuple[FittedReadings, ...]:

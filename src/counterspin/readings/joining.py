@@ -12,7 +12,7 @@ import numpy as np
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import SQUARES
 from counterspin.calibration.result_parts import Finding, ReadingResult, TriadResult
-from counterspin.calibration.view import AccelerometerView, Contribution, OtherData, Part
+from counterspin.calibration.view import AccelerometerView, Contribution, FittedGroup, ReadingData
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
@@ -60,14 +60,14 @@ class TriadData(Protocol):
 
 
 @frozen(eq=False)
-class ReadingsAndPoses(OtherData):
+class ReadingsAndPoses(ReadingData):
     """Readings and poses of a campaign in a fit, and the records that they are means of."""
 
     parts: tuple[FittedReadings, ...] = ()  #: With noise of one kind each.
     recorded: MeanRecords = field(default_factory=MeanRecords)
     triad: TriadData | None = None
 
-    def fields(self, problem: JointProblem, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
+    def fields(self, estimate: Estimate) -> Mapping[str, Any]:
         """Return the triad, and the rates of runs on the arm."""
         triad = self.triad.result(estimate, self.parts) if self.triad else None
         return {"triad": triad, "arm_rates": self.recorded.rates}
@@ -117,13 +117,13 @@ class ReadingsAndPoses(OtherData):
             )
         return "records", ""
 
-    def turned(
+    def fit_turned(
         self,
         estimate: Estimate,
-        parts: Sequence[Part],
+        parts: Sequence[FittedGroup],
         name: str,
         turn: Callable[[Mounting], Mounting],
-    ) -> tuple[JointFit, tuple[Part, ...]]:
+    ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
         """Return the fit of groups with an accelerometer mounted otherwise, beside records."""
         groups: list[Measured] = []
         for part in parts:

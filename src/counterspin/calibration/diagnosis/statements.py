@@ -24,7 +24,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.checks.shifts import most_moved, shown_size
 from counterspin.calibration.result_parts import Finding
-from counterspin.calibration.view import AccelerometerView, Part
+from counterspin.calibration.view import AccelerometerView, FittedGroup
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE, normal_equivalent
@@ -64,7 +64,7 @@ class OtherMounting:
     #: By how much its chi-square is less than that of the stated one, over the residuals' scale.
     gain: float
     dof: float | None  #: Degrees of freedom of that scale; None where the noise was stated.
-    readings: tuple[Part, ...] = ()  #: All readings, and how they fit then.
+    readings: tuple[FittedGroup, ...] = ()  #: All readings, and how they fit then.
 
     @property
     def pendulous(self) -> tuple[str, str]:
@@ -113,14 +113,14 @@ def other_mountings(views: Sequence[AccelerometerView]) -> tuple[OtherMounting, 
 
 
 def _turned(
-    view: AccelerometerView, relaxed: Estimate, read: Sequence[Part], quarters: int
-) -> tuple[JointFit, tuple[Part, ...]]:
+    view: AccelerometerView, relaxed: Estimate, read: Sequence[FittedGroup], quarters: int
+) -> tuple[JointFit, tuple[FittedGroup, ...]]:
     """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
     fit = with_turned(relaxed.fit, view.name, quarters) if quarters else relaxed.fit
     # The degrees of freedom are not asked for.
     dof = np.full(len(fit.model.unknowns), np.inf)
     estimated = replace(relaxed, fit=fit, dof=dof)
-    return view.data.turned(estimated, read, view.name, partial(turned, quarters=quarters))
+    return view.data.fit_turned(estimated, read, view.name, partial(turned, quarters=quarters))
 
 
 def _stated(view: AccelerometerView) -> list[str]:
