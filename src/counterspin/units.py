@@ -23,6 +23,8 @@ from typing import Final
 
 from counterspin.frozen import frozen
 
+#: Conventional gravity, m/s^2, where no site states its own.
+STANDARD_GRAVITY: Final = 9.80665
 #: Kelvin at 0 degC.
 ZERO_CELSIUS: Final = 273.15
 
@@ -158,6 +160,14 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     if power != 0.0 and gravity is not None:
         factor *= gravity**-power
     return factor
+
+
+def converts(unit: str, wanted: str) -> bool:
+    """Return whether a unit converts to a wanted one; an empty text does not."""
+    try:
+        return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) != 0.0
+    except ValueError:
+        return False
 
 
 def _plain(unit: str) -> str:

@@ -335,24 +335,6 @@ def _(frame, path):
     _put(path, ["idx time_s enc_deg dE_m dN_m"], rows, " ")
 
 
-@_file("units within the cells")
-def _(frame, path):
-    rows = [
-        [f"{cell} {unit}" for cell, unit in zip(row, ("s", "°", "m", "m"), strict=True)]
-        for row in _cells(frame)
-    ]
-    _put(path, ["Rig,3", "Time,Angle,East,North"], rows, ",")
-
-
-@_file("units within the cells, decimal commas", ".txt")
-def _(frame, path):
-    rows = [
-        [f"{cell}{unit}" for cell, unit in zip(row, ("s", "deg", "mm", "mm"), strict=True)]
-        for row in _cells(frame, mark=",", scale=1000.0)
-    ]
-    _put(path, ["Zeit\tWinkel\tOst\tNord"], rows, "\t", encoding="cp1252", end="\r\n")
-
-
 @_file("UTF-16 without its mark", ".txt")
 def _(frame, path):
     _put(path, _plain(mark="\t"), _cells(frame), "\t", encoding="utf-16-le", end="\r\n")

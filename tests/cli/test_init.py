@@ -48,7 +48,8 @@ def test_from_exports_to_a_result(tmp_path, plain, reference, name, capsys):
     folder = tmp_path / "campaign"
     assert main(["init", str(folder), "--from", *map(str, files), *words]) == 0
     said = capsys.readouterr().out
-    assert "Guessed from the files:" in said
+    assert "Seen in the files:" in said
+    assert "Detected for the test double-turntable (please check):" in said
     assert f"counterspin calibrate {folder}" in said
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     assert "# - pendulous axes: assumed down" in text
@@ -63,7 +64,7 @@ def test_from_a_table_of_an_arm_to_a_result(tmp_path, monkeypatch, capsys):
         rows += [f"in,{period},{force + 0.003:.5f}", f"out,{period},{-force + 0.003:.5f}"]
     (tmp_path / "arm.csv").write_text("\n".join(rows) + "\n")
     words = [str(tmp_path / "a"), "--from", str(tmp_path / "arm.csv"), *PLACE]
-    monkeypatch.setattr("sys.stdin", Terminal("1.0 ± 1e-3 m\nleft\ncw\n1\n1e-4\n"))
+    monkeypatch.setattr("sys.stdin", Terminal("\n1.0 ± 1e-3 m\nleft\ncw\n1\n1e-4\n"))
     assert main(["init", *words]) == 0
     told = capsys.readouterr().out
     assert "4 readings at rest, where the rate is 0" in told
@@ -84,9 +85,10 @@ def test_what_is_not_known_is_told_or_asked(tmp_path, plain, monkeypatch, capsys
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # nobody is there to be asked
 
-    monkeypatch.setattr("sys.stdin", Terminal("2,5 kg\n2,5\nleft\ncw\n"))
+    monkeypatch.setattr("sys.stdin", Terminal("bench\n\n2,5 kg\n2,5\nleft\ncw\n"))
     assert main(words) == 0
     told = capsys.readouterr().out
+    assert "'bench' is none of double-turntable, tumble, arm, poses. Try again:" in told
     assert "unknown unit 'kg'" in told
     assert "'left' is none of counterclockwise, clockwise. Try again:" in told
     assert 'sense = "clockwise"' in (tmp_path / "campaign.toml").read_text(encoding="utf-8")

@@ -119,20 +119,6 @@ def test_where_another_run_begins_is_told(tmp_path):
         read_files([path])
 
 
-def test_a_column_in_two_units_is_refused(tmp_path):
-    rows = [f"{0.05 * k:.2f} s,{k} mm" for k in range(500)] + ["25.00 s,1.2 m"]
-    path = lines(tmp_path / "run.csv", ["Time,East"], rows)
-    with pytest.raises(CounterspinError, match="line 502: cell 2 is in m, that of line 2 in mm"):
-        read_files([path])
-
-
-def test_a_unit_of_cells_that_is_not_that_of_the_head_is_refused(tmp_path):
-    rows = [f"{0.05 * k:.2f} s,{k} mm" for k in range(50)]
-    path = lines(tmp_path / "run.csv", ["Time,East [m]"], rows)
-    with pytest.raises(CounterspinError, match=r"'East .m.' is in m by its head, and in mm by"):
-        read_files([path])
-
-
 @pytest.mark.parametrize(
     ("content", "told"),
     [(b"\xd0\xcf\x11\xe0", "a workbook"), (b"<html><table>", "a page or XML")],

@@ -8,7 +8,6 @@ import pytest
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.readings import (
     OutputEstimate,
-    kind_of_columns,
     output_questions,
     output_unit,
     outputs_of,
@@ -67,28 +66,26 @@ def test_what_counts_the_rows_is_no_reading(values, unit, role):
 
 
 @pytest.mark.parametrize(
-    ("names", "apart", "meant"),
+    ("names", "meant"),
     [
-        (["Reading 1", "Reading 2"], 0.01, "repeats"),
-        (["Messung 1", "Messung 2"], 0.05, "accelerometers"),
-        (["QA1", "QA2"], 0.01, "accelerometers"),
-        (["QA1", "QA2"], 1e-4, "repeats"),
-        (["Reading", "QA2"], 0.01, "accelerometers"),
+        (["Reading 1", "Reading 2"], "repeats"),
+        (["Messung 1", "Messung 2"], "repeats"),
+        (["QA1", "QA2"], "accelerometers"),
+        (["Reading", "QA2"], "accelerometers"),
     ],
 )
-def test_columns_are_repeats_by_their_names_and_by_how_near_they_are(names, apart, meant):
-    values = np.array([-1.0, 0.0, 1.0])
-    columns = [column(n, "V", values + 2.0 * apart * k) for k, n in enumerate(names)]
-    look = FileContents(None, tuple(columns), (), "")
+def test_columns_are_repeats_by_their_names(names, meant):
+    columns = [column(name, "V", [-1.0, 0.0, 1.0]) for name in names]
+    contents = FileContents(None, tuple(columns), (), "")
     roles = dict.fromkeys(names, "reading")
-    (question,) = several_question(columns, kind_of_columns(columns))
+    (question,) = several_question(columns)
     assert question.guess == meant
-    (first, *_), *others = outputs_of(look, roles, {})
+    (first, *_), *others = outputs_of(contents, roles, {})
     assert first.name == names[0]
     assert len(others) == (meant == "accelerometers")
-    assert len(outputs_of(look, roles, {question.key: "repeats"})) == 1
-    assert len(outputs_of(look, roles, {question.key: "accelerometers"})) == 2
-    assert list(several_question(columns[:1], "repeats")) == []
+    assert len(outputs_of(contents, roles, {question.key: "repeats"})) == 1
+    assert len(outputs_of(contents, roles, {question.key: "accelerometers"})) == 2
+    assert list(several_question(columns[:1])) == []
 
 
 def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():

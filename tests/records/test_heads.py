@@ -34,7 +34,3 @@ def test_names_that_look_like_a_number_with_a_unit_stay_names(tmp_path):
     rows = "".join(f"{k} deg,{k},{1.25 + k}\n" for k in (0, 90, 180, 270))
     path.write_text("position,angle_deg,reading_mA\n" + rows)
     assert read_table(path).frame["position"].to_list()[:2] == ["0 deg", "90 deg"]
-    # Where the others have units too, each is one of a column.
-    with_units = "".join(f"{k} deg,{1.25 + k} mA\n" for k in (0, 90, 180, 270))
-    path.write_text("angle,reading\n" + with_units)
-    assert read_table(path).frame["reading"].to_list()[0] == "1.25"

@@ -16,18 +16,19 @@ from counterspin.application.desk import Desk, FileCache, export_command
 from counterspin.application.editing import checked_campaign, with_value
 from counterspin.application.folder import OutsideError, ServedFolder
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
-from counterspin.errors import CounterspinError
+from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, read_files
-from counterspin.ingest.description import AnyDraft, further_runs, guessed_test, write_description
+from counterspin.ingest.description import AnyDraft, further_runs, write_description
 from counterspin.ingest.description import drafted as described_as
+from counterspin.ingest.overview import TESTS, UndecidedDraft, likely_test, overview
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
 from counterspin.output import finish, make_folder
 from counterspin.records.formats import wrong_ending
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
-_LOOKS: Final = FileCache(2)
+_CONTENTS: Final = FileCache(2)
 #: Prefixes of the temporary folders in which a campaign is copied, and a file arrives.
 _COPY_PREFIX: Final = ".counterspin-copy-"
 _UPLOAD_PREFIX: Final = ".counterspin-upload-"
@@ -82,13 +83,17 @@ def complete_upload(desk: Desk, arrival: Arrival) -> dict[str, Any]:
 
 def _draft(
     desk: Desk, names: Sequence[str], answers: dict[str, str] | None, stated: Test | None
-) -> tuple[AnyDraft, Test]:
+) -> tuple[AnyDraft | UndecidedDraft, Test | None, list[str]]:
     files = [desk.file(name) for name in names]
     said = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     sheet = said.get("sheet", "")
-    looks = _LOOKS.get((sheet, *files), files, lambda: read_files(files, said))
-    test = stated or guessed_test(looks)
-    return described_as(looks, said, test), test
+    all_contents = _CONTENTS.get((sheet, *files), files, lambda: read_files(files, said))
+    seen = overview(all_contents)
+    chosen = said.pop("test", None)
+    test = stated or next((test for test in TESTS if test == chosen), likely_test(all_contents))
+    if test is None:
+        return UndecidedDraft.of(all_contents), None, seen
+    return described_as(all_contents, said, test), test, seen
 
 
 def draft_overview(
@@ -101,13 +106,13 @@ def draft_overview(
 
     Columns of words are included if a question asks for their role.
     """
-    found, test = _draft(desk, names, answers, test)
+    found, test, seen = _draft(desk, names, answers, test)
     asked = {question.key for question in found.questions}
     asked |= {f"{question.guess} is" for question in found.questions}
     words = {name: cells for name, cells in found.contents.words.items() if f"{name} is" in asked}
     return {
         "test": test,
-        "statements": list(found.statements),
+        "statements": [*seen, *found.statements],
         "questions": [vars(question) for question in found.questions],
         "problems": list(found.problems),
         "file": found.contents.path.name,
@@ -139,7 +144,9 @@ def begin_drafted(
 ) -> dict[str, Any]:
     """Write the campaign from files and answers; return its name and the command."""
     place = desk.place(folder)
-    found, test = _draft(desk, names, answers, test)
+    found, test, _ = _draft(desk, names, answers, test)
+    if isinstance(found, UndecidedDraft) or test is None:
+        raise CampaignError("init", [f"test: {found.questions[0].text}"])
     write_description(found, place)
     files = [desk.file(name) for name in names]
     command = export_command(place, files, dict(found.answers), test)

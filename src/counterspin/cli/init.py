@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
@@ -13,6 +13,9 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.starter import Test
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from counterspin.ingest.contents import FileContents
     from counterspin.ingest.questions import FileQuestion
 
 
@@ -34,10 +37,10 @@ def init(
     test
         Kind of test: records of a double turntable, readings of a multi-position tumble, readings
         on the arm of a centrifuge, or a record of a three-axis sensor in many poses. The default
-        is an example of the first; with --from, what the files show.
+        is an example of the first; with --from, the kind that the files look like.
     from_
         Files of a recorder, one for each run, or one table of readings, of a tumble or on an arm.
-        Their contents are guessed and printed; what they do not show is asked for.
+        Their contents are printed, then the kind of test and what it needs are asked for.
     yes
         Ask nothing: stop with an error if the files leave something open.
     answer
@@ -74,24 +77,26 @@ def _from_files(
 ) -> None:
     """Write a campaign of a recorder's files."""
     from counterspin.ingest.contents import read_files
-    from counterspin.ingest.description import drafted, guessed_test, write_description
+    from counterspin.ingest.description import drafted, write_description
+    from counterspin.ingest.overview import overview
     from counterspin.reports.text import work_progress
 
     answers = _answers(given)
     with work_progress("Files") as advance:
-        looks = read_files(files, answers, progress=advance)
-    test = stated or guessed_test(looks)
-    found = drafted(looks, answers, test)
+        all_contents = read_files(files, answers, progress=advance)
+    say("Seen in the files:", *(f"  {line}" for line in overview(all_contents)))
     asks = asks and sys.stdin is not None and sys.stdin.isatty()
-    say("Guessed from the files:", *(f"  {statement}" for statement in found.statements))
+    test = stated or _test(all_contents, asks=asks)
+    found = drafted(all_contents, answers, test)
+    say(f"Detected for the test {test} (please check):", *(f"  {s}" for s in found.statements))
     if asks and not found.problems:
         before = found.statements
         while found.open_questions:
             question = found.open_questions[0]
             answers[question.key] = _asked(question)
             if question.key == "sheet":
-                looks = read_files(files, answers)
-            found = drafted(looks, answers, test)
+                all_contents = read_files(files, answers)
+            found = drafted(all_contents, answers, test)
         more = [statement for statement in found.statements if statement not in before]
         say(*(f"  {statement}" for statement in more))
     written = write_description(found, directory)
@@ -99,6 +104,22 @@ def _from_files(
         f"Wrote {written}. Check it, then:",
         f"  counterspin calibrate {shell_word(directory)}",
     )
+
+
+def _test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
+    """Return the kind of test: a person's choice, or without one the likely kind."""
+    from counterspin.ingest.overview import kind_question, likely_test, no_test_reasons
+
+    likely = likely_test(all_contents)
+    question = kind_question(likely)
+    reasons = [] if likely else list(no_test_reasons(all_contents))
+    if asks:
+        say(*reasons)
+        return cast("Test", _asked(question))
+    if likely is None:
+        text = f"{question.text} Choose with `test`. The files do not show it: {'; '.join(reasons)}"
+        raise CampaignError("init", [f"test: {text}"])
+    return likely
 
 
 def _answers(given: list[str]) -> dict[str, str]:
@@ -114,10 +135,11 @@ def _answers(given: list[str]) -> dict[str, str]:
 def _asked(question: FileQuestion) -> str:
     """Return a person's answer; repeat the question until the answer is valid."""
     hint = " or ".join(question.choices) or f"such as {question.example}"
-    say(f"{question.text} ({hint})")
+    default = f"; Enter: {question.guess}" if question.guess else ""
+    say(f"{question.text} ({hint}{default})")
     while True:
         try:
-            answer = input("> ").strip()
+            answer = input("> ").strip() or question.guess or ""
         except EOFError:
             raise CounterspinError("no answer was given; nothing is written") from None
         try:

@@ -6,8 +6,9 @@
 - `questions`: the questions, and what answers and signals show together
 - `readings`: a table of readings: the role of each column, and its readings
 - `tumble`: tables of a tumble
-- `arm_table`, `arm`: tables of readings on a centrifuge arm: rates and mountings; description
+- `arm`: tables of readings on a centrifuge arm
 - `triads`: the columns of a sensor with three axes, and its poses
 - `poses`: records, or a table, of a sensor with three axes in many poses
+- `overview`: what was seen in the files, and the kind of test that they look like
 - `description`: the description made from guesses and answers
 """

@@ -22,8 +22,8 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
-from counterspin.records.dialect import file_unit
-from counterspin.units import unit_factor
+from counterspin.records.dialect import unit_in_name
+from counterspin.units import converts, unit_factor
 
 _TIME: Final = re.compile(r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)")
 _ANGLE: Final = re.compile(
@@ -71,8 +71,6 @@ _TURNING_UNITS: Final = {
     "us": (1e-7, 1e-5),
     "ns": (1e-10, 1e-8),
 }
-#: Gravity that converts between g and m/s^2, and tells them from other units, m/s^2.
-STANDARD_GRAVITY: Final = 9.80665
 
 
 @frozen
@@ -131,6 +129,7 @@ class FileGuess:
     unused: tuple[str, ...]  #: Names of columns that seem to be none of these.
     #: The accelerometers' temperature, column and scale; None: there seems to be none.
     temperature: tuple[str, str] | None = None
+    turning: float | None = None  #: Median rate of the waves, rad/s; None without waves.
 
     @property
     def temperature_table(self) -> dict[str, dict[str, str]]:
@@ -199,7 +198,7 @@ def guess_file(
         rising = theta is None or float(np.nanmedian(np.diff(theta))) > 0.0
     elif turning is not None and answers.get("angle") != NONE:
         angle, theta = _pulses(rest, seconds, turning)
-    rate = None if turning is None else 2.0 * np.pi * turning
+    rate = waves = None if turning is None else 2.0 * np.pi * turning
     if theta is not None:
         good = np.isfinite(theta) & np.isfinite(seconds)
         rate = abs(float(np.polyfit(seconds[good], theta[good], 1)[0]))
@@ -214,7 +213,7 @@ def guess_file(
     taken |= {warm[0]} if warm else set()
     unused = tuple(column.name for column in columns if column.name not in taken)
     unused = (*unused, *contents.others, *contents.numbers)
-    return FileGuess(contents, time, angle, sampling, signals, rate, rising, unused, warm)
+    return FileGuess(contents, time, angle, sampling, signals, rate, rising, unused, warm, waves)
 
 
 def _chosen(
@@ -518,24 +517,3 @@ def _unit_of(column: FileColumn, wanted: str) -> str | None:
         if text:
             return text if converts(text, wanted) else None
     return None
-
-
-def unit_in_name(name: str) -> str:
-    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
-
-    A single letter alone is a name, and so is A after a blank: sensor A.
-    """
-    *before, ending = re.split(r"[_\s,]+", name.strip())
-    if "A" == ending != name.rpartition("_")[2]:
-        return ""
-    if not before and len(ending) < 2:
-        return ""
-    return file_unit(ending) or file_unit(ending.partition("/")[2]) or ""
-
-
-def converts(unit: str, wanted: str) -> bool:
-    """Return whether a unit converts to a wanted one; no unit does not."""
-    try:
-        return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) != 0.0
-    except ValueError:
-        return False

@@ -69,8 +69,14 @@ class FileContents:
     first_words: Mapping[str, Sequence[str]] = field(default_factory=dict)
     #: Of a small file: column that holds neither numbers nor time stamps -> its cells, row by row.
     words: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    #: Which columns would hold numbers but for a cell, and where it stands, in words.
+    #: Which columns would hold numbers except for a cell, and where it stands, in words.
     spoilt: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  #: Faults of the rows, such as repeated values, a sentence each.
+
+    @property
+    def rows(self) -> int:
+        """The number of rows."""
+        return max(len(column.values) for column in self.columns)
 
 
 def read_files(

@@ -17,10 +17,10 @@ from counterspin.campaign.memory import record_name
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
-from counterspin.ingest.arm import ArmDraft, arm_draft, shows_arm
+from counterspin.ingest.arm import ArmDraft, arm_draft
 from counterspin.ingest.column_roles import NONE, FileGuess, agreed, guess_file
 from counterspin.ingest.contents import FileContents, read_files
-from counterspin.ingest.poses import PosesDraft, poses_draft, shows_poses
+from counterspin.ingest.poses import PosesDraft, poses_draft
 from counterspin.ingest.questions import (
     SENSES,
     UNFIT,
@@ -33,10 +33,8 @@ from counterspin.ingest.questions import (
     waves_sense,
 )
 from counterspin.ingest.starter import Test
-from counterspin.ingest.triads import without_gravity
-from counterspin.ingest.tumble import TumbleDraft, shows_tumble, tumble_draft
+from counterspin.ingest.tumble import TumbleDraft, tumble_draft
 from counterspin.output import make_folder, write_text
-from counterspin.records.column_file import quoted
 from counterspin.toml_text import write_document
 
 #: Axis -> usual name of an accelerometer.
@@ -106,7 +104,7 @@ def draft(all_contents: Sequence[FileContents], answers: Mapping[str, str] | Non
     shown = waves_sense(agreed(guesses))
     problems = (*unfit, *problems, *_against_waves(taken.get("sense"), shown))
     questions = asked(taken)
-    statements = tuple(_statements(guesses, common, shown))
+    statements = tuple(_statements(common, shown))
     return Draft(statements, questions, taken, problems, guesses, common)
 
 
@@ -121,7 +119,7 @@ def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
 
 def _unfit(contents: FileContents) -> str:
     """Return why a file cannot be a run's record as it is written; empty text if it can."""
-    rows = max(len(column.values) for column in contents.columns)
+    rows = contents.rows
     if rows < _FEWEST_ROWS:
         return (
             f"{contents.path.name} has {rows} rows of numbers in {len(contents.columns)} columns, "
@@ -140,16 +138,6 @@ def _unfit(contents: FileContents) -> str:
 
 #: What the files of a test show.
 AnyDraft = Draft | TumbleDraft | ArmDraft | PosesDraft
-
-
-def guessed_test(all_contents: Sequence[FileContents]) -> Test:
-    """Return the kind of test that files show."""
-    # A sensor with three axes may have rates beside them.
-    if shows_poses(all_contents):
-        return "poses"
-    if shows_arm(all_contents):
-        return "arm"
-    return "tumble" if shows_tumble(all_contents) else "double-turntable"
 
 
 def drafted(
@@ -179,7 +167,7 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
             folder.rmdir()
         raise CampaignError("init", problems.lines)
     names = ", ".join(file.name for file in draft.files)
-    head = [f"A campaign made from {names}.", "Guessed, to be checked:"]
+    head = [f"A campaign made from {names}.", "Detected in the files (please check):"]
     head += [f"- {statement}" for statement in draft.statements]
     comments = {
         "site": '± standard uncertainty (k = 1), as in "9.8066 ± 1e-5 m/s^2"',
@@ -247,37 +235,26 @@ def _runs(
 # What is said
 
 
-def _statements(
-    guesses: Sequence[FileGuess], common: FileGuess, sense: str | None
-) -> Iterator[str]:
-    for guess in guesses:
-        said = []
-        if guess.contents.found:
-            said.append(guess.contents.found)
-        if guess.rate is not None:
-            turns = guess.rate / (2.0 * math.pi)
-            said.append(
-                f"{turns:.6g} rev/s"
-                if guess.time or guess.sampling
-                else f"{1 / turns:.6g} rows a turn"
-            )
-        rows = max(len(column.values) for column in guess.contents.columns)
-        yield f"{guess.contents.path.name}: {', '.join([f'{rows} rows', *said])}"
+def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
     time, angle = common.time, common.angle
     if time is None and common.sampling is not None:
         yield f"time: no column; {common.sampling:.8g} rows a second by the file"
     if time is not None:
         unit = "time stamps" if time.unit == "iso" else f"in {time.unit or 'an unknown unit'}"
         yield f"time: column '{time.column}', {unit}"
+    if common.rate is not None:
+        turns = common.rate / (2.0 * math.pi)
+        counted = not (time or common.sampling)
+        yield "rate: " + (f"{1 / turns:.6g} rows a turn" if counted else f"{turns:.6g} rev/s")
     if angle is None:
         yield "angle: none found; the nominal rates are used"
     elif angle.pulses:
         yield f"angle: column '{angle.column}' has the times of a pulse, one a revolution"
     else:
         counts = f", {angle.per_revolution:.10g} a revolution" if angle.per_revolution else ""
-        by = "by the file" if angle.known else "by its name or its numbers"
+        source = "by the file" if angle.known else "by its name or its numbers"
         unit = angle.unit or "an unknown unit"
-        yield f"angle: column '{angle.column}', in {unit}{counts} ({by})"
+        yield f"angle: column '{angle.column}', in {unit}{counts} ({source})"
     if sense is not None and angle is not None:
         yield f"sense: {sense}, from the phase of the waves along two axes"
     yield from common.temperature_words
@@ -287,26 +264,10 @@ def _statements(
         unit = f" in {signal.unit}" if signal.unit else ""
         unit += " (by the radius)" if signal.by_radius else ""
         yield f"column '{signal.column}': {what}{unit}, {axis}"
-    yield from _nothing_shown(common)
     if common.signals:
         yield "pendulous axes: assumed down, or north for an upright input axis"
     if common.unused:
         yield f"not used: {', '.join(common.unused[:20])}"
-    yield from (f"not read: {why}" for guess in guesses for why in guess.contents.spoilt)
-
-
-def _nothing_shown(common: FileGuess) -> Iterator[str]:
-    """Yield the messages for files that show no kind of test."""
-    if not common.signals and common.rate is None:
-        yield (
-            "no column swings as on a double turntable, and no three columns rest as a sensor in "
-            "poses does: name the kind of test if it is another, and columns by their questions"
-        )
-        if axes := without_gravity(common):
-            yield (
-                f"columns {quoted(axes)} read nearly nothing at rest: a filter took gravity away, "
-                "which poses need; record what the sensor itself feels, with gravity in it"
-            )
 
 
 # What follows

@@ -14,7 +14,7 @@ from typing import Any, Final
 from counterspin.campaign.memory import record_name
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import FileGuess, converts
+from counterspin.ingest.column_roles import FileGuess
 from counterspin.ingest.contents import FileContents
 from counterspin.ingest.questions import (
     AnsweredDraft,
@@ -37,6 +37,7 @@ from counterspin.ingest.triads import (
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import quoted
 from counterspin.triads.rests import CLEAR_RATIO, SHORTEST_REST
+from counterspin.units import converts
 
 #: Poses that do not tell their noise beside biases and scale factors.
 _NO_NOISE: Final = 6
@@ -229,10 +230,6 @@ def _questions(
 def _statements(
     guesses: Sequence[FileGuess], found: TriadColumns | None, answers: Mapping[str, str]
 ) -> Iterator[str]:
-    for guess in guesses:
-        rows = max(len(column.values) for column in guess.contents.columns)
-        said = [f"{rows} rows", *filter(None, [guess.contents.found])]
-        yield f"{guess.contents.path.name}: {', '.join(said)}"
     time, sampling = guesses[0].time, guesses[0].sampling
     if found is not None and found.in_table:
         yield from _of_table(guesses[0], found)

@@ -24,10 +24,10 @@ from counterspin.campaign.quantity import BARE, parse
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import NONE, STANDARD_GRAVITY, UNUSED, FileGuess, SignalGuess
+from counterspin.ingest.column_roles import NONE, UNUSED, FileGuess, SignalGuess
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
 from counterspin.records.dialect import file_unit
-from counterspin.units import unit_factor
+from counterspin.units import STANDARD_GRAVITY, unit_factor
 
 SENSES: Final = ("counterclockwise", "clockwise")
 AXES: Final = ("east", "west", "north", "south", "up", "down")

@@ -14,9 +14,11 @@ import numpy as np
 
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import NONE, UNUSED, converts, unit_in_name
+from counterspin.ingest.column_roles import NONE, UNUSED
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion, relative_name
+from counterspin.records.dialect import unit_in_name
+from counterspin.units import converts
 
 #: What a column of numbers may be in every table, and a column of words.
 ROLES: Final = ("reading", "uncertainty", "temperature", "time", UNUSED)
@@ -30,7 +32,7 @@ _NAME: Final = re.compile(
     r"(?i)(name|position|pos|label|stellung|run|point|punkt|messung|(no|nr)([^a-z]|$))"
 )
 _NUMBER: Final = re.compile(r"(?i)(lfd\W*)?(no|nr|number|nummer|#|index|row|zeile)\W*")
-#: More numbers than so many that rise by one are no readings.
+#: More numbers than so many that rise by one count rows.
 _FEWEST_COUNTED: Final = 2
 #: Usual units of a reading.
 _OUTPUTS: Final = (
@@ -47,12 +49,10 @@ _LARGE_BIAS: Final = 0.3
 SEVERAL: Final = "columns of readings"
 ACCELEROMETERS: Final = "accelerometers"
 REPEATS: Final = "repeats"
-#: How repeats are called; they differ by less than this part of what is read, or of other names.
+#: Names of repeats at one setting.
 _REPEAT: Final = re.compile(
     r"(?i)(.*[^a-z])?(reading|repeat|rep|run|pass|trial|sample|cycle|messung|wdh|lauf|ablesung)"
 )
-_REPEATED: Final = 0.02
-_SAME: Final = 2e-4
 
 
 @frozen
@@ -205,32 +205,20 @@ def outputs_of(
 
 
 def kind_of_columns(columns: Sequence[FileColumn]) -> str:
-    """Return the role of several columns of readings, by their names and their differences."""
-    if len(columns) < 2 or len({len(column.values) for column in columns}) > 1:
-        return ACCELEROMETERS
-    values = np.array([column.values for column in columns])
-    both = np.isfinite(values).all(axis=0)
-    if not both.any():
-        return ACCELEROMETERS
-    apart, size = np.ptp(values[:, both], axis=0).max(), np.ptp(values[:, both])
-    called = all(_REPEAT.match(column.name) for column in columns)
-    return REPEATS if apart < (_REPEATED if called else _SAME) * size else ACCELEROMETERS
+    """Return the role of several columns of readings, by their names."""
+    repeated = len(columns) > 1 and all(_REPEAT.match(column.name) for column in columns)
+    return REPEATS if repeated else ACCELEROMETERS
 
 
-# What is asked, and said
+# Questions and statements
 
 
-def several_question(
-    columns: Sequence[FileColumn], guess: str, *more: str
-) -> Iterator[FileQuestion]:
-    """Yield the question about the role of several columns of readings.
-
-    more: Further roles besides one accelerometer each, or repeats.
-    """
+def several_question(columns: Sequence[FileColumn]) -> Iterator[FileQuestion]:
+    """Yield the question about the role of several columns of readings."""
     if len(columns) > 1:
-        said = "".join(f", {kind}" for kind in more)
-        text = f"Are the columns of readings one accelerometer each{said}, or repeats of one?"
-        yield FileQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS, *more), guess)
+        text = "Are the columns of readings one accelerometer each, or repeats of one?"
+        guess = kind_of_columns(columns)
+        yield FileQuestion(SEVERAL, text, REPEATS, (ACCELEROMETERS, REPEATS), guess)
 
 
 def part_question(
@@ -291,12 +279,7 @@ def output_unit(
     return answers.get(f"{column.name} unit") or next(known, None)
 
 
-def table_statements(contents: FileContents, roles: Mapping[str, str]) -> Iterator[str]:
-    """Yield statements of the role of each column."""
-    rows = max(len(column.values) for column in contents.columns)
-    yield f"{contents.path.name}: {', '.join([f'{rows} rows', *filter(None, [contents.found])])}"
-    for column in contents.columns:
-        unit = f" in {column.unit}" if column.unit else ""
-        yield f"column '{column.name}': {roles[column.name]}{unit}"
-    for name in contents.others:
-        yield f"column '{name}': {roles[name]}, in words"
+def role_statements(contents: FileContents, roles: Mapping[str, str]) -> Iterator[str]:
+    """Yield a statement of the role of each column."""
+    for name, role in roles.items():
+        yield f"column '{name}': {role}" + (", in words" if name in contents.others else "")

@@ -20,18 +20,12 @@ from counterspin.arrays import Array
 from counterspin.campaign.quantity import parse
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import (
-    STANDARD_GRAVITY,
-    FileGuess,
-    converts,
-    guess_file,
-    is_even,
-)
+from counterspin.ingest.column_roles import FileGuess, guess_file, is_even
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.physics.grades import GRADES
 from counterspin.triads.rests import CLEAR_RATIO, SHORTEST_REST, Poses, find_poses
 from counterspin.triads.section import USUAL_AXES
-from counterspin.units import unit_factor
+from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
 
 #: The triad's accelerometers, and their axes in its frame.
 AXES: Final = dict(zip("XYZ", USUAL_AXES, strict=True))
@@ -59,6 +53,8 @@ _FEWEST_ABOUT_MIDDLE: Final = 9
 _GRAVITY_PART: Final = 0.15
 #: About the middle of their sphere they are as large within this one: axes are not equally good.
 _SPHERE_PART: Final = 0.05
+#: Norms that agree within this part are those of computed directions.
+_EXACT_PART: Final = 1e-6
 #: Less of gravity than this is felt at rest where a filter took it away.
 _NOTHING_PART: Final = 0.1
 #: Steps of a time without a unit, from which it is in ms, us and ns: sensors give 2 rows a second
@@ -177,17 +173,29 @@ def _found_triad(
         return _looked_at(named, seconds, rest, answers.get("unit"))
     time = guess.time.column if guess.time else None
     there = [one for one in columns.values() if one.name != time]
-    there = [one for one in there if len(one.values) == len(seconds)]
+    there = [one for one in there if len(one.values) == len(seconds) and not is_nominal(one.values)]
     like: list[TriadColumns] = []
     for three in islice(threes(there), _MOST_THREES):
         if len({one.unit for one in three}) == 1 and _may_be_force(three[0].unit):
             found = _looked_at(three, seconds, rest, answers.get("unit"))
-            if found.means is not None and _turns(found.means - found.zero):
+            if found.means is not None and _turns(found.means - found.zero) and _varies(found):
                 like.append(found)
     known = [found for found in like if found.unit is not None] or like
     others = (found.columns for found in known[1:] if _felt_alike(found, known[0]))
     apart = (named for named in others if not set(named) & set(known[0].columns))
     return replace(known[0], others=tuple(apart)) if known else None
+
+
+def _varies(found: TriadColumns) -> bool:
+    """Return whether norms at rest differ: equal norms are directions, not measurements."""
+    assert found.means is not None
+    norms = _norms(found.means)
+    return bool(np.ptp(norms) > _EXACT_PART * np.median(norms))
+
+
+def is_nominal(values: Array) -> bool:
+    """Return whether a column holds nothing except -1, 0 and 1: nominal orientations."""
+    return bool(np.isin(values[np.isfinite(values)], (-1.0, 0.0, 1.0)).all())
 
 
 def without_gravity(guess: FileGuess) -> tuple[str, ...]:

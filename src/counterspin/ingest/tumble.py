@@ -18,24 +18,22 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.ingest.column_roles import converts
 from counterspin.ingest.contents import FileColumn, FileContents, wave
 from counterspin.ingest.questions import FileQuestion, place_questions, settled
 from counterspin.ingest.readings import (
     OutputEstimate,
     ReadingsDraft,
-    kind_of_columns,
     of_role,
     output_questions,
     outputs_of,
     part_question,
     role_questions,
+    role_statements,
     roles_of,
     several_question,
-    table_statements,
     usual_role,
 )
-from counterspin.units import unit_factor
+from counterspin.units import converts, unit_factor
 
 _POSITION: Final = re.compile(r"(?i).*(pos|angle|theta|phi|winkel|stell|attitude|deg(_|$))")
 #: Usual units of a position.
@@ -197,7 +195,7 @@ def _questions(
     text = "How does the input axis point at the position 0, for a head that turns about north?"
     yield FileQuestion("axis at 0", text, "up", tuple(_UP_AT), guess)
     yield from role_questions(contents, roles, ["position"])
-    yield from several_question(readings, kind_of_columns(readings))
+    yield from several_question(readings)
     for column, *_ in outputs_of(contents, roles, answers):
         yield from output_questions(column, answers, _sensed(column, angles))
 
@@ -213,7 +211,7 @@ def _sensed(column: FileColumn, angles: Array | None) -> OutputEstimate:
 def _statements(
     contents: FileContents, roles: Mapping[str, str], questions: Sequence[FileQuestion]
 ) -> Iterator[str]:
-    yield from table_statements(contents, roles)
+    yield from role_statements(contents, roles)
     axis = next((q.guess for q in questions if q.key == "axis at 0"), None)
     if axis:
         yield f"input axis at position 0: {axis}, from the readings against the angle"

@@ -20,7 +20,7 @@ from counterspin.errors import CampaignError, RecordError
 from counterspin.inference.noise.model import COMPONENTS
 from counterspin.inference.noise.rest import Band, RestRecord, RestSignal, at_rest
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
-from counterspin.ingest.column_roles import STANDARD_GRAVITY, FileGuess, converts, guess_file
+from counterspin.ingest.column_roles import FileGuess, guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_contents
 from counterspin.monitoring.result import (
     NoiseResult,
@@ -34,7 +34,7 @@ from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
-from counterspin.units import base_unit, unit_factor
+from counterspin.units import STANDARD_GRAVITY, base_unit, converts, unit_factor
 
 #: Frequencies of mains, Hz, and the part of them by which they wander.
 _MAINS: Final = (50.0, 60.0)

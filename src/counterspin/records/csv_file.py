@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
@@ -35,7 +36,7 @@ from counterspin.records.dialect import (
     split,
     ungrouped,
 )
-from counterspin.records.heads import delimiter_between_units, stated_head, without_units
+from counterspin.records.heads import stated_head
 
 if TYPE_CHECKING:
     import polars as pl
@@ -48,6 +49,8 @@ _CELL_LINE_ENDS = 100
 _CHUNK_BYTES = 1 << 20
 #: Bytes that show whether characters are wide.
 _SHOWN_BYTES = 400
+#: A number with its unit, `1.25 mA`.
+_UNIT_CELL = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?[^\s\d,;.:+-]\S{0,9}")
 _FORM = "A .csv file holds a line of column names and lines of numbers."
 
 
@@ -91,12 +94,7 @@ class CsvFile(ColumnFile):
             self._ungroup(mark)
             head = list(islice(self._lines(), len(head)))
             lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-        layout, plain, cell_units = None, is_plain(lines), {}
-        if not plain and (within := delimiter_between_units(lines, dialect.delimiter)):
-            cell_units = self._take_units(within)
-            head = list(islice(self._lines(), len(head)))
-            lines = self._head = [(number, self._decoded(raw)) for number, raw in head]
-            plain = is_plain(lines)
+        layout, plain = None, is_plain(lines)
         if dialect.delimiter is None and dialect.decimal is None:
             unsaid = dialect.skip_lines is None and not dialect.units_row
             layout = plain_layout(lines, dialect) if unsaid and plain else None
@@ -123,32 +121,14 @@ class CsvFile(ColumnFile):
         ]
         units, self.interval = stated_head(above, self.names, self.decimal)
         self.units |= units
-        for place, unit in cell_units.items():
-            name = self.names[place]
-            if self.units.setdefault(name, unit) not in ("", unit):
-                raise RecordError(
-                    f"{self.path}: column '{name}' is in {self.units[name]} by its head, and in "
-                    f"{unit} by its cells. Correct one of them."
-                )
-            self.units[name] = unit
         if not plain:
             self.found = layout.words(self._encoding)
-        if cell_units:
-            self.found = ", ".join(filter(None, [self.found, "units within the cells"]))
         if self.delimiter == BLANKS:
             self._part_by_tabs()
 
     def _ungroup(self, mark: str) -> None:
         """Take the content without the marks between groups of three digits."""
         self._content = ungrouped(self.content().decode(self._encoding), mark).encode()
-
-    def _take_units(self, delimiter: str) -> dict[int, str]:
-        """Take the content without the units of its cells; return those, by their columns."""
-        lines, units = without_units(
-            (self._decoded(raw) for _, raw in self._lines()), delimiter, self.path
-        )
-        self._content = ("\n".join(lines) + "\n").encode()
-        return units
 
     def _part_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
@@ -313,6 +293,8 @@ class CsvFile(ColumnFile):
                 "instead of a time, such as 2026-03-01T12:00:00.020."
             )
         hint = ""
+        if _UNIT_CELL.fullmatch(cell.strip()):
+            hint = " Move the unit from the cells to the line of names, such as 'Time [s]'."
         if _is_number(cell.replace(",", ".")):
             hint = ' Write numbers with a decimal point, or state `decimal=","`.'
         raise RecordError(

@@ -439,6 +439,19 @@ def bracketed_unit(name: str) -> str:
     return (file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
 
 
+def unit_in_name(name: str) -> str:
+    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
+
+    A single letter alone is a name, and so is A after a blank: sensor A.
+    """
+    *before, ending = re.split(r"[_\s,]+", name.strip())
+    if "A" == ending != name.rpartition("_")[2]:
+        return ""
+    if not before and len(ending) < 2:
+        return ""
+    return file_unit(ending) or file_unit(ending.partition("/")[2]) or ""
+
+
 @lru_cache(maxsize=256)
 def _known_unit(text: str) -> str | None:
     if text in TEMPERATURES:

@@ -1,7 +1,7 @@
-"""What a text states of its columns, in the lines above their names and within their cells.
+"""Read what a text states of its columns in the lines above their names.
 
-LabVIEW's measurement files (.lvm) state units and the step of the time; other recorders a sampling
-rate or interval; and some write the unit behind each number, `1.25 mA`.
+LabVIEW's measurement files (.lvm) state units and the step of the time; other recorders state a
+sampling rate or interval.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from counterspin.errors import RecordError
-from counterspin.records.dialect import MARKS, NUMBERED, Line, file_unit, split
+from counterspin.records.dialect import NUMBERED, file_unit
 from counterspin.units import unit_factor
 
 #: Lines of the head, by their first cell: units of the columns, what x is, and its step.
@@ -28,13 +27,6 @@ _INTERVAL_KEY: Final = re.compile(
     r"sampl(e|ing) ?(interval|time|period)|abtast(zeit|ung|intervall)|hresolution|scan( interval)?"
 )
 _STATED: Final = re.compile(r"\s*([\d.,]+(?:[eE][-+]?\d+)?)\s*(\S*)")
-
-#: A number and, perhaps one blank behind it, what may be its unit.
-_WITH_UNIT: Final = re.compile(
-    r"([-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)[ \xa0]?([^\s\d,;.:+-]\S{0,9})"
-)
-#: Lines one below the other whose cells have units, at least.
-_FEWEST_LINES: Final = 3
 
 
 def stated_head(
@@ -86,78 +78,3 @@ def _number(text: str, decimal: str) -> float | None:
         return float(text.replace(decimal, "."))
     except ValueError:
         return None
-
-
-# Within the cells
-
-
-def delimiter_between_units(lines: Sequence[Line], stated: str | None = None) -> str | None:
-    """Return what parts cells that have units, in lines below each other; None: none have.
-
-    Of several columns two have some at least: one alone, as `30 deg`, may be the rows' names.
-
-    stated: What a person says that parts them.
-    """
-    best, most = None, 0
-    for mark in [stated] if stated else MARKS:
-        rows = [split(line, mark) for _, line in lines]
-        counts = [sum(map(bool, map(_parted, cells))) for cells in rows]
-        enough = [count >= min(2, len(c)) for count, c in zip(counts, rows, strict=True)]
-        below = any(
-            all(enough[k : k + _FEWEST_LINES]) for k in range(len(enough) - _FEWEST_LINES + 1)
-        )
-        if below and sum(counts) > most:  # a decimal comma parts less than what parts cells
-            best, most = mark, sum(counts)
-    return best
-
-
-def without_units(
-    lines: Iterable[str], delimiter: str, path: object
-) -> tuple[list[str], dict[int, str]]:
-    """Return lines without the units of their cells, and the unit of each column, by its place.
-
-    Lines before the first three below each other that have some are left as they are; RecordError
-    where a column changes its unit.
-    """
-    bare: list[str] = []
-    waiting: list[list[str]] = []
-    units: dict[int, tuple[str, int]] = {}
-    begun = False
-    for number, line in enumerate(lines, 1):
-        cells = split(line, delimiter)
-        waiting = [*waiting, cells] if any(map(_parted, cells)) else []
-        bare.append(line)
-        begun = begun or len(waiting) == _FEWEST_LINES
-        if not begun:
-            continue
-        rows, waiting = waiting or [cells], []
-        for place, row in enumerate(rows):
-            at = number - len(rows) + 1 + place
-            kept = _bare_cells(row, units, at, path)
-            bare[at - 1] = delimiter.join(f'"{c}"' if delimiter in c else c for c in kept)
-    return bare, {column: unit for column, (unit, _) in units.items()}
-
-
-def _bare_cells(
-    cells: Sequence[str], units: dict[int, tuple[str, int]], line: int, path: object
-) -> Iterable[str]:
-    for column, cell in enumerate(cells):
-        parted = _parted(cell)
-        if parted is None:
-            yield cell
-            continue
-        number, unit = parted
-        before, first = units.setdefault(column, (unit, line))
-        if unit != before:
-            raise RecordError(
-                f"{path}, line {line}: cell {column + 1} is in {unit}, that of line {first} in "
-                f"{before}. Export each column in one unit."
-            )
-        yield number
-
-
-def _parted(cell: str) -> tuple[str, str] | None:
-    """Return a cell's number and unit; None if it is not both."""
-    match = _WITH_UNIT.fullmatch(cell)
-    unit = file_unit(match[2]) if match else None
-    return (match[1], unit) if match and unit else None

@@ -197,7 +197,7 @@ class Preview {
 
   /** What a column may be. */
   roles() {
-    return ROLES[/** @type {keyof typeof ROLES} */ (this.test)];
+    return ROLES[/** @type {keyof typeof ROLES} */ (this.test)] ?? { parts: [], others: [], blank: "choose" };
   }
 
   /** Ask what the files show with the answers so far, and show it. */
@@ -206,13 +206,13 @@ class Preview {
     const told = await lookUntilSettled(async () => {
       const found = await send("POST", "draft", this.said());
       if (asked !== this.asked) return null;
-      this.test = found.test;
+      this.test = found.test ?? "";
       this.questions = found.questions;
       return found;
     }, () => Object.keys(answersTo(this.questions, this.answers)));
     if (told === null) return;
     this.said();
-    if (!this.drawing.length) this.drawing = [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)];
+    if (this.test && !this.drawing.length) this.drawing = [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)];
     this.show(told, told.problems);
   }
 
@@ -239,7 +239,7 @@ class Preview {
       make("div", { class: "figures" }, ...(told.directions.length ? [circleOf(told.directions)] : []), ...this.drawing));
     this.asks.replaceChildren(make("div", { class: "grid" }, ...rest.map((one) => this.field(one, wrong))),
       ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
-    this.below.replaceChildren(make("details", {}, make("summary", {}, "What was guessed, in words"),
+    this.below.replaceChildren(make("details", {}, make("summary", {}, "Seen in the files, in words"),
       make("ul", {}, ...told.statements.map((/** @type {string} */ one) => make("li", {}, one)))));
     if (!this.form.isConnected) this.place.replaceChildren(this.above, this.form, this.below);
     if (active?.isConnected) active.focus();

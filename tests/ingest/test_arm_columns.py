@@ -5,18 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.ingest.arm_table import (
+from counterspin.ingest.arm import (
     ArmTable,
     arm_roles,
-    as_acceleration,
-    below_each_other,
     direction_of,
-    kind_of_arm_columns,
 )
 from counterspin.ingest.contents import FileColumn, FileContents
 
 
-def read_contents(numbers, words=None, units=None):
+def contents_of(numbers, words=None, units=None):
     """Return a table with columns of numbers and of words."""
     columns = tuple(
         FileColumn(name, (units or {}).get(name, ""), np.array(values, dtype=float))
@@ -26,8 +23,8 @@ def read_contents(numbers, words=None, units=None):
 
 
 def table(numbers, words=None, units=None):
-    found = read_contents(numbers, words, units)
-    return ArmTable.of(found, arm_roles(found, {}), {})
+    found = contents_of(numbers, words, units)
+    return ArmTable.of(found, {})
 
 
 @pytest.mark.parametrize(
@@ -67,15 +64,11 @@ def test_words_for_directions(word, direction):
         ("n", "", None),
         ("period_ms", "", "ms"),
         ("Umlaufzeit", "s", "s"),
-        ("g_level", "", "g"),
-        ("G-Level", "", "g"),
-        ("level", "", None),
         ("Drehrate in °/s", "", "deg/s"),
         ("rate_s", "", None),
         ("speed, Hz", "", "rev/s"),
         ("T_rev_s", "", "s"),
         ("Drehfrequenz", "Hz", "Hz"),
-        ("accel", "m/s^2", "m/s^2"),
     ],
 )
 def test_what_has_the_rate(name, unit, rate):
@@ -84,13 +77,11 @@ def test_what_has_the_rate(name, unit, rate):
     assert found.unit == rate
 
 
-def test_a_rate_comes_before_the_acceleration_that_it_makes():
+def test_an_acceleration_is_a_rate_by_an_answer_alone():
     numbers = {"accel_g": [1.0, 2.0], "n_rpm": [30.0, 42.0], "out_V": [1.0, 2.0]}
-    found = read_contents(numbers)
-    assert arm_roles(found, {}) == {"accel_g": "unused", "n_rpm": "rate", "out_V": "reading"}
+    found = contents_of(numbers)
+    assert arm_roles(found, {}) == {"accel_g": "reading", "n_rpm": "rate", "out_V": "reading"}
     assert arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
-    assert as_acceleration(found.columns[0])
-    assert not as_acceleration(found.columns[1])
 
 
 def test_a_measured_rate_comes_before_the_one_that_was_set_and_a_unit_before_none():
@@ -106,22 +97,6 @@ def test_a_time_that_becomes_less_is_that_of_a_revolution():
     assert table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate is None
     clock = table({"n_rpm": [0.0, 30.0], "t_s": [9.0, 2.0], "out_V": [1.0, 2.0]})
     assert clock.roles["t_s"] == "time"
-
-
-@pytest.mark.parametrize(
-    ("rates", "words", "gaps", "meant"),
-    [
-        ([0.0, 30.0, 40.0, 30.0], ["up", "in", "", "out"], "the one above", "in"),
-        ([30.0, 40.0, 0.0, 30.0], ["in", "in", "", "out"], "none", ""),
-        ([30.0, 40.0, 40.0, 30.0], ["", "in", "", "out"], "none", ""),
-        ([30.0, 40.0, 40.0, 30.0], ["in", "in", "out", "out"], None, "out"),
-    ],
-)
-def test_a_row_that_turns_without_a_mounting_has_the_one_above(rates, words, gaps, meant):
-    """As merged cells of a spreadsheet have; an arm at rest needs none."""
-    found = table({"n_rpm": rates, "out_V": [1.0] * 4}, {"side": words})
-    assert found.gaps == gaps
-    assert found.words[2] == meant
 
 
 def test_the_column_of_mountings_has_their_words_or_its_name():
@@ -141,13 +116,13 @@ def test_the_column_of_mountings_has_their_words_or_its_name():
 def test_a_column_of_senses_is_known_by_its_words():
     numbers = {"n_rpm": [0.0, 30.0, 42.0], "out_V": [1.0, 1.0, 2.0]}
     words = {"Direction": ["", "CW", "ccw"], "Position": ["up", "in", "in"]}
-    found = read_contents(numbers, words)
+    found = contents_of(numbers, words)
     assert arm_roles(found, {})["Direction"] == "sense"
     assert arm_roles(found, {})["Position"] == "position"
     assert arm_roles(found, {"Direction is": "unused"})["Direction"] == "unused"
     assert arm_roles(found, {"position": "Direction"})["Direction"] == "position"
     words["Direction"][0] = "left"
-    assert "sense" not in arm_roles(read_contents(numbers, words), {}).values()
+    assert "sense" not in arm_roles(contents_of(numbers, words), {}).values()
 
 
 @pytest.mark.parametrize(
@@ -156,7 +131,6 @@ def test_a_column_of_senses_is_known_by_its_words():
         ("n_rpm", [0.0, 20.0, 40.0], 2.0 * 10.0 / 20.0),
         ("n_rpm", [0.0, 25.0, -40.0], 2.0 / 25.0),
         ("n_rpm", [25.0, 40.125], 2.0 * 1e-3 / 25.0),
-        ("level_g", [0.5, 2.0], 0.1 / 0.5),
         ("n", [1.0, 2.0], 0.0),
     ],
 )
@@ -189,46 +163,6 @@ def test_accelerations_and_slopes_are_those_of_a_circle():
     unknown = table({"n": [3.0], "out_V": [1.0]})
     assert math.isnan(unknown.acceleration(2.0)[0])
     assert unknown.lines(unknown.contents.columns[1], 2.0)[0] == {}
-
-
-@pytest.mark.parametrize(
-    ("slopes", "kind"),
-    [
-        ((1.25, -1.2), "mountings"),
-        ((1.25, -1.0), "accelerometers"),
-        ((1.25, 1.3), "accelerometers"),
-        ((1.25, 1.25), "repeats"),
-        ((1.25, -1.25, 1.25), "mountings"),
-        ((1.25, -1.25, 0.5), "accelerometers"),
-    ],
-)
-def test_columns_that_are_each_other_s_negative_are_mountings(slopes, kind):
-    w = np.array([3.0, 6.0, 9.0])
-    columns = {f"c{n}_V": 0.1 + slope * w**2 for n, slope in enumerate(slopes)}
-    found = read_contents({"omega_rad_s": w, **columns})
-    beside = ArmTable.of(found, arm_roles(found, {}), {})
-    assert kind_of_arm_columns(beside) == kind
-    below, roles = below_each_other(found, beside.roles, {})
-    tall = ArmTable.of(below, roles, {})
-    assert len(tall.words) == 3 * (len(slopes) if kind == "mountings" else 1)
-    told = {"columns of readings": "mountings"}
-    tall = ArmTable.of(*below_each_other(found, beside.roles, told), told)
-    assert tall.turning == tuple(f"c{n}_V" for n in range(len(slopes)))
-    lines, _ = tall.lines(tall.contents.columns[-1], 1.0)
-    assert list(lines.values()) == pytest.approx([slope * 9.80665 for slope in slopes])
-
-
-@pytest.mark.parametrize(
-    ("columns", "kind"),
-    [
-        (([1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]), "mountings"),
-        (([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]), "accelerometers"),
-        (([1.0, 1.0, math.nan], [math.nan, math.nan, 2.0]), "accelerometers"),
-    ],
-)
-def test_columns_at_one_rate(columns, kind):
-    found = table({"n_rpm": [30.0] * 3, "a_V": columns[0], "b_V": columns[1]})
-    assert kind_of_arm_columns(found) == kind
 
 
 def test_radii_are_of_the_rows_that_turn():

@@ -1,0 +1,163 @@
+"""Show the contents of recorder files, and the kinds of test that they may belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import median
+from counterspin.frozen import frozen
+from counterspin.ingest.arm import shows_arm
+from counterspin.ingest.column_roles import FileGuess, guess_file
+from counterspin.ingest.contents import FileColumn, FileContents
+from counterspin.ingest.poses import shows_poses
+from counterspin.ingest.questions import AnsweredDraft, FileQuestion
+from counterspin.ingest.starter import Test
+from counterspin.ingest.triads import is_nominal, without_gravity
+from counterspin.ingest.tumble import shows_tumble
+from counterspin.records.column_file import quoted
+
+#: Columns of a file that are shown, and different words of one.
+_SHOWN: Final = 24
+_SHOWN_WORDS: Final = 4
+#: Relative difference between the rate of an angle in a known unit and that of the waves.
+_SAME_RATE: Final = 0.02
+#: Kind of test -> what the files then are.
+TESTS: Final[dict[Test, str]] = {
+    "double-turntable": "records of a double turntable",
+    "tumble": "a table of readings of a multi-position tumble",
+    "arm": "a table of readings on the arm of a centrifuge",
+    "poses": "a sensor with three axes in many poses",
+}
+
+
+def overview(all_contents: Sequence[FileContents]) -> list[str]:
+    """Return what was seen in each file: its rows and its columns, a line each."""
+    return [line for contents in all_contents for line in _lines(contents)]
+
+
+def _lines(contents: FileContents) -> Iterator[str]:
+    guess = guess_file(contents)
+    place = f", sheet '{contents.sheet}'" if contents.sheet else ""
+    rate = _sampling(guess)
+    said = [f"{contents.rows} rows", *filter(None, [contents.found, rate])]
+    yield f"{contents.path.name}{place}: {', '.join(said)}"
+    for column in contents.columns[:_SHOWN]:
+        unit = f" [{column.unit}]" if column.unit else ""
+        yield f"  {column.name}{unit}: {_appearance(column, guess)}"
+    for name in contents.others[:_SHOWN]:
+        yield f"  {name}: {_words(contents, name)}"
+    if more := len(contents.columns) + len(contents.others) - 2 * _SHOWN:
+        yield from [f"  and {more} more columns"] if more > 0 else []
+    if contents.numbers:
+        numbers = (f"{name} = {value:.9g}" for name, value in contents.numbers.items())
+        yield f"  single numbers: {', '.join(islice(numbers, _SHOWN))}"
+    yield from (f"  not read: {reason}" for reason in contents.spoilt)
+    yield from (f"  {remark}" for remark in contents.remarks)
+
+
+def _sampling(guess: FileGuess) -> str:
+    """Return the number of rows a second; empty text if it is not known."""
+    if guess.time is None:
+        return f"{guess.sampling:.8g} rows a second" if guess.sampling else ""
+    if guess.time.unit is None:
+        return ""
+    column = next(c for c in guess.contents.columns if c.name == guess.time.column)
+    steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
+    steps = steps[steps > 0.0]
+    return f"about {1.0 / median(steps):.4g} rows a second" if steps.size else ""
+
+
+def _appearance(column: FileColumn, guess: FileGuess) -> str:
+    """Return the range of a column, and what it looks like."""
+    values = column.values[np.isfinite(column.values)]
+    low, high = float(values.min()), float(values.max())
+    if column.stamps:
+        return f"time stamps over {high - low:.6g} s"
+    if low == high:
+        return f"always {low:.6g}"
+    name = column.name
+    evidence = [
+        (guess.time is not None and guess.time.column == name, "the time"),
+        (is_nominal(values), "only -1, 0 and 1: nominal orientations, not measurements"),
+        (guess.angle is not None and guess.angle.column == name, "advances evenly as an angle"),
+        (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),
+        (any(s.column == name and s.amplitude for s in guess.signals), "swings at a steady rate"),
+    ]
+    shown = next((f", {words}" for holds, words in evidence if holds), "")
+    return f"{low:.6g} to {high:.6g}{shown}"
+
+
+def _words(contents: FileContents, name: str) -> str:
+    """Return the words of a column."""
+    cells = contents.words.get(name) or contents.first_words.get(name, ())
+    kinds = sorted({cell for cell in cells if cell})
+    if not kinds:
+        return "empty"
+    more = f" and {len(kinds) - _SHOWN_WORDS} more" if len(kinds) > _SHOWN_WORDS else ""
+    return f"words, {', '.join(word[:40] for word in kinds[:_SHOWN_WORDS])}{more}"
+
+
+def likely_test(all_contents: Sequence[FileContents]) -> Test | None:
+    """Return the kind of test that files look like; None if they look like none."""
+    # A sensor with three axes may have rates beside them.
+    if shows_poses(all_contents):
+        return "poses"
+    if shows_arm(all_contents):
+        return "arm"
+    if shows_tumble(all_contents):
+        return "tumble"
+    turning = all(_shows_turntable(guess_file(contents)) for contents in all_contents)
+    return "double-turntable" if turning else None
+
+
+def _shows_turntable(guess: FileGuess) -> bool:
+    """Return whether a record follows a rotation: columns along known axes, or an angle."""
+    if not guess.signals:
+        return False
+    if any(signal.axis and signal.observable for signal in guess.signals):
+        return True
+    if any(signal.observable in ("displacement", "velocity") for signal in guess.signals):
+        return True
+    if guess.angle is None or guess.turning is None or guess.rate is None:
+        return False
+    known = guess.angle.pulses or guess.angle.unit != "count"
+    same = abs(guess.rate / guess.turning - 1.0) < _SAME_RATE
+    return same and (known or guess.angle.per_revolution is not None)
+
+
+def kind_question(likely: Test | None) -> FileQuestion:
+    """Return the question about the kind of test."""
+    kinds = "; ".join(f"{test}: {words}" for test, words in TESTS.items())
+    text = f"Which kind of test is it? {kinds}."
+    return FileQuestion("test", text, "poses", tuple(TESTS), likely)
+
+
+def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
+    """Yield the reasons why files look like no kind of test."""
+    yield (
+        "no column follows a rotation, no three columns show rests at different attitudes, and "
+        "no column is a rate or a position beside readings"
+    )
+    for contents in all_contents:
+        if axes := without_gravity(guess_file(contents)):
+            yield (
+                f"columns {quoted(axes)} read nearly nothing at rest: a filter took gravity away, "
+                "which poses need; record what the sensor itself feels, with gravity in it"
+            )
+
+
+@frozen
+class UndecidedDraft(AnsweredDraft):
+    """Files that look like no kind of test; the only question is its kind."""
+
+    contents: FileContents  #: The contents of the first file.
+
+    @classmethod
+    def of(cls, all_contents: Sequence[FileContents]) -> UndecidedDraft:
+        """Return a draft that says why the files look like no kind of test."""
+        reasons = tuple(no_test_reasons(all_contents))
+        return cls(reasons, (kind_question(None),), {}, (), all_contents[0])
