@@ -48,7 +48,7 @@ def test_a_file_without_numbers(tmp_path):
     with pytest.raises(RecordError) as caught:
         read_contents(tmp_path / "a.csv")
     told = str(caught.value)
-    assert "no column of the file holds numbers. Its first lines:\n  line 1: 2 cells, none" in told
+    assert "no column could be read as numbers. Its first lines:\n  line 1: 2 cells, none" in told
 
 
 def test_a_sheet_is_chosen_or_each_is_a_run(tmp_path):

@@ -10,6 +10,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import draft, write_description
+from counterspin.ingest.overview import overview
 
 RATE = 2.0 * np.pi
 #: Cells that have no number.
@@ -91,15 +92,29 @@ def test_a_row_for_each_quantity_is_refused(tmp_path, frame):
         draft(read_files([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
 
 
-def test_remarks_below_the_rows_are_told(tmp_path, frame):
+@pytest.mark.parametrize("below", ["End of data", "Mean,1.0,2.0,3.0\nChecked by: J. D."])
+def test_lines_below_the_rows_are_ignored_and_told(tmp_path, frame, below):
     path = tmp_path / "run.csv"
     frame.write_csv(path)
-    path.write_text(path.read_text() + "End of data\n")
-    said = draft(read_files([path])).statements
-    assert (
-        "not read: run.csv, line 402: column 'time_s' holds the text 'End of data' instead of "
-        "a number."
-    ) in said
+    rows = path.read_text()
+    path.write_text(f"{rows}{below}\n")
+    contents = read_files([path])
+    count = below.count("\n") + 1
+    assert any(f"ignored: the last {count} lines" in line for line in overview(contents))
+    document = draft(contents, KNOWN).document(tmp_path)
+    assert document["runs"][0]["records"] == {"skip_footer": count}
+    path.write_text(rows)
+    assert draft(read_files([path]), KNOWN).document(tmp_path)["records"] == document["records"]
+
+
+def test_names_that_stand_again_are_told(tmp_path, frame):
+    frame.write_csv(tmp_path / "run.csv")
+    rows = (tmp_path / "run.csv").read_text()
+    path = lines(tmp_path / "twice.csv", [rows.rstrip()], [rows.rstrip()])
+    with pytest.raises(
+        CounterspinError, match=r"line 402: column 'time_s'.*names stand there again"
+    ):
+        read_files([path])
 
 
 def test_a_clock_of_whole_seconds_tells_about_how_fast_rows_follow(tmp_path, frame):

@@ -57,7 +57,7 @@ def test_a_file_without_names_says_so(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
     message = refusal(path)
     assert "there is no column" in message
-    assert "since no line above the first numbers, line 1, would name them." in message
+    assert "No line above the first numbers, line 1, names the columns" in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
     record = read(path, time=ColumnSpec("column 1"), **numbered)
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])

@@ -4,13 +4,13 @@ import pytest
 
 from counterspin.records.dialect import (
     Dialect,
-    bracketed_unit,
     described_lines,
-    file_unit,
     find_layout,
+    footer_lines,
     is_plain,
     plain_layout,
 )
+from counterspin.records.unit_words import bracketed_unit, file_unit
 
 ROWS = ["0,5;1,25;-3", "1;1,5;2", "1,5;1,75;2,5e-3", "2;2;"]
 
@@ -91,10 +91,76 @@ def test_rows_need_no_names():
 
 def test_names_may_be_fewer_than_columns():
     layout = found(["a;b", *ROWS])
-    assert layout.names == ("a", "b", "column 3")
+    assert layout.names == ("column 1", "column 2", "column 3")
+    assert "line 1 has 2 names for 3 columns, so the columns are numbered" in layout.words("utf-8")
     # As R writes a table, the numbers of the rows have no name above them.
     counted = found(["x y", "1 0.5 2", "2 0.75 3", "3 1.0 4"])
     assert counted.names == ("column 1", "x", "y")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        ["# t ax ay"],
+        ["% t ax ay"],
+        ["#t ax ay"],
+        ["// t ax ay"],
+        ["## log of today", "# t ax ay"],
+        ["# t ax ay", "# s m/s^2 m/s^2"],
+        ["# t ax ay", "#"],
+        ["t  ax  ay"],
+        ['"t" "ax" "ay"'],
+        ["t ax ay", "(s) (m.s-2) (m.s-2)"],
+        ["t ax ay", "[s] [m/s^2] [m/s^2]"],
+    ],
+)
+def test_names_stand_above_their_columns_however_the_line_is_written(head):
+    rows = ["0.00 0.1 0.2", "0.01 0.1 0.3", "0.02 0.2 0.2", "0.03 0.1 0.2"]
+    layout = found([*head, *rows])
+    assert layout.names == ("t", "ax", "ay")
+    if len(head) > 1 and "s" in head[1]:
+        assert layout.units == ("s", "m/s^2", "m/s^2")
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "told"),
+    [
+        ("time (s)x (g),y (g),z (g)", ["0.0,0.1,0.2,0.3"] * 4, "line 1 has 3 names for 4 columns"),
+        ("t ax ay az temp", ["0.0 0.1 0.2 0.3"] * 4, "line 1 has 5 names for 4 columns"),
+        ("t,ax,ay,az,temp", ["0.0,0.1,0.2,0.3"] * 4, "line 1 has 5 names for 4 columns"),
+        ("# t ax ay", ["0.0 0.1 0.2 0.3"] * 4, "line 1 has 3 names for 4 columns"),
+    ],
+)
+def test_names_are_never_shifted_against_columns(head, rows, told):
+    layout = found([head, *rows])
+    assert layout.names == ("column 1", "column 2", "column 3", "column 4")
+    assert told in layout.words("utf-8")
+
+
+def test_names_of_rows_have_no_name_above_them():
+    """As R's write.table writes a frame, with any names of rows."""
+    for names in ('"1" "2" "3" "4"', '"a" "b" "c" "d"', "7 8 9 10"):
+        rows = [f"{name} 0.5 2.25" for name in names.split()]
+        assert found(['"t" "x"', *rows]).names == ("column 1", "t", "x")
+
+
+def test_names_may_have_a_blank_within_them():
+    layout = found(["Time s  Acc X  Acc Y", *["0.5  1.25  3.5"] * 3])
+    assert layout.names == ("Time s", "Acc X", "Acc Y")
+
+
+@pytest.mark.parametrize(
+    ("below", "count"),
+    [
+        ([], 0),
+        (["Mean;1,25;1", "Checked by J. D."], 2),
+        (["", "End of data"], 2),
+        (["0,3;;4"], 0),
+        (["Std;0,1;0,2"], 1),
+    ],
+)
+def test_lines_below_the_rows_are_counted(below, count):
+    assert footer_lines([*ROWS, *below], ";", ",") == count
 
 
 def test_any_number_of_blanks_parts_cells():

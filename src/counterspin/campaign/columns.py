@@ -186,6 +186,12 @@ class TableDialect(SettingsSection):
     units_row: bool | None = described(
         "whether a row of units stands below the names", True, None, absent="found"
     )
+    skip_footer: Annotated[int, Field(ge=0)] | None = described(
+        "lines of a text at its end that are not rows, such as a mean or a signature",
+        2,
+        None,
+        absent="none",
+    )
     sheet: Text | None = described("of an Excel file", "Run 1", None, absent="the only one")
 
     @property

@@ -19,8 +19,8 @@ from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, holds, reserve, write_open, write_whole
 from counterspin.physics.correction import NotInvertibleError
-from counterspin.records.dialect import TEMPERATURES
 from counterspin.records.formats import locate, read_numbers, read_table
+from counterspin.records.unit_words import TEMPERATURES
 from counterspin.units import ZERO_CELSIUS, same_unit, unit_factor
 
 #: What a constant in the place of a column may be.

@@ -45,7 +45,7 @@ from counterspin.ingest.readings import (
     several_question,
     usual_role,
 )
-from counterspin.records.dialect import unit_in_name
+from counterspin.records.unit_words import unit_in_name
 from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
 
 #: Directions in the frame of the arm; the horizontal ones as a turn about down passes them.

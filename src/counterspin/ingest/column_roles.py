@@ -22,7 +22,7 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
-from counterspin.records.dialect import unit_in_name
+from counterspin.records.unit_words import unit_in_name
 from counterspin.units import converts, unit_factor
 
 _TIME: Final = re.compile(r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -71,7 +71,14 @@ class FileContents:
     words: Mapping[str, Sequence[str]] = field(default_factory=dict)
     #: Which columns would hold numbers except for a cell, and where it stands, in words.
     spoilt: tuple[str, ...] = ()
+    footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
     remarks: tuple[str, ...] = ()  #: Faults of the rows, such as repeated values, a sentence each.
+
+    @property
+    def dialect_keys(self) -> dict[str, Any]:
+        """The keys of a description by which the file is read."""
+        keys = {"sheet": self.sheet, "skip_footer": len(self.footer)}
+        return {key: value for key, value in keys.items() if value}
 
     @property
     def rows(self) -> int:
@@ -114,13 +121,17 @@ def read_contents(
 
 def _read_contents(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> FileContents:
     with open_columns(path, Dialect(sheet=sheet)) as file:
+        footer = file.footer
+    with open_columns(path, Dialect(sheet=sheet, skip_footer=len(footer))) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
         columns, others, spoilt, reasons = [], [], [], []
+        first = ""
         for name in names:
             column, why = _column(file, name)
             if column is None:
                 others.append(name)
-                if "holds the text" in why and file.locate(0) not in why:
+                first = first or why
+                if "holds the text" in why and f"{file.locate(0)}:" not in why:
                     reasons.append(why)
                     spoilt.append(why.replace(str(path), path.name))
             else:
@@ -130,7 +141,8 @@ def _read_contents(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Fi
             lines = f"Its first lines:\n{seen}\n{_WANTED}" if seen else _WANTED
             if reasons and len(reasons) == len(names):
                 raise RecordError(f"{reasons[0]} {_ANOTHER_RUN}")
-            raise RecordError(f"{path}: no column of the file holds numbers. {lines}")
+            shown = f"no column could be read as numbers. {lines}"
+            raise RecordError(f"{path}: {shown}" if seen or not first else first)
         return FileContents(
             path,
             tuple(columns),
@@ -144,6 +156,7 @@ def _read_contents(path: Path, sheet: str | None, sheets: tuple[str, ...]) -> Fi
             file.first_cells(others, _FIRST_CELLS),
             _words(file, others, max(len(column.values) for column in columns)),
             tuple(spoilt),
+            footer,
         )
 
 

@@ -229,7 +229,8 @@ def _runs(
             "rate": _rate(guess, answers, sense),
             "record": relative_name(guess.contents.path, place),
         }
-        yield run | ({"records": {"sheet": sheet}} if sheet else {})
+        keys = guess.contents.dialect_keys
+        yield run | ({"records": keys} if keys else {})
 
 
 # What is said

@@ -55,6 +55,9 @@ def _lines(contents: FileContents) -> Iterator[str]:
     if contents.numbers:
         numbers = (f"{name} = {value:.9g}" for name, value in contents.numbers.items())
         yield f"  single numbers: {', '.join(islice(numbers, _SHOWN))}"
+    if contents.footer:
+        shown = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_SHOWN_WORDS])
+        yield f"  ignored: the last {len(contents.footer)} lines, which are not rows: {shown}"
     yield from (f"  not read: {reason}" for reason in contents.spoilt)
     yield from (f"  {remark}" for remark in contents.remarks)
 

@@ -109,7 +109,7 @@ class PosesDraft(AnsweredDraft):
         """Return the keys for a table of poses: its file and the role of its columns."""
         contents = self.contents
         readings: dict[str, Any] = {"file": relative_name(contents.path, place)}
-        readings |= {"sheet": contents.sheet} if contents.sheet else {}
+        readings |= contents.dialect_keys
         readings |= {"decimal": ","} if contents.decimal == "," else {}
         read: dict[str, Any] = {"reading": dict(zip(AXES, columns, strict=True))}
         warm = self.guesses[0].temperature
@@ -126,17 +126,17 @@ class PosesDraft(AnsweredDraft):
             rows = {"column": time.column, "unit": time.unit or said["time unit"]}
         names: list[Any] = []
         runs = []
-        for file in self.files:
-            names.append(Path(record_name(file.stem, "", names)).name)
-            runs.append(
-                {
-                    "name": names[-1],
-                    "motion": "static",
-                    "attitude": "unknown",
-                    "record": relative_name(file, place),
-                    "poses": poses,
-                }
-            )
+        for contents in (guess.contents for guess in self.guesses):
+            names.append(Path(record_name(contents.path.stem, "", names)).name)
+            run = {
+                "name": names[-1],
+                "motion": "static",
+                "attitude": "unknown",
+                "record": relative_name(contents.path, place),
+                "poses": poses,
+            }
+            keys = contents.dialect_keys
+            runs.append(run | ({"records": keys} if keys else {}))
         return {"records": {"time": rows} | self.guesses[0].temperature_table, "runs": runs}
 
 

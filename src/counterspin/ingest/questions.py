@@ -26,7 +26,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import NONE, UNUSED, FileGuess, SignalGuess
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
-from counterspin.records.dialect import file_unit
+from counterspin.records.unit_words import file_unit
 from counterspin.units import STANDARD_GRAVITY, unit_factor
 
 SENSES: Final = ("counterclockwise", "clockwise")

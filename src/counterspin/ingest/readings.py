@@ -17,7 +17,7 @@ from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import NONE, UNUSED
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion, relative_name
-from counterspin.records.dialect import unit_in_name
+from counterspin.records.unit_words import unit_in_name
 from counterspin.units import converts
 
 #: What a column of numbers may be in every table, and a column of words.
@@ -130,7 +130,7 @@ class ReadingsDraft(AnsweredDraft):
             "accelerometers": outputs,
             "readings": {
                 "file": relative_name(self.contents.path, place),
-                **({"sheet": self.contents.sheet} if self.contents.sheet else {}),
+                **self.contents.dialect_keys,
                 **({"decimal": ","} if self.contents.decimal == "," else {}),
                 "columns": {**columns, **given},
             },

@@ -29,9 +29,9 @@ from counterspin.monitoring.result import (
     shown_unit,
 )
 from counterspin.physics import observation
-from counterspin.records.dialect import file_unit
 from counterspin.records.frames import memory_table
 from counterspin.records.memory import MemoryTable
+from counterspin.records.unit_words import file_unit
 from counterspin.reports.numbers import format_number
 from counterspin.threads import one_blas_thread
 from counterspin.units import STANDARD_GRAVITY, base_unit, converts, unit_factor

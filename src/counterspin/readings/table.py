@@ -48,6 +48,9 @@ _Repeats = str | list[str]
 #: What messages call a table of readings without a file.
 _IN_MEMORY: Final = "readings in memory"
 
+#: Endings of the files of such a table.
+_TABLE_ENDINGS: Final = (".csv", ".txt", ".tsv", ".parquet", ".xlsx", ".mat", ".h5", ".hdf5")
+
 #: No cell has more characters.
 _MAX_CHARACTERS: Final = 1000
 
@@ -73,7 +76,7 @@ _STATIONS: Final = {"rate", "attitude", "head", "input"}
 
 class _TableFile(SettingsSection):
     file: Annotated[Text, AfterValidator(file_name)] = described(
-        ".csv, .txt or .tsv (commas, semicolons or tabs), .parquet, or .xlsx "
+        ".csv, .txt or .tsv (commas, semicolons or tabs), .parquet, .mat, .h5, or .xlsx "
         "([extra](quickstart.md#extras) `excel`)",
         "readings.csv",
     )
@@ -199,8 +202,8 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
     """
     from counterspin.records.formats import is_workbook, read_small_table
 
-    if path.suffix.lower() not in (".csv", ".txt", ".tsv", ".parquet", ".xlsx"):
-        raise ValueError(f"{path.name}: a table of readings is .csv, .parquet or .xlsx")
+    if path.suffix.lower() not in _TABLE_ENDINGS:
+        raise ValueError(f"{path.name}: a table of readings ends in {', '.join(_TABLE_ENDINGS)}")
     if dialect.sheet is not None and not is_workbook(path):
         raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
     try:

@@ -7,6 +7,7 @@
 - `column_file`, `csv_file`, `array_files`, `table_files`: what all formats have in common, and each
   format's own
 - `dialect`, `heads`: how files of text are written, and what the lines above their names and
+- `unit_words`: units as files write them
   their cells state
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them

@@ -22,7 +22,8 @@ import numpy as np
 from counterspin.errors import RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile, Columns, joined, quoted
-from counterspin.records.dialect import Dialect, file_unit
+from counterspin.records.dialect import Dialect
+from counterspin.records.unit_words import file_unit
 
 if TYPE_CHECKING:
     import polars as pl

@@ -182,6 +182,7 @@ class ColumnFile(ABC):
     stamps: frozenset[str]
     first_stamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
     found: str  #: How the file is written, where that is not plain.
+    footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path

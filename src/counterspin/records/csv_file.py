@@ -30,6 +30,7 @@ from counterspin.records.dialect import (
     Line,
     described_lines,
     find_layout,
+    footer_lines,
     grouping,
     is_plain,
     plain_layout,
@@ -49,6 +50,11 @@ _CELL_LINE_ENDS = 100
 _CHUNK_BYTES = 1 << 20
 #: Bytes that show whether characters are wide.
 _SHOWN_BYTES = 400
+#: Digits beside other signs, as in `10:00 -> 1.5` and `(0.5`.
+_MIXED_CELL = re.compile(r"[([{>=:].*\d|\d.*[)\]}<]")
+#: Lines of a table's body, and bytes of its end, that show what stands below the rows.
+_BODY_LINES = 20
+_TAIL_BYTES = 16_384
 #: A number with its unit, `1.25 mA`.
 _UNIT_CELL = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?[^\s\d,;.:+-]\S{0,9}")
 _FORM = "A .csv file holds a line of column names and lines of numbers."
@@ -105,11 +111,14 @@ class CsvFile(ColumnFile):
             self._refuse_what_is_no_text(head)
         if layout is None:
             raise RecordError(f"{self.path}: the file has no header line and no rows.")
-        if all(_is_number(cell) for cell in layout.names):
+        numbers = [cell for cell in layout.names if _is_number(cell)]
+        mixed = next((cell for cell in layout.names if _MIXED_CELL.search(cell)), None)
+        if len(numbers) == len(layout.names) or (mixed and 2 * len(numbers) >= len(layout.names)):
             line = next(line for number, line in lines if number == layout.header)
+            within = f" and text within a cell, '{mixed[:40]}'" if mixed else ""
             raise RecordError(
                 f"{self.path}, line {layout.header}: the first line must name the columns, "
-                f"but it holds numbers: {line[:60]}"
+                f"but it holds numbers{within}: {line[:60]}"
             )
         self.delimiter, self.decimal = layout.delimiter, layout.decimal
         self._named = layout.header > 0
@@ -123,6 +132,11 @@ class CsvFile(ColumnFile):
         self.units |= units
         if not plain:
             self.found = layout.words(self._encoding)
+        self._mismatch = layout.mismatch
+        if dialect.skip_footer is None:
+            self.footer = self._footer()
+        else:
+            self._drop_footer(dialect.skip_footer)
         if self.delimiter == BLANKS:
             self._part_by_tabs()
 
@@ -133,14 +147,34 @@ class CsvFile(ColumnFile):
     def _part_by_tabs(self) -> None:
         """Take the content with one tab for the blanks between two cells; lines stay lines."""
         self.delimiter = "\t"
-        self._content = b"".join(b"\t".join(line.split()) + b"\n" for _, line in self._lines())
+        self._content = b"".join(map(_parted_by_tabs, (line for _, line in self._lines())))
+
+    def _footer(self) -> tuple[str, ...]:
+        """Return the lines at the end that are not rows, without those that are blank."""
+        self._stream.seek(0, io.SEEK_END)
+        start = max(0, self._stream.tell() - _TAIL_BYTES)
+        self._stream.seek(start)
+        tail = self._stream.read() if self._content is None else self._content[-_TAIL_BYTES:]
+        last = [self._decoded(line) for line in tail.splitlines()]
+        body = [line for number, line in self._head if number > self._before_rows]
+        whole = start == 0 and self._content is None
+        rest = last[self._before_rows + _BODY_LINES :] if whole else last[1:]
+        lines = [*body[:_BODY_LINES], *rest]
+        count = footer_lines(lines, self.delimiter, self.decimal)
+        return tuple(lines[len(lines) - count :])
+
+    def _drop_footer(self, count: int) -> None:
+        """Take the content without lines at its end."""
+        lines = (self.content() if self._content is None else self._content).splitlines(True)
+        self._content = b"".join(lines[: len(lines) - count])
 
     def _missing_words(self, missing: Sequence[str]) -> str:
         words = super()._missing_words(missing)
         if self._named:
             return words
         above = f"above the first numbers, line {self._before_rows + 1}"
-        return f"{words} The columns were numbered, since no line {above}, would name them."
+        reason = self._mismatch or f"no line {above}, names the columns, so they are numbered"
+        return f"{words} {reason[0].upper()}{reason[1:]}."
 
     def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
         """Return the first cells of columns, as they are written."""
@@ -293,6 +327,8 @@ class CsvFile(ColumnFile):
                 "instead of a time, such as 2026-03-01T12:00:00.020."
             )
         hint = ""
+        if cell.strip() == column:
+            hint = " The names stand there again: give each run a file of its own."
         if _UNIT_CELL.fullmatch(cell.strip()):
             hint = " Move the unit from the cells to the line of names, such as 'Time [s]'."
         if _is_number(cell.replace(",", ".")):
@@ -417,6 +453,14 @@ def _open_line_ends(chunk: bytes, before: int) -> int:
     if most > _CELL_LINE_ENDS:
         return most
     return int(in_cells[-1]) + 1 if is_open else 0
+
+
+def _parted_by_tabs(line: bytes) -> bytes:
+    """Return a line with one tab between cells that blanks part."""
+    if b'"' not in line:
+        return b"\t".join(line.split()) + b"\n"
+    cells = split(line.decode("latin-1").strip(), BLANKS)
+    return "\t".join(cells).encode("latin-1") + b"\n"
 
 
 def _unused_name(names: Sequence[str]) -> str:

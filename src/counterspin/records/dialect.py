@@ -11,12 +11,11 @@ import csv
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from functools import lru_cache
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from typing import Final
 
 from counterspin.frozen import frozen
-from counterspin.units import check_unit
+from counterspin.records.unit_words import bracketed_unit, file_unit
 
 #: Marks that may part the cells, the usual first.
 MARKS: Final = (",", ";", "\t")
@@ -44,7 +43,27 @@ STAMP: Final = re.compile(
 _NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
 _UNIT_KEYS: Final = ("vunit", "unit")
 #: What a row of units has above columns that have none.
-_NO_UNITS: Final = ("", "-", "no.", "no", "nr", "nr.", "number", "time", "date", "date&time")
+_NO_UNITS: Final = (
+    "",
+    "-",
+    "(-)",
+    "[-]",
+    "(na)",
+    "[na]",
+    "na",
+    "n/a",
+    "(n/a)",
+    "()",
+    "[]",
+    "no.",
+    "no",
+    "nr",
+    "nr.",
+    "number",
+    "time",
+    "date",
+    "date&time",
+)
 #: Most lines between the units and the rows.
 _LINES_BELOW_UNITS: Final = 4
 _NUMBERS: Final = {
@@ -60,64 +79,34 @@ _GROUPED: Final = {
     ".": ",",
     ",": r"\.",
 }
-#: A cell between blanks; a unit in brackets may stand one blank behind its name.
-_BETWEEN_BLANKS: Final = re.compile(r"\S+(?: ?[\[(][^\[\]()\s]+[\])])?")
+#: A cell between blanks, perhaps in quotation marks; a unit in brackets may stand one blank behind
+#: its name.
+_BETWEEN_BLANKS: Final = re.compile(
+    r'"[^"]*"|[\[(][^\[\]()\s]+[\])](?=\s|$)|\S+(?: ?[\[(][^\[\]()\s]+[\])])?'
+)
+#: Blanks that part names which have blanks within them.
+_WIDE_BLANKS: Final = re.compile(r"\s{2,}|\t")
+#: A mark of a comment at the beginning of a line, and the blanks behind it.
+_COMMENT: Final = re.compile(r"\s*(?:#+|%+|//+|!+)\s*")
+#: Lines of comments above the rows in which names may stand.
+_COMMENT_LINES: Final = 4
+#: Words that label a row of results below a table.
+_RESULT_LABEL: Final = re.compile(
+    r"(?i)(mean|average|avg|mittel(wert)?|std|sd|stdev|sigma|sum|summe|min|max|median|rms|total|"
+    r"result|checked|approved|signed|operator|end|eof|geprüft)\b.*"
+)
+#: Part of the cells of a column of numbers that are numbers; lines below the rows have others.
+_NUMERIC_PART: Final = 0.6
+#: Most lines below the rows that are no rows.
+_MOST_FOOTER_LINES: Final = 40
 #: Delimiter -> how it is called.
 _DELIMITER_WORDS: Final = {
     ";": "semicolon-separated",
     "\t": "tab-separated",
     BLANKS: "separated by blanks",
 }
-#: A unit in brackets at the end of a name.
-_IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
-#: Words that files write for units.
-_WORDS: Final = {
-    "sec": "s",
-    "sec.": "s",
-    "sek": "s",
-    "sek.": "s",
-    "sekunden": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "deg": "deg",
-    "Grad": "deg",  # lower-case grad is 0.9 of it
-    "degree": "deg",
-    "degrees": "deg",
-    "radian": "rad",
-    "radians": "rad",
-    "revolutions": "rev",
-    "umdr": "rev",
-    "umdrehungen": "rev",
-    "meter": "m",
-    "meters": "m",
-    "metre": "m",
-    "metres": "m",
-    "counts": "count",
-    "volt": "V",
-    "volts": "V",
-    "vdc": "V",
-    "cts": "count",
-    "lsb": "count",
-    "digits": "count",
-    "impulse": "count",
-    "inkremente": "count",
-    "rpm": "rpm",
-    "r/min": "rpm",
-    "u/min": "rpm",
-    "upm": "rpm",
-    "u/s": "rev/s",
-    "min-1": "1/min",
-    "min⁻¹": "1/min",
-    "m/s²": "m/s^2",
-    "m/s2": "m/s^2",
-    "m/(s^2)": "m/s^2",
-    "m s-2": "m/s^2",
-}
 #: Between a name that several columns have, and which of them one is.
 NUMBERED: Final = " #"
-#: There is no factor from a temperature in these to one in another unit.
-TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
 
 
 @frozen
@@ -130,6 +119,7 @@ class Dialect:
     decimal: str | None = None
     encoding: str | None = None  #: As Python names it.
     units_row: bool | None = None  #: Whether a row of units stands below the names.
+    skip_footer: int | None = None  #: Lines at the end that are not rows.
     sheet: str | None = None  #: Of an Excel file.
     #: Of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it.
     group: str | None = None
@@ -151,12 +141,15 @@ class Layout:
     #: Between cells, and in numbers.
     delimiter: str
     decimal: str
+    mismatch: str = ""  #: Why a line of names is not used, in words.
 
     def words(self, encoding: str) -> str:
         """Say what is not plain; empty text of a plain file."""
         said = []
         if not self.header:
             said.append("columns without names")
+        if self.mismatch:
+            said.append(self.mismatch)
         if self.header > 1:
             said.append(f"names in line {self.header}")
         if self.units_row:
@@ -178,12 +171,36 @@ def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
     """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
     best: tuple[int, Layout] | None = None
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
-        parted = [(number, split(line, delimiter)) for number, line in lines]
+        parted = [(number, split(_marked_line(line), delimiter)) for number, line in lines]
+        if delimiter == BLANKS:
+            parted = _wide_names(parted, lines)
         for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
             found = find_rows(parted, dialect, decimal, delimiter)
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
     return best and best[1]
+
+
+def _marked_line(line: str) -> str:
+    """Return a line with its mark of a comment, if it has one, as '#' without a blank behind it."""
+    return _COMMENT.sub("#", line, count=1) if _COMMENT.match(line) else line
+
+
+def _wide_names(
+    parted: Sequence[tuple[int, list[str]]], lines: Sequence[Line]
+) -> list[tuple[int, list[str]]]:
+    """Return lines parted by blanks, of which those above the rows may be parted by wide ones.
+
+    Names such as `Acc X` have a blank within them, and two or more between them.
+    """
+    widths = [len(cells) for _, cells in parted[-_PLAIN_ROWS:] if _has_numbers(cells, ".")]
+    width = max(set(widths), key=widths.count, default=0)
+    result = []
+    for (number, cells), (_, line) in zip(parted, lines, strict=True):
+        wide = [cell for cell in _WIDE_BLANKS.split(_marked_line(line).strip()) if cell]
+        text = cells and not _has_numbers(cells, ".")
+        result.append((number, wide if text and len(wide) == width != len(cells) else cells))
+    return result
 
 
 def is_plain(lines: Sequence[Line]) -> bool:
@@ -194,8 +211,11 @@ def is_plain(lines: Sequence[Line]) -> bool:
     delimiter = max(MARKS, key=written[0].count)
     names = split(written[0], delimiter)
     width = len(names)
+    named = sum(bool(name) and name.lower() != "comment" for name in names)
     rows = [split(line, delimiter) for line in written[1 : 1 + _PLAIN_ROWS]]
-    return not _is_row(names, ".") and all(len(row) <= width and _is_row(row, ".") for row in rows)
+    if _is_row(names, ".") or max(map(len, rows)) < named:
+        return False
+    return all(len(row) <= width and _is_row(row, ".") for row in rows)
 
 
 def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
@@ -259,11 +279,24 @@ def find_rows(
     if any(len(cells) == width and _is_row(cells, decimal) for _, cells in above):
         return None  # a row like any other stands above: what parts the two is no row of names
     rows = [cells for _, cells in table[begin:end]]
-    head = _head(above, dialect, width, decimal) or _marked(table[:begin], width, decimal)
+    head, mismatch = _marked(table[:begin], width, decimal), ""
+    head = head or _head(above, dialect, width, decimal)
     if head is not None:
         (header, names), below = head
-        if len(names) == width - 1 and _is_counted(rows, decimal):
-            names = ["column 1", *names]  # as R writes it: nothing above the numbers of the rows
+        if len(names) == width - 1 and _are_row_names(rows, decimal):
+            names = ["column 1", *names]  # as R writes it: nothing above the names of the rows
+            below = ["", *below] if below else below
+    unnamed = head is not None and _more_columns_than(names, rows, decimal)
+    nearest = above or [(number, cells) for number, cells in table[:begin][-1:]]
+    if unnamed or (head is None and _miscounted(nearest, width, decimal)):
+        number, cells = (header, names) if unnamed else nearest[-1]
+        if not _need_no_names(rows, decimal, delimiter):
+            return None
+        mismatch = f"line {number} has {_count(cells, 'name')} for {width} columns, so the columns "
+        mismatch += "are numbered"
+        header, names, below = 0, [], []
+    elif head is not None:
+        pass
     elif all(2 * len(cells) <= width for _, cells in above[-1:]) and _need_no_names(
         rows, decimal, delimiter
     ):
@@ -287,17 +320,42 @@ def find_rows(
     numbers = sum(_is_number(cell, decimal) for cell in written)
     texts = sum(not STAMP.fullmatch(cell) for cell in written) - numbers
     before = table[begin][0] - 1
-    layout = Layout(header, before, _distinct(names), tuple(units), bool(below), delimiter, decimal)
+    layout = Layout(
+        header, before, _distinct(names), tuple(units), bool(below), delimiter, decimal, mismatch
+    )
     return numbers - texts, layout
 
 
-def _is_counted(rows: Sequence[Sequence[str]], decimal: str) -> bool:
-    """Return whether the first cells count the rows, and the last ones are numbers too."""
-    first = int(rows[0][0]) if rows[0][0] in ("0", "1") else None
-    return first is not None and all(
-        row[0] == str(first + place) and _is_number(row[-1], decimal)
-        for place, row in enumerate(rows)
+def _are_row_names(rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Return whether the first cells are names of rows: words, or whole numbers that rise."""
+    first = [row[0] for row in rows]
+    if not all(_is_number(row[-1], decimal) for row in rows):
+        return False
+    if all(cell.isdigit() for cell in first):
+        return all(int(after) - int(cell) == 1 for cell, after in pairwise(first))
+    return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first)
+
+
+def _more_columns_than(names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Return whether rows have numbers in columns behind the last name."""
+    return bool(names) and any(
+        _is_number(cell, decimal) for row in rows for cell in row[len(names) :]
     )
+
+
+def _miscounted(above: Sequence[tuple[int, list[str]]], width: int, decimal: str) -> bool:
+    """Return whether the line above the rows seems to have names, but not one for each column."""
+    cells = above[-1][1] if above else []
+    if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
+        return False
+    # A comment may say anything.
+    most = 1 if cells[0].startswith("#") else width
+    return 0 < abs(len(cells) - width) <= most
+
+
+def _count(cells: Sequence[str], noun: str) -> str:
+    count = sum(map(bool, cells))
+    return f"{count} {noun}" + "s" * (count != 1)
 
 
 def _need_no_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
@@ -348,11 +406,25 @@ def _head(
 def _marked(
     above: Sequence[tuple[int, list[str]]], width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
-    """Return the names in a comment that stands right above rows without others, as of `_head`."""
-    number, cells = above[-1] if above else (0, [])
-    names = [cell.lstrip("#% ") for cell in cells]
-    named = [name for name in names if name and not _is_number(name, decimal)]
-    return ((number, names), []) if len(named) == width > 1 and cells != names else None
+    """Return the names in comments right above the rows, and the units below them, as of `_head`.
+
+    The line that is nearest to the rows and has a name for each column is that of the names.
+    """
+    units: list[str] = []
+    for number, cells in reversed(above[-_COMMENT_LINES:]):
+        if not cells[0].startswith("#"):
+            break
+        names = [cells[0].removeprefix("#").strip(), *cells[1:]]
+        written = [name for name in names if name]
+        if len(names) != width or len(written) != width or width < 2:
+            continue
+        if any(_is_number(name, decimal) for name in written):
+            continue
+        if not units and all(file_unit(name) or name.lower() in _NO_UNITS for name in written):
+            units = names
+            continue
+        return (number, names), [file_unit(unit) or "" for unit in units]
+    return None
 
 
 def _named_and_united(
@@ -383,6 +455,41 @@ def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -
     return best
 
 
+def footer_lines(lines: Sequence[str], delimiter: str, decimal: str) -> int:
+    """Return the number of lines at the end of a table that are not rows, such as a mean.
+
+    lines: The rows of the table and what stands below them.
+    """
+    parted = [split(line, delimiter) for line in lines]
+    body = [cells for cells in parted[:_PLAIN_ROWS] if any(cells)]
+    if len(body) < _FEWEST_ROWS:
+        return 0
+    width = max(set(map(len, body)), key=list(map(len, body)).count)
+    full = [cells for cells in body if len(cells) == width]
+    numeric = [n for n in range(width) if any(_is_number(cells[n], decimal) for cells in full)]
+    most = [sum(_is_row_cell(cells[n], decimal) for cells in full) for n in range(width)]
+    numeric = [n for n in numeric if most[n] >= _NUMERIC_PART * len(full)]
+    if not numeric:
+        return 0
+    count = 0
+    for place, cells in enumerate(reversed(parted[-_MOST_FOOTER_LINES:]), 1):
+        if not any(cells) or cells[0].startswith("#"):
+            count += place == count + 1 and count > 0
+            continue
+        fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
+        fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
+        if fits and not _RESULT_LABEL.fullmatch(cells[0]):
+            break
+        count = place
+    return count if count < len(parted) - _FEWEST_ROWS else 0
+
+
+def _is_row_cell(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number, a time or empty."""
+    empty = cell.lower() in EMPTY_WORDS
+    return empty or _is_number(cell, decimal) or bool(STAMP.fullmatch(cell))
+
+
 def grouping(lines: Iterable[str]) -> str | None:
     """Return what parts groups of three digits in cells that have decimals too; None: nothing."""
     text = "\n".join(lines)
@@ -404,7 +511,7 @@ def ungrouped(text: str, mark: str) -> str:
 def split(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line, without blanks around them."""
     if delimiter == BLANKS:
-        return _BETWEEN_BLANKS.findall(line)
+        return [cell.strip('"') for cell in _BETWEEN_BLANKS.findall(line)]
     cells = line.split(delimiter)
     if '"' in line:
         with suppress(csv.Error):  # a line that is no text
@@ -422,44 +529,6 @@ def described_lines(lines: Sequence[Line], shown: int = 6) -> str:
         count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
         said.append(f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}")
     return "\n".join(said)
-
-
-def file_unit(text: str) -> str | None:
-    """Return a unit as a file writes it, perhaps in brackets, in plain signs; None if none."""
-    bare = text.strip()
-    while bare and bare[0] + bare[-1] in ("[]", "()", "<>"):
-        bare = bare[1:-1].strip()
-    return _known_unit(bare) if 0 < len(bare) <= 20 else None
-
-
-def bracketed_unit(name: str) -> str:
-    """Return the unit in brackets at the end of a column's name; empty text if there is none."""
-    match = _IN_BRACKETS.fullmatch(name)
-    # A number in brackets counts the elements of an array.
-    return (file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
-
-
-def unit_in_name(name: str) -> str:
-    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
-
-    A single letter alone is a name, and so is A after a blank: sensor A.
-    """
-    *before, ending = re.split(r"[_\s,]+", name.strip())
-    if "A" == ending != name.rpartition("_")[2]:
-        return ""
-    if not before and len(ending) < 2:
-        return ""
-    return file_unit(ending) or file_unit(ending.partition("/")[2]) or ""
-
-
-@lru_cache(maxsize=256)
-def _known_unit(text: str) -> str | None:
-    if text in TEMPERATURES:
-        return "degC"
-    try:
-        return check_unit(_WORDS.get(text) or _WORDS.get(text.lower(), text))
-    except ValueError:
-        return None
 
 
 def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:

@@ -10,7 +10,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from counterspin.records.dialect import NUMBERED, file_unit
+from counterspin.records.dialect import NUMBERED
+from counterspin.records.unit_words import file_unit
 from counterspin.units import unit_factor
 
 #: Lines of the head, by their first cell: units of the columns, what x is, and its step.

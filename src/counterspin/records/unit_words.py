@@ -1,0 +1,109 @@
+"""Units as files write them, to units in plain signs."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import Final
+
+from counterspin.units import check_unit
+
+#: A unit in brackets at the end of a name.
+_IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
+#: Words that files write for units.
+_WORDS: Final = {
+    "sec": "s",
+    "sec.": "s",
+    "sek": "s",
+    "sek.": "s",
+    "sekunden": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "deg": "deg",
+    "Grad": "deg",  # lower-case grad is 0.9 of it
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "revolutions": "rev",
+    "umdr": "rev",
+    "umdrehungen": "rev",
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "counts": "count",
+    "volt": "V",
+    "volts": "V",
+    "vdc": "V",
+    "cts": "count",
+    "lsb": "count",
+    "digits": "count",
+    "impulse": "count",
+    "inkremente": "count",
+    "rpm": "rpm",
+    "r/min": "rpm",
+    "u/min": "rpm",
+    "upm": "rpm",
+    "u/s": "rev/s",
+    "min-1": "1/min",
+    "min⁻¹": "1/min",
+    "m/s²": "m/s^2",
+    "m/s2": "m/s^2",
+    "m/(s^2)": "m/s^2",
+    "m s-2": "m/s^2",
+    "m.s-2": "m/s^2",
+    "m*s-2": "m/s^2",
+    "m/sec^2": "m/s^2",
+    "m/s/s": "m/s^2",
+    "m.s⁻²": "m/s^2",
+    "m s⁻²": "m/s^2",
+    "m·s⁻²": "m/s^2",
+    "deg.s-1": "deg/s",
+    "rad.s-1": "rad/s",
+    "deg s-1": "deg/s",
+    "rad s-1": "rad/s",
+    "°.s-1": "deg/s",
+    "dps": "deg/s",
+}
+#: There is no factor from a temperature in these to one in another unit.
+TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
+
+
+def file_unit(text: str) -> str | None:
+    """Return a unit as a file writes it, perhaps in brackets, in plain signs; None if none."""
+    bare = text.strip()
+    while bare and bare[0] + bare[-1] in ("[]", "()", "<>", "{}"):
+        bare = bare[1:-1].strip()
+    return _known_unit(bare) if 0 < len(bare) <= 20 else None
+
+
+def bracketed_unit(name: str) -> str:
+    """Return the unit in brackets at the end of a column's name; empty text if there is none."""
+    match = _IN_BRACKETS.fullmatch(name)
+    # A number in brackets counts the elements of an array.
+    return (file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
+
+
+def unit_in_name(name: str) -> str:
+    """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
+
+    A single letter alone is a name, and so is A after a blank: sensor A.
+    """
+    *before, ending = re.split(r"[_\s,]+", name.strip())
+    if "A" == ending != name.rpartition("_")[2]:
+        return ""
+    if not before and len(ending) < 2:
+        return ""
+    return file_unit(ending) or file_unit(ending.partition("/")[2]) or ""
+
+
+@lru_cache(maxsize=256)
+def _known_unit(text: str) -> str | None:
+    if text in TEMPERATURES:
+        return "degC"
+    try:
+        return check_unit(_WORDS.get(text) or _WORDS.get(text.lower(), text))
+    except ValueError:
+        return None
