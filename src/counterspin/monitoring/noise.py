@@ -256,7 +256,7 @@ def _stated(record: RestRecord, turning: float | None) -> SignalNoise:
         observable=observable,  # type: ignore[arg-type]
         in_g=signal.in_g,
         rows=stretches.rows,
-        sampling_rate=1.0 / stretches.step,
+        sampling_rate=1.0 / stretches.clock,
         seconds=seconds,
         outliers=stretches.outliers,
         filled=stretches.filled,
@@ -266,8 +266,8 @@ def _stated(record: RestRecord, turning: float | None) -> SignalNoise:
         drift=rest.drift,
         u_drift=rest.u_drift,
         lines=lines,
-        allan=allan_values(analysis.velocity, step, kind, rest.variances),
-        spectrum=spectrum(force, stretches.step, kind, rest.variances),
+        allan=allan_values(analysis.velocity, step, kind, analysis.recorded),
+        spectrum=spectrum(force, stretches.step, kind, analysis.recorded),
         remarks=[],
     )
     return stated.model_copy(update={"remarks": list(_remarks(stated, record))})
@@ -326,6 +326,7 @@ def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
                 f"The {name} depends on the few slowest periods of this record, hence "
                 f"its wide interval: use a record several times longer than {stated.seconds:.4g} s."
             )
+    yield from _sampling(record)
     if stated.outliers:
         many = "1 sample" if stated.outliers == 1 else f"{stated.outliers} samples"
         yield f"Left out as outliers: {many}."
@@ -348,6 +349,35 @@ def _remarks(stated: SignalNoise, record: RestRecord) -> Iterator[str]:
         )
     yield from _motion(record)
     yield from _misfit(record.analysis.noise.bands)
+
+
+def _sampling(record: RestRecord) -> Iterator[str]:
+    """Yield remarks on rows that are not samples of their own, and on missing samples."""
+    stretches = record.stretches
+    if stretches.repeated:
+        yield (
+            f"{stretches.repeated} of {stretches.rows} rows repeat the value before them, as where "
+            "a log is faster than the sensor. Only new values are used, at "
+            f"{1.0 / stretches.clock:.4g} Hz."
+        )
+    if stretches.restamped and stretches.restamped < stretches.rows:
+        yield (
+            f"{stretches.restamped} of {stretches.rows} rows repeat the time of the row before "
+            "with another value. Rows are counted instead."
+        )
+    if stretches.filled and stretches.share < 1.0:
+        part = 100.0 * (1.0 - stretches.share)
+        yield (
+            f"{stretches.filled} samples are missing ({part:.2g} %). The recorded samples are used "
+            "as they follow one another; slow noise is resolved to that extent."
+        )
+        if record.signal.order == 0 and record.analysis.noise.components["white"].variance:
+            yield (
+                "With missing samples, quantisation noise of the velocity cannot be told from "
+                "white noise: use a record without missing samples."
+            )
+    elif stretches.filled > stretches.outliers:
+        yield f"{stretches.filled - stretches.outliers} missing samples are interpolated."
 
 
 def _motion(record: RestRecord) -> Iterator[str]:

@@ -172,7 +172,7 @@ class SignalNoise(ResultPart):
     sampling_rate: float  #: Rows a second, Hz.
     seconds: float  #: Of all that was used.
     outliers: int  #: Samples left out.
-    filled: int  #: Samples put in from their neighbours, outliers among them.
+    filled: int  #: Samples missing in the parts used, outliers among them.
     gaps: int  #: Stretches of missing rows, at which the record is cut.
     resolution: float | None  #: Least step between different samples, SI; None: none is seen.
     #: By key of ``[noise]``: ``acceleration`` N, ``flicker`` B, ``bias_walk`` K, and white noise of

@@ -6,9 +6,9 @@
 - `formats`: a file in any format, as columns or as a table
 - `column_file`, `csv_file`, `array_files`, `table_files`: what all formats have in common, and each
   format's own
-- `dialect`, `heads`: how files of text are written, and what the lines above their names and
-- `unit_words`: units as files write them
-  their cells state
+- `dialect`, `heads`, `unit_words`: how files of text are written, what the lines above their names
+  state, and units as files write them
+- `sampling`: the samples of a sensor in the rows of its log
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `clock`, `spikes`, `reduction`: the steps of reading a piece, in the order in which it passes them
 - `signals`: the unit of a signal by its wave, and whether a recorder took a line off it

@@ -283,7 +283,7 @@ def find_rows(
     head = head or _head(above, dialect, width, decimal)
     if head is not None:
         (header, names), below = head
-        if len(names) == width - 1 and _are_row_names(rows, decimal):
+        if len(names) == width - 1 and _are_row_names(rows, decimal, delimiter):
             names = ["column 1", *names]  # as R writes it: nothing above the names of the rows
             below = ["", *below] if below else below
     unnamed = head is not None and _more_columns_than(names, rows, decimal)
@@ -326,13 +326,15 @@ def find_rows(
     return numbers - texts, layout
 
 
-def _are_row_names(rows: Sequence[Sequence[str]], decimal: str) -> bool:
+def _are_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
     """Return whether the first cells are names of rows: words, or whole numbers that rise."""
     first = [row[0] for row in rows]
     if not all(_is_number(row[-1], decimal) for row in rows):
         return False
     if all(cell.isdigit() for cell in first):
         return all(int(after) - int(cell) == 1 for cell, after in pairwise(first))
+    if delimiter not in (BLANKS, "\t") or len(rows) < _FEWEST_ROWS:
+        return False
     return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -25,10 +26,19 @@ from counterspin.inference.noise.model import COMPONENTS, SPECIFIC_FORCE, WANTED
 from counterspin.inference.noise.search import KEEPING_GAIN, Choice, Maximum
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines
 from counterspin.inference.noise.wander import Variances
+from counterspin.records.sampling import Samples
 from counterspin.records.spikes import find_spikes
 
-#: Most samples in a row that are put in from their neighbours; more are a gap.
-_MOST_FILLED: Final = 3
+#: Most samples missing in a row within a part; more are a gap. Where many samples are lost, more in
+#: a row are, up to a number that a record of so many exceeds with a small probability.
+_MOST_MISSING: Final = 3
+_MOST_LOST: Final = 30
+_FAR_PROBABILITY: Final = 0.01
+#: Part of the samples that may be lost, and still be no gaps.
+_MOST_LOST_PART: Final = 0.35
+#: Missing samples are put in from their neighbours if that changes N by less than this part of its
+#: standard uncertainty; where more are missing, the samples that were recorded follow one another.
+_FILLING_PART: Final = 0.2
 
 #: Part of a step by which a sample may stand off from an even clock.
 _OFF_CLOCK: Final = 0.3
@@ -58,15 +68,23 @@ _BANDS_A_DECADE: Final = 4.0
 class Stretches:
     """The parts of a record between its gaps."""
 
-    step: float  #: Of the clock, s.
+    step: float  #: Mean time from sample to sample in the parts, s.
+    share: float  #: Part of the samples that was recorded, where none is put in; otherwise 1.
     #: Of each: the time of its first sample, s, and its samples, SI.
     parts: tuple[tuple[float, Array], ...]
     rows: int  #: Of the record.
     outliers: int  #: Left out.
-    filled: int  #: Samples put in from their neighbours, outliers among them.
+    filled: int  #: Samples missing in the parts, outliers among them.
     gaps: int  #: Between the parts.
     unused: int  #: Samples of parts that are too short.
     resolution: float  #: Least step between different samples, SI.
+    repeated: int = 0  #: Rows that repeat the value before, as of a log faster than the sensor.
+    restamped: int = 0  #: Rows that repeat the time of the row before with another value.
+
+    @property
+    def clock(self) -> float:
+        """The time from one sample of the sensor to the next, s."""
+        return self.step * self.share
 
     @property
     def longest(self) -> tuple[float, Array]:
@@ -79,6 +97,7 @@ class RestAnalysis:
     """What a record says of its noise."""
 
     noise: RestNoise
+    recorded: Variances  #: Variances of the series of recorded samples, as of `RestNoise`.
     lines: tuple[SpectralLine, ...]
     step: float  #: Of the samples that it rests on, s.
     velocity: Array  #: Integral of the specific force of the longest part, without lines, m/s.
@@ -130,11 +149,10 @@ def stretches_of(time: Array, values: Array) -> Stretches:
     rows = time.size
     there = np.isfinite(time)
     time, values = time[there], values[there]
-    order = np.diff(time) > 0.0
     if (np.diff(time) < 0.0).any():
         raise ValueError("its time runs backwards")
-    keep = np.append(True, order)
-    time, values = time[keep], values[keep]
+    samples = Samples.of(time, values)
+    time, values = samples.time, samples.values
     if time.size < _FEWEST:
         raise ValueError(f"{time.size} samples are too few: {_FEWEST} are needed")
     steps = np.diff(time)
@@ -151,8 +169,9 @@ def stretches_of(time: Array, values: Array) -> Stretches:
     if kept.size < _FEWEST:
         raise ValueError(f"{kept.size} samples are too few: {_FEWEST} are needed")
     ahead = np.diff(at) / step
-    cuts = np.flatnonzero(ahead > _MOST_FILLED + 1.5) + 1
-    parts, filled, unused = [], 0, 0
+    cuts = np.flatnonzero(ahead > _most_missing(ahead) + 1.5) + 1
+    parts: list[tuple[float, Array, Array]] = []
+    unused = 0
     for own_time, own in zip(np.split(at, cuts), np.split(kept, cuts), strict=True):
         if own.size < _FEWEST:
             unused += own.size
@@ -167,16 +186,46 @@ def stretches_of(time: Array, values: Array) -> Stretches:
                 "its samples are not evenly spaced, which the noise "
                 "analysis needs; resample the record, or name another time column"
             )
-        count = int(number[-1]) + 1
-        filled += count - own.size
-        parts.append((float(own_time[0]), np.interp(np.arange(count), number, own)))
+        parts.append((float(own_time[0]), number, own))
     if not parts:
         raise ValueError(f"no {_FEWEST} successive samples are without a gap")
+    count = sum(int(number[-1]) + 1 for _, number, _ in parts)
+    recorded = sum(own.size for _, _, own in parts)
+    share = recorded / count
+    fills = (1.0 - share) * math.sqrt(2.0 * recorded) < _FILLING_PART
+    series = [
+        (start, np.interp(np.arange(number[-1] + 1), number, own) if fills else own)
+        for start, number, own in parts
+    ]
+    share = 1.0 if fills else share
     different = np.diff(np.unique(kept[:4096]))
     resolution = float(different.min()) if different.size else 0.0
     return Stretches(
-        step, tuple(parts), rows, spikes.size, filled, len(parts) - 1, unused, resolution
+        step=step / share,
+        share=share,
+        parts=tuple(series),
+        rows=rows,
+        outliers=spikes.size,
+        filled=count - recorded,
+        gaps=len(series) - 1,
+        unused=unused,
+        resolution=resolution,
+        repeated=samples.repeated,
+        restamped=samples.restamped,
     )
+
+
+def _most_missing(ahead: Array) -> int:
+    """Return the number of missing samples in a row beyond which a record is cut.
+
+    ahead: Steps of the clock from one sample to the next.
+    """
+    near = ahead[ahead < _MOST_LOST + 1.5]
+    lost = 1.0 - near.size / max(float(np.round(near).sum()), 1.0)
+    if not 0.0 < lost < _MOST_LOST_PART:
+        return _MOST_MISSING
+    far = math.ceil(math.log(_FAR_PROBABILITY / near.size) / math.log(lost))
+    return min(max(far, _MOST_MISSING), _MOST_LOST)
 
 
 def analyse(stretches: Stretches, order: int) -> RestAnalysis:
@@ -217,7 +266,9 @@ def analyse(stretches: Stretches, order: int) -> RestAnalysis:
     if not records:
         raise NotIdentifiableError("the record is too short to estimate any noise")
     noise = find_rest_noise(records)
-    return RestAnalysis(noise, tuple(lines), step * thin, velocity, kind)
+    # A sample of a specific force holds the noise of one step, also where others are lost.
+    own = noise.with_white(stretches.share) if order == SPECIFIC_FORCE else noise
+    return RestAnalysis(own, noise.variances, tuple(lines), step * thin, velocity, kind)
 
 
 @frozen
@@ -253,6 +304,18 @@ class RestNoise:
     def variances(self) -> Variances:
         """Those of all components."""
         return tuple(one.variance for one in self.components.values())
+
+    def with_white(self, factor: float) -> RestNoise:
+        """Return the noise with N^2 multiplied by a factor."""
+        white = COMPONENTS[1]
+        sizes = self.components[white]
+        scaled = SizedComponent(factor * sizes.variance, factor * sizes.low, factor * sizes.high)
+        factors = np.where(np.array(COMPONENTS) == white, factor, 1.0)
+        return replace(
+            self,
+            components=self.components | {white: scaled},
+            covariance=self.covariance * np.outer(factors, factors),
+        )
 
 
 def find_rest_noise(records: Sequence[EvenData]) -> RestNoise:

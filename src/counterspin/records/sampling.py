@@ -1,0 +1,180 @@
+"""Tell the samples of a sensor from the rows of its log.
+
+A log that is faster than the sensor repeats each value until the next one arrives. A clock that is
+coarser than the rows, or packets of several samples, repeat time stamps. Rows that never arrive are
+lost samples.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array, median
+from counterspin.frozen import frozen
+from counterspin.records.spikes import resolution
+
+#: Rows that show whether values repeat.
+_SHOWING_ROWS: Final = 100_000
+#: Part of the rows that repeat a value beyond which these are repeats, in addition to three times
+#: the part that is equal by chance.
+_REPEATED_PART: Final = 2e-3
+#: Part of the samples that may be equal by chance where a change of the value tells a new sample.
+_CHANCE_PART: Final = 0.02
+#: Part of the changes that are at one phase of a whole number of rows.
+_PHASED_PART: Final = 0.999
+#: Steps that are so many times the median step are outliers.
+_OUTLYING_STEPS: Final = 8.0
+#: Most rows for a sample.
+_MOST_ROWS: Final = 1000
+#: Fewest rows that tell.
+_FEWEST: Final = 32
+#: Part of the rows that may repeat a time with other values.
+_DIFFERING_PART: Final = 1e-3
+
+Mask = npt.NDArray[np.bool_]
+
+
+@frozen
+class Holding:
+    """The way in which a log repeats the values of a slower sensor."""
+
+    rows: float  #: Mean number of rows for a sample.
+    period: int  #: Rows for every sample; 0: the number varies.
+    phase: int  #: Row of the first new value, from 0, where the period is not 0.
+
+    @classmethod
+    def of(cls, values: Array) -> Holding | None:
+        """Return how values repeat; None if they do not. ValueError if it cannot be told.
+
+        values: As logged, NaN where a cell is empty, shape (n,).
+        """
+        part = values[:_SHOWING_ROWS]
+        good = part[np.isfinite(part)]
+        if good.size < _FEWEST or np.ptp(good) == 0.0:
+            return None
+        steps = np.diff(good)
+        changed = steps[steps != 0.0]
+        repeated = 1.0 - changed.size / steps.size
+        sizes = np.abs(changed)
+        usual = sizes[sizes <= _OUTLYING_STEPS * median(sizes)]
+        step = float(np.sqrt(np.mean(usual**2)))
+        chance = min(1.0, resolution(good) / (math.sqrt(2.0 * math.pi) * step))
+        limit = 3.0 * chance + 5.0 * math.sqrt(chance / steps.size) + _REPEATED_PART
+        places = np.flatnonzero(np.diff(part, prepend=math.nan) != 0.0)[1:]
+        # Of samples that are equal by chance, many differ from both neighbours.
+        lengths = np.diff(places)
+        alternate = lengths.size < _FEWEST or np.quantile(lengths, 0.01) < 2.0
+        if repeated <= limit and alternate:
+            return None
+        if period := _period(places):
+            return cls(float(period), period, int(places[0]) % period)
+        rows = 1.0 / (1.0 - repeated)
+        if chance > _CHANCE_PART:
+            raise ValueError(
+                f"it repeats {100.0 * repeated:.2g} % of its values at irregular distances, as "
+                "where a log is faster than the sensor, and its resolution is too coarse to tell "
+                "a repeat from an equal sample; export the sensor's own samples"
+            )
+        return cls(rows, 0, 0)
+
+    def new(self, values: Array, first_row: int = 0, before: float = math.nan) -> Mask:
+        """Return the rows with new values.
+
+        first_row: Row of the first value, from 0.
+        before: The value before the first one; NaN: none.
+        """
+        if self.period:
+            return np.asarray((np.arange(values.size) + first_row - self.phase) % self.period == 0)
+        return np.asarray(np.diff(values, prepend=before) != 0.0)
+
+
+def _period(places: npt.NDArray[np.int_]) -> int:
+    """Return the whole number of rows between changes, of which some may be missing; 0: none is."""
+    lengths = np.diff(places)
+    if lengths.size < _FEWEST or not 1 < (shortest := int(np.quantile(lengths, 0.01))) < _MOST_ROWS:
+        return 0
+    for period in range(shortest, 1, -1):
+        at_phase = np.bincount(places % period).max()
+        if at_phase >= _PHASED_PART * places.size:
+            return period
+    return 0
+
+
+@frozen(eq=False)
+class Samples:
+    """The samples of a sensor in a record."""
+
+    time: Array  #: Their times, s, counted where stamps or values repeat, shape (m,).
+    values: Array  #: Shape (m,), NaN where a cell is empty.
+    repeated: int  #: Rows that repeat the value of the sample before.
+    restamped: int  #: Rows that repeat the time of the row before with another value.
+
+    @classmethod
+    def of(cls, time: Array, values: Array) -> Samples:
+        """Return the samples in rows; ValueError if their times cannot be told.
+
+        time: s, shape (n,), never falling.
+        """
+        same = np.diff(time) == 0.0
+        again = np.append(False, same & ~(np.diff(values) != 0.0))
+        # Whole rows that were written twice.
+        time, values = time[~again], values[~again]
+        restamped = int(np.sum(np.diff(time) == 0.0))
+        if restamped > _DIFFERING_PART * time.size:
+            time = _counted(time, restamped)
+        else:
+            keep = np.append(True, np.diff(time) > 0.0)
+            time, values = time[keep], values[keep]
+        holding = Holding.of(values)
+        if holding is None:
+            return cls(time, values, 0, restamped)
+        new = holding.new(values) & np.isfinite(values)
+        repeated = int(np.isfinite(values).sum() - new.sum())
+        time, values = time[new], values[new]
+        if not holding.period:
+            time = _even(time, holding.rows)
+        return cls(time, values, repeated, restamped)
+
+
+def _counted(time: Array, restamped: int) -> Array:
+    """Return the times of rows whose stamps repeat: rows are even where none is lost."""
+    bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
+    burst = float(np.quantile(np.diff(bounds), 0.999)) + 1.0
+    lag = min(time.size - 1, max(64, round(16 * burst)))
+    spans = time[lag:] - time[:-lag]
+    step = median(spans) / lag
+    # Where rows are lost, and so the record is cut.
+    cuts = np.flatnonzero(np.diff(time) > (burst + 1.5) * step) + 1
+    whole = np.split(time, cuts)
+    rows = sum(part.size - 1 for part in whole)
+    step = sum(float(part[-1] - part[0]) for part in whole) / max(rows, 1)
+    parts = []
+    for part in whole:
+        size = min(lag, part.size - 1)
+        away = part[size:] - part[: part.size - size] - size * step
+        if size > 0 and np.abs(away).max() > (burst + 1.0) * step:
+            raise ValueError(
+                f"{restamped} of {time.size} rows repeat the time of the row before with other "
+                "values, and samples are missing among them, so that rows cannot be counted; "
+                "export finer time stamps"
+            )
+        parts.append(part[0] + step * np.arange(part.size))
+    if len(parts) == 1 and time.size > 1:
+        return np.linspace(time[0], time[-1], time.size)
+    return np.concatenate(parts)
+
+
+def _even(time: Array, rows: float) -> Array:
+    """Return the times of samples that a faster log saw at its next row, within one row."""
+    steps = np.diff(time)
+    usual = float(np.mean(steps[steps < 2.0 * median(steps)]))
+    late = usual / rows  # of a row
+    cuts = np.flatnonzero(steps > 1.5 * usual + late) + 1
+    if not len(cuts):
+        return np.linspace(time[0], time[-1], time.size)
+    parts = np.split(time, cuts)
+    return np.concatenate([part[0] + usual * np.arange(part.size) for part in parts])
