@@ -24,7 +24,7 @@ from counterspin.campaign.kinds import exact
 from counterspin.certificates import certificate_text, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import consistency, page
-from counterspin.inference import conformity, diagnostics
+from counterspin.inference import diagnostics, distributions
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observer
 from counterspin.physics import motion, terms
@@ -109,7 +109,7 @@ ROWS = {
         ("it waits up to {} minutes for the first", workers._FIRST_WORKER_TIMEOUT / 60.0),
     ],
     "history": [
-        ("its expanded uncertainty of {} %", 100.0 * conformity.COVERAGE),
+        ("its expanded uncertainty of {} %", 100.0 * distributions.COVERAGE),
         ("per year of {} days", page._YEAR),
         ("from {} results on, the limits", consistency.MIN_RESULTS),
         ("moving range over {}; warning", consistency._D2),
@@ -127,9 +127,9 @@ ROWS = {
     ],
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),
-        ("k is Student's factor for {} %", 100.0 * conformity.COVERAGE),
-        ("the least expanded uncertainty ({} %)", 100.0 * conformity.COVERAGE),
-        ("ellipsoidal region of {} %", 100.0 * conformity.COVERAGE),
+        ("k is Student's factor for {} %", 100.0 * distributions.COVERAGE),
+        ("the least expanded uncertainty ({} %)", 100.0 * distributions.COVERAGE),
+        ("ellipsoidal region of {} %", 100.0 * distributions.COVERAGE),
         ("rounded to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (
             "RSA keys have at least {} bits, elliptic curves {};",

@@ -210,12 +210,6 @@ def test_a_written_campaign_takes_its_record_along(folder, tmp_path):
     assert again.rest.read_bytes() == far.read_bytes()
 
 
-def test_campaigns_with_other_records_at_rest_are_not_joined(folder, tmp_path):
-    described(folder, **{"from": "rest.csv"}).write(tmp_path / "copy")
-    with pytest.raises(CampaignError, match=r"noise\.from: is not the same in campaign 2"):
-        described(folder, **{"from": "rest.csv"}).join(read_campaign(tmp_path / "copy"))
-
-
 def test_a_record_that_cannot_be_used_is_named_with_its_key(folder, tmp_path):
     missing = described(folder, **{"from": "none.csv"})
     with pytest.raises(RecordError, match=r"none\.csv \(noise\.from\): file not found"):

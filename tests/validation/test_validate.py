@@ -69,7 +69,7 @@ def test_a_check_that_lets_all_pass_or_none_is_named(kernel, monkeypatch):
         assert validate(schema=schema(), chosen=chosen).failed == [chosen[0].name]
 
 
-@pytest.mark.parametrize("of", ["wording.expanded_uncertainty", "build.region_factor"])
+@pytest.mark.parametrize("of", ["certificate_text.expanded_uncertainty", "build.region_factor"])
 def test_a_certificate_with_another_coverage_factor_is_named(of, monkeypatch):
     module, name = of.split(".")
     owner = import_module(f"counterspin.certificates.{module}")

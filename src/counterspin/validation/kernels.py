@@ -317,7 +317,7 @@ def _forecast(module: Any, given: Given) -> Found:
 
 def _individuals(module: Any, given: Given) -> Found:
     values = given["values"]
-    answer = module.individuals(values, [str(place) for place in range(len(values))])
+    answer = module.individuals_chart(values, [str(place) for place in range(len(values))])
     limits = {"low": answer.action_low, "high": answer.action_high}
     return {"centre": answer.centre, "mean_range": answer.mean_range, **limits}
 
@@ -382,7 +382,7 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "to_si": _number("to_si", "si"),
     "from_si": _number("from_si", "value"),
     "en_score": _en_score,
-    "individuals": _individuals,
+    "individuals_chart": _individuals,
     "weighted_mean": _weighted_mean,
     "read_record": files.read_record,
 }
