@@ -202,6 +202,14 @@ SLIPS = {
         HEAD + RUN + 'start = "2 s"\n',
         "runs[0].start: belongs to a run with a record of a double turntable; leave it out",
     ),
+    "records of a record whose mean is a reading": (
+        HEAD
+        + RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "a.csv"')
+        + 'records = { delimiter = ";" }\n',
+        "runs[0].records: belongs to a run with a record of a double turntable; leave it out. "
+        "[records] says how all records on the arm and at rest are read: write them with the same "
+        "columns and units",
+    ),
     "an attitude of no words": (
         HEAD + RUN.replace("30 ± 0.001 deg about north", ""),
         "runs[0].attitude: is not an attitude",

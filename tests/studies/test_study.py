@@ -1,6 +1,7 @@
 """Studies: what they find of the paper's plan, and that it does not matter who does the work."""
 
 import json
+import math
 import os
 import signal
 from dataclasses import replace
@@ -254,7 +255,32 @@ def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_pa
     found = part.engine.trials(draws, stream(3, 0, 1))
     assert np.all(np.abs(found.estimate[0] - draws.mean("Qx", "K_II")) < 5.0 * found.u[0])
     plain = two_stage_part(tmp_path / "b", '[noise]\ndisplacement = "0.01 m"')[2].engine
-    assert np.all(found.u[1] > 1.01 * plain.trials(draws, stream(3, 0, 1)).u[1])
+    ratio = found.u[1] / plain.trials(draws, stream(3, 0, 1)).u[1]
+    if "timing" in noise:
+        # The angle corrects the time stamps: only the encoder's noise is left.
+        np.testing.assert_allclose(ratio, 1.0, atol=1e-2)
+    else:
+        assert np.all(ratio > 1.01)
+
+
+@pytest.mark.parametrize("method", ["two-stage", "joint"])
+def test_time_stamps_that_scatter_move_angle_and_output_together(tmp_path, method):
+    """By 1 ms, at which the output alone would have 1.6 times its noise at the fastest rate."""
+    timing, trials = 'timing = "1e-3 s"', 40
+    text = SHORT
+    for section in ("[noise]", "[truth.noise]"):
+        text = text.replace(section, f"{section}\n{timing}")
+    assert text.count(timing) == 2
+    analysis = f'[study.analyses.{method}]\nmethod = "{method}"\n'
+    description = read_study(write(tmp_path / "a", text + analysis))
+    world, truth = world_and_truth(description)
+    (analysis,) = analyses_of(description)
+    part = choose_engine(world, truth, analysis, "full")
+    draws = truth.draw(stream(3, 0, 0), trials)
+    found = part.engine.trials(draws, stream(3, 0, 1))
+    place = 0 if method == "two-stage" else 1
+    z = (found.estimate[place] - draws.mean("Qx", "K_II")) / found.u[place]
+    assert math.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=4.0 / math.sqrt(2 * trials))
 
 
 def test_study_claims_the_u_of_the_joint_fit_whole(tmp_path, monkeypatch):

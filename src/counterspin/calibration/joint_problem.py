@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -10,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.accelerometers import Accelerometer
@@ -18,12 +16,11 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import StatedNoise
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import TIMING, Series, StampErrors
-from counterspin.inference.joint.time_stamps import FEWEST_ROWS
+from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import WANTED, Noise
 from counterspin.loading import load_name
 from counterspin.physics import observation
-from counterspin.physics.spindle import Spindle
 
 #: The function that reads the noise of a campaign from a record at rest.
 NOISE_AT_REST: Final = "counterspin.campaign.noise_at_rest:said_noise"
@@ -69,12 +66,7 @@ class JointProblem:
 
 def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
     """Return one series for each run and accelerometer, missing samples left out."""
-    timing, encoder_noise = (
-        size if isinstance(size, float) else 0.0
-        for size in (
-            (campaign.noise.timing, campaign.noise.angle) if campaign.noise else (0.0, 0.0)
-        )
-    )
+    timing, encoder_noise = stated_times(campaign)
     series = []
     for run in observed:
         stamps = _stamp_errors(run, timing, encoder_noise)
@@ -104,34 +96,25 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
     return tuple(series)
 
 
+def stated_times(campaign: Campaign) -> tuple[float, float]:
+    """Return the stated noise of time stamps, s, and of the encoder, rad; 0: not stated."""
+    noise = campaign.noise
+    sizes = (noise.timing, noise.angle) if noise else (0.0, 0.0)
+    timing, angle = (size if isinstance(size, float) else 0.0 for size in sizes)
+    return timing, angle
+
+
 def _stamp_errors(run: ObservedRun, timing: float, encoder_noise: float) -> StampErrors | None:
     """Return what the recorded angle of a run shows of its time stamps."""
     rotation, record = run.rotation, run.record
-    if rotation is None or record.time.size < FEWEST_ROWS:
+    if rotation is None:
         return None
-    spindle = rotation.spindle
-    rate = abs(spindle.rate)
-    widening = np.zeros(record.time.size)
+    widening = None
     if record.angle_sd is not None:
-        widening = np.nan_to_num((record.angle_sd / rate) ** 2 - record.time_sd**2)
-    return StampErrors(
-        _delays(spindle, record.time, rotation.residuals),
-        rotation.rms * math.sqrt(float(np.mean(record.count))) / rate,
-        rotation.dof,
-        widening,
-        timing,
-        encoder_noise / rate,
-    )
-
-
-def _delays(spindle: Spindle, time: Array, ahead: Array) -> Array:
-    """Return the times in which the spindle turns by angles, from these times on, s, shape (n,).
-
-    Newton's iteration of two steps: the rate hardly changes in such times.
-    """
-    delay = ahead / spindle.angular_rate(time)
-    turned = spindle.angle(time + delay) - spindle.angle(time)
-    return delay - (turned - ahead) / spindle.angular_rate(time + delay)
+        of_angle = record.angle_sd / abs(rotation.spindle.rate)
+        widening = np.nan_to_num(of_angle**2 - record.time_sd**2)
+    stated = timing, encoder_noise
+    return find_stamp_errors(rotation, record.time, record.count, stated, widening)
 
 
 def noise_of(campaign: Campaign) -> dict[str, Noise]:

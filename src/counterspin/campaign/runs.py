@@ -287,6 +287,11 @@ class Run(SettingsSection):
             if name in self.model_fields_set and extra_of(field).get("x-of") == foreign:
                 other = "a record of a double turntable" if read else "a reading"
                 said = f"belongs to a run with {other}; leave it out"
+                if name == "records" and self.record is not None:
+                    said += (
+                        ". [records] says how all records on the arm and at rest are read: write "
+                        "them with the same columns and units"
+                    )
                 yield (field.alias or name,), said, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:
             yield ("duration",), "revolutions is given too; keep one"

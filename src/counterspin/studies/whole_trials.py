@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -17,15 +17,16 @@ from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import MeasuredRate, Reading
 from counterspin.frozen import frozen
-from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.estimation import correct_series, estimate
 from counterspin.inference.joint.series import CLOCK, TIMING, Series
+from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage, with_found_noise
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
-from counterspin.physics.spindle import Spindle, fit_spindle
+from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.physics.terms import shown_by_readings, symbol_of
 from counterspin.readings.joining import with_groups
 from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
@@ -45,6 +46,13 @@ from counterspin.studies.work import JointRequest, Trials
 from counterspin.studies.world import World, noise_of_mean
 from counterspin.triads.groups import one_group
 from counterspin.triads.poses import TriadPoses, indications_along
+
+
+class Rotation(NamedTuple):
+    """The rotation of a run in one trial, as the analysis has it."""
+
+    spindle: Spindle
+    fit: SpindleFit | None = None  #: To the recorded angle; None: exact, or nobody recorded it.
 
 
 @frozen
@@ -71,15 +79,28 @@ class TrialRecords:
             times = world.times(run)
             shown = times * self._clock(run)
             stamped = world.noise.stamps(self.generator, shown)
-            identified = self._identified(run, spindle, stamped, times)
+            rotation = self._identified(run, spindle, stamped, times)
+            identified = rotation.spindle
             for name in world.mountings:
                 signal = self._recorded(run, name, spindle, times)
                 assumed = world.trajectory(run, identified)
                 error = signal - observation.reference(
                     assumed, world.mountings[name], stamped, attitude=world.attitudes[run]
                 )
-                series.append(world.series(run, name, identified, shown, error))
+                record = world.series(run, name, identified, stamped, error)
+                series.append(self._with_stamps(record, rotation))
         return series
+
+    def _with_stamps(self, record: Series, rotation: Rotation) -> Series:
+        """Return a record with what its angle shows of the time stamps, as `calibrate` has it."""
+        if rotation.fit is None:
+            return record
+        stated = self.world.stated_times
+        stamps = find_stamp_errors(rotation.fit, record.time, record.count, stated)
+        if stamps is None:
+            return record
+        record = replace(record, angle_error=rotation.fit.error, stamps=stamps)
+        return record.corrected(stamps.prior[0])
 
     def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
         """Return a run with one reading at each strobe."""
@@ -89,7 +110,7 @@ class TrialRecords:
         # The row in which the angle passes a strobe began earlier by the angle's delay.
         passed = spindle.time_at(strobed.angles) - float(self.draws.off(TIMING)[0])
         sampled, clock = world.times(run), self._clock(run)
-        identified = self._identified(run, spindle, sampled * clock, sampled)
+        identified = self._identified(run, spindle, sampled * clock, sampled).spindle
         times, noise = passed * clock, world.noise
         taken = noise.stamps(self.generator, passed) if noise.timing > 0.0 else passed
         signal = self._recorded(run, name, spindle, taken)
@@ -105,7 +126,7 @@ class TrialRecords:
         """Return the indicated time of a run's recorder over the true time."""
         return 1.0 + float(self.draws.off(CLOCK, self.world.recorders[run])[0])
 
-    def _identified(self, run: int, true: Spindle, stamped: Array, times: Array) -> Spindle:
+    def _identified(self, run: int, true: Spindle, stamped: Array, times: Array) -> Rotation:
         """Return the rotation that a run's recorded angle shows.
 
         stamped: Times of the rows as they are recorded, s.
@@ -113,13 +134,14 @@ class TrialRecords:
         """
         world, late = self.world, float(self.draws.off(TIMING)[0])
         if not world.angle_recorded:
-            return Spindle(world.spindles[run].rate)
+            return Rotation(Spindle(world.spindles[run].rate))
         angle = true.angle(times + late)
         misread = encoder_error(self._values("", run), angle)
         if world.noise.angle == 0.0 and not misread.any() and np.array_equal(stamped, times + late):
-            return true
+            return Rotation(true)
         recorded = world.noise.angles(self.generator, angle + misread)
-        return fit_spindle(stamped, recorded, world.spindles[run].rate).spindle
+        fit = fit_spindle(stamped, recorded, world.spindles[run].rate)
+        return Rotation(fit.spindle, fit)
 
     def _recorded(self, run: int, name: str, spindle: Spindle, times: Array) -> Array:
         """Return the noisy displacement at the times."""
@@ -371,13 +393,22 @@ class FullEngine:
         self, request: TwoStageRequest, records: TrialRecords
     ) -> tuple[Array, Array, Array]:
         world, components = records.world, None
-        if request.random_walk is None:
-            series = records.series()
-            estimated = estimate(series, self.joint.model, self.joint.noise)
-            components = estimated.components[self.owner]
-            request = request.with_noise(components.noise)
-            selected = [record for record in series if record.accelerometer == self.owner]
-            runs = [_strobed(record, request) for record in selected]
+        scattered = world.noise.timing > 0.0 or world.stated_times[0] > 0.0
+        corrects = world.angle_recorded and scattered
+        if request.random_walk is None or corrects:
+            series = tuple(records.series())
+            if request.random_walk is None:
+                estimated = estimate(series, self.joint.model, self.joint.noise)
+                components = estimated.components[self.owner]
+                request = request.with_noise(components.noise)
+                corrected = estimated.series
+            else:
+                corrected = correct_series(series, self.joint.model, self.joint.noise)
+            runs = [
+                _strobed(record.corrected(other.share).with_timing(other.timing), request)
+                for record, other in zip(series, corrected, strict=True)
+                if record.accelerometer == self.owner
+            ]
         else:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(world.runs))]
         second = second_stage(runs, world.mountings[self.owner], request, ignored=())

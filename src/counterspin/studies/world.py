@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import stated_times
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.noise_at_rest import true_noise
@@ -50,6 +51,8 @@ class World:
     sampling_rate: float  #: Hz.
     angle_recorded: bool  #: Whether the records have an angle.
     noise: RecordNoise  #: Of the records, where it does not vary.
+    #: Noise of the time stamps, s, and of the encoder, rad, that the analyses assume; 0: none.
+    stated_times: tuple[float, float]
     conditions: tuple[RunConditions, ...]  #: Of each run.
     recorders: tuple[str, ...]  #: Whose clock the record of each run has, where there are several.
 
@@ -102,7 +105,7 @@ class World:
             error=np.zeros_like(times) if error is None else error,
             recorder=self.recorders[run],
         )
-        return series.with_timing(self.noise.timing)
+        return series.with_timing(self.stated_times[0])
 
     def strobed(self, run: int, name: str) -> StrobedMotion:
         """Return a run as the strobes of an accelerometer see it."""
@@ -162,6 +165,7 @@ def world_of(campaign: Campaign) -> World:
             flicker=float(noise.flicker),
             bias_walk=float(noise.bias_walk),
         ),
+        stated_times=stated_times(campaign),
         conditions=tuple(conditions_of(campaign).values()),
         recorders=tuple(campaign.recording_of(run).recorder for run in campaign.runs),
     )

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, noisy, simulated, unknowns
+from dense_stamps import Machine, Records, fit_rows
+from joint_campaign import RATES, SITE, noisy, simulated, unknowns
 
 from counterspin.inference.joint import encoder, rotation
 from counterspin.inference.joint.estimation import estimate
@@ -215,6 +216,24 @@ def test_ripples_that_time_stamps_hide_are_followed_beyond_the_first_order():
         assert len(drawn[2].trajectory.spindle.ripples) < 4
         z.append(z_of(estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})))
     assert np.abs(z).max() < 4.0
+
+
+@pytest.mark.parametrize("timing", [2e-4, 1e-3])
+def test_a_dense_fit_in_which_each_row_has_its_time_agrees(exact, timing):
+    """Of the noise of the angle the package has an estimate, of 785 degrees of freedom."""
+    rng = np.random.default_rng(9)
+    drawn = scattered(exact["specific_force"], timing, rng, stated=(timing, ENCODER))
+    runs = []
+    for one in drawn:
+        stamped = one.time - one.share * one.stamps.delay
+        turned = one.trajectory.spindle.angle(stamped + one.stamps.delay)
+        runs.append(Records(stamped, turned, one.error + one.reference()))
+    machine = Machine(2.5, SITE.gravity, SITE.latitude)
+    white = WHITE["specific_force"]
+    value, u = fit_rows(runs, machine, timing, ENCODER, white)
+    found = estimate(drawn, MODEL, {"Qx": Noise(white)}).fit.solution
+    np.testing.assert_allclose(found.u[:4], u, rtol=0.06)
+    assert np.abs((found.estimate[:4] - (value - [0, 1, 0, 0])) / u).max() < 0.15
 
 
 def test_small_errors_of_the_angle_cost_nothing(exact, monkeypatch):

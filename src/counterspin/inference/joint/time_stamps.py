@@ -17,8 +17,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.series import StampErrors
 from counterspin.inference.joint.used_rows import without_waves
+from counterspin.physics.spindle import Spindle, SpindleFit
 
 #: Order of the differences, and the sum of the squares of their correlations: so many of them tell
 #: as much as one independent row.
@@ -41,6 +44,44 @@ class _Regression(NamedTuple):
     information: float
     product: float
     variance: float
+
+
+def find_stamp_errors(
+    rotation: SpindleFit,
+    time: Array,
+    count: Array,
+    stated: tuple[float, float],
+    widening: Array | None = None,
+) -> StampErrors | None:
+    """Return the errors of time stamps that a recorded angle shows; None of fewer than 43 rows.
+
+    rotation: As the angle shows it.
+    time, count: Of the rows, s, and the samples in each, shape (n,).
+    stated: Noise of the time stamps, s, and of the encoder, rad; 0: not stated.
+    widening: As `StampErrors.widening`; None: zero.
+    """
+    if time.size < FEWEST_ROWS:
+        return None
+    spindle, (timing, encoder_noise) = rotation.spindle, stated
+    rate = abs(spindle.rate)
+    return StampErrors(
+        _find_delays(spindle, time, rotation.residuals),
+        rotation.rms * math.sqrt(float(np.mean(count))) / rate,
+        rotation.dof,
+        np.zeros(time.size) if widening is None else widening,
+        timing,
+        encoder_noise / rate,
+    )
+
+
+def _find_delays(spindle: Spindle, time: Array, ahead: Array) -> Array:
+    """Return the times in which the spindle turns by angles, from these times on, s, shape (n,).
+
+    Newton's iteration of two steps: the rate hardly changes in such times.
+    """
+    delay = ahead / spindle.angular_rate(time)
+    turned = spindle.angle(time + delay) - spindle.angle(time)
+    return delay - (turned - ahead) / spindle.angular_rate(time + delay)
 
 
 def find_shares(fit: JointFit) -> Mapping[str, float]:
