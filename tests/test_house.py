@@ -306,6 +306,13 @@ def test_files_that_the_way_of_a_record_names_exist():
     ] == []
 
 
+def test_reading_path_of_the_internals_is_short():
+    page = (ROOT / "docs" / "internals.md").read_text(encoding="utf-8")
+    linked = re.findall(r"\(\.\./src/counterspin/(\S+\.py)\)", page)
+    assert len(linked) == len(set(linked)) > 15
+    assert sum(SOURCES[name].count("\n") for name in linked) <= 7000
+
+
 # Words
 
 
