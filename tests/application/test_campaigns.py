@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from campaigns import SMALL, write
 from results import sealed
-from triads import directions, indications, table
 
 from counterspin.application.campaigns import as_json
+from triads import directions, indications, table
 
 
 def state(page, name="three"):

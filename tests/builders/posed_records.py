@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import triads
 
+import triads
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 

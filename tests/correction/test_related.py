@@ -5,9 +5,9 @@ import math
 import numpy as np
 import polars as pl
 import pytest
-import triads
 
 import counterspin as cs
+import triads
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-import triads
 
 import counterspin as cs
+import triads
 from counterspin.errors import CounterspinError
 
 NOISE = 2e-4

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import posed_records
 import pytest
-import triads
 
 import counterspin as cs
+import triads
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import triads
 from campaigns import PLACE, SMALL, changed, runs, write
 from mixed_campaign import MixedCampaign
 
+import triads
 from counterspin.calibration.calibrate import calibrate
 from counterspin.errors import CampaignError
 from counterspin.planning.forecast import forecast

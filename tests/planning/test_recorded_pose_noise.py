@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import triads
 
+import triads
 from counterspin.calibration.calibrate import calibrate
 from counterspin.planning.plan import PlannedCampaign, check, plan
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import triads
 
 import counterspin as cs
+import triads
 
 
 def _campaign(folder, count=24, noise="0.3 mg", u=None):

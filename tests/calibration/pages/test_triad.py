@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import triads
 from posed_records import NOISE, STEP, posed
 
 import counterspin as cs
+import triads
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.pages.triad import pose_pictures
 from counterspin.reports.blocks import Plot, Sphere
